@@ -1,0 +1,58 @@
+"""edit3r: edit 3D scenes from a few photos. Every stage is a plugin.
+
+The public names below load on first use, so `import edit3r` stays cheap (no torch) and a plugin's declaration
+module can import `Component` and `hookimpl` without paying for anything else.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Component": "edit3r.component",
+    "hookimpl": "edit3r.hookspecs",
+    "Settings": "edit3r.config",
+    "PartChoice": "edit3r.config",
+    "Edit3rError": "edit3r.errors",
+    "Views": "edit3r.types",
+    "EditRequest": "edit3r.types",
+    "Cameras": "edit3r.types",
+    "Gaussians": "edit3r.types",
+    "Features": "edit3r.types",
+    "Reconstruction": "edit3r.types",
+    "Rendering": "edit3r.types",
+    "build": "edit3r.registry",
+    "components": "edit3r.registry",
+    "load_views": "edit3r.io.images",
+    "save_ply": "edit3r.io.ply",
+    "load_ply": "edit3r.io.ply",
+    "run": "edit3r.pipeline",
+    "RunResult": "edit3r.pipeline",
+}
+
+__all__ = [*sorted(_HOME), "__version__"]
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module 'edit3r' has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+if TYPE_CHECKING:
+    from edit3r.component import Component
+    from edit3r.config import PartChoice, Settings
+    from edit3r.errors import Edit3rError
+    from edit3r.hookspecs import hookimpl
+    from edit3r.io.images import load_views
+    from edit3r.io.ply import load_ply, save_ply
+    from edit3r.pipeline import RunResult, run
+    from edit3r.registry import build, components
+    from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views

@@ -1,0 +1,120 @@
+"""Settings: one small frozen class per component, filled from defaults, YAML files and `--set key=value`.
+
+Every field has a default, a range and a sentence (pydantic's `Field(default, ge=..., description=...)`); an unknown
+key or a value out of range is an error that names the key, the range and what was given.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from edit3r.errors import InputError, SettingsError, suggest
+
+SettingsType = TypeVar("SettingsType", bound="Settings")
+
+
+class Settings(BaseModel):
+    """Base of every component's settings: frozen, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+
+class PartChoice(Settings):
+    """Which component fills a part, and its settings: `backbone: name` or `backbone: {name: ..., width: 128}`."""
+
+    name: str
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_short_forms(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return {"name": value}
+        if isinstance(value, Mapping) and "settings" not in value:
+            return {"name": value.get("name"), "settings": {k: v for k, v in value.items() if k != "name"}}
+        return value
+
+
+def make_settings(cls: type[SettingsType], values: Mapping[str, Any], where: str) -> SettingsType:
+    """Validate `values` into `cls`; `where` (such as 'editor') prefixes the key in error sentences."""
+    try:
+        return cls(**values)
+    except ValidationError as error:
+        raise SettingsError(_sentence(error, cls, where)) from None
+
+
+def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
+    first = error.errors()[0]
+    key = ".".join([where, *(str(part) for part in first["loc"])])
+    if first["type"] == "extra_forbidden":
+        known = sorted(cls.model_fields)
+        listed = ", ".join(known) or "none"
+        return f"{key}: unknown setting.{suggest(str(first['loc'][-1]), known)} Known settings of {where}: {listed}."
+    given = first.get("input")
+    message = first["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    return f"{key}: {message.rstrip('.')}, got {given!r}."
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML mapping; an empty file is an empty mapping."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such configuration file.")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not valid YAML ({reason}).") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a mapping of settings at the top, got {type(content).__name__}.")
+    return content
+
+
+def find_config(name: str) -> Path:
+    """Path of a configuration given as a file or by the name of one that ships with edit3r (without `.yaml`)."""
+    given = Path(name)
+    if given.is_file():
+        return given
+    folders = [Path(__file__).parents[1] / "configs", Path(__file__).parent / "configs"]
+    # The checkout comes first: an editable install leaves a stale copy of configs/ inside the package.
+    folder = next((f for f in folders if f.is_dir()), None)
+    shipped = {str(p.relative_to(folder).with_suffix("")): p for p in sorted(folder.rglob("*.yaml"))} if folder else {}
+    if name in shipped:
+        return shipped[name]
+    listed = ", ".join(shipped) or "none"
+    raise InputError(f"{name}: neither a file nor a shipped configuration.{suggest(name, shipped)} Shipped: {listed}.")
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML (numbers, true, [1, 2], text)."""
+    result: dict[str, Any] = {}
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        path = key.strip().split(".")
+        if not equals or not all(path):
+            raise SettingsError(f"--set {assignment}: expected KEY=VALUE, for example --set editor.seed=3.")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            value = text
+        for part in reversed(path):
+            value = {part: value}
+        result = merge(result, value)
+    return result
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Deep merge: mappings are merged key by key, anything else in `over` replaces."""
+    result = dict(base)
+    for key, value in over.items():
+        if isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
+            result[key] = merge(result[key], value)
+        else:
+            result[key] = value
+    return result

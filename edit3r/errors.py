@@ -1,0 +1,55 @@
+"""Errors a user can act on: each message says what was given, what was expected, where, and what to do.
+
+The command line prints the message as one sentence and exits with `exit_code`; a traceback needs `--debug`.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class Edit3rError(Exception):
+    """Base of every error meant for the user. Exit code 2: the input or the wish was wrong."""
+
+    exit_code = 2
+
+
+class InputError(Edit3rError):
+    """A photo, mask, scene or folder that cannot be used."""
+
+
+class SettingsError(Edit3rError):
+    """A setting that is unknown, out of range or of the wrong type."""
+
+
+class UnknownComponentError(Edit3rError):
+    """No installed plugin offers a component of that kind and name, or two do."""
+
+
+class MissingDependencyError(Edit3rError):
+    """A component is installed but a package, model or key it needs is not."""
+
+
+class PluginError(Edit3rError):
+    """A plugin broke its side of the contract (wrong shape, not finite, raised while loading)."""
+
+
+class PromptError(Edit3rError):
+    """The editor cannot carry out this instruction."""
+
+
+class MatchingError(Edit3rError):
+    """The photos do not show enough of the same scene to place them relative to each other."""
+
+    exit_code = 1
+
+
+class RunError(Edit3rError):
+    """The wish was fine but carrying it out failed: out of memory, a device or a service gave up."""
+
+    exit_code = 1
+
+
+def suggest(given: str, known: Iterable[str]) -> str:
+    """' Did you mean X?' for a near miss, else ''."""
+    near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
+    return f" Did you mean {near[0]!r}?" if near else ""

@@ -1,0 +1,103 @@
+"""Pinhole cameras: pixel rays, projection, inverse poses and intrinsics.
+
+Intrinsics are normalised (fx, cx in image widths, fy, cy in heights); points and vectors are kept apart by name.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def intrinsics_from_fov(fov_x: float, image_size: tuple[int, int]) -> Float[Tensor, "3 3"]:
+    """Centred intrinsics with square pixels and a horizontal field of view `fov_x` [radians]."""
+    height, width = image_size
+    focal = 0.5 / math.tan(0.5 * fov_x)  # in widths
+    return torch.tensor([[focal, 0, 0.5], [0, focal * width / height, 0.5], [0, 0, 1]])
+
+
+def field_of_view(intrinsics: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 2"]:
+    """Horizontal and vertical field of view [radians] of normalised intrinsics, as if the centre were the middle."""
+    focal = torch.stack((intrinsics[..., 0, 0], intrinsics[..., 1, 1]), -1)
+    return 2 * torch.atan(0.5 / focal)
+
+
+def to_pixels(intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]) -> Float[Tensor, "*batch 3 3"]:
+    """Intrinsics in pixels, centre of the top-left pixel at (0.5, 0.5)."""
+    height, width = image_size
+    return intrinsics * intrinsics.new_tensor([width, height, 1])[:, None]
+
+
+def from_pixels(intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]) -> Float[Tensor, "*batch 3 3"]:
+    """Inverse of `to_pixels`."""
+    height, width = image_size
+    return intrinsics / intrinsics.new_tensor([width, height, 1])[:, None]
+
+
+def pixel_grid(image_size: tuple[int, int], like: Tensor) -> Float[Tensor, "height width 2"]:
+    """Normalised (x, y) of every pixel centre, dtype and device of `like`."""
+    height, width = image_size
+    ys = (torch.arange(height, dtype=like.dtype, device=like.device) + 0.5) / height
+    xs = (torch.arange(width, dtype=like.dtype, device=like.device) + 0.5) / width
+    return torch.stack(torch.meshgrid(xs, ys, indexing="xy"), -1)
+
+
+def pixel_rays(
+    intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]
+) -> Float[Tensor, "*batch height width 3"]:
+    """Camera-frame vectors through every pixel centre, z = 1 (so a point is `ray * depth`)."""
+    grid = pixel_grid(image_size, intrinsics)
+    homogeneous = torch.cat((grid, torch.ones_like(grid[..., :1])), -1)
+    inverse = torch.linalg.inv(intrinsics.double()).to(intrinsics.dtype)
+    return torch.einsum("...ij,hwj->...hwi", inverse, homogeneous)
+
+
+def unproject(
+    depths: Float[Tensor, "*batch height width"],
+    intrinsics: Float[Tensor, "*batch 3 3"],
+    c2w: Float[Tensor, "*batch 4 4"],
+) -> Float[Tensor, "*batch height width 3"]:
+    """World points of pixels at camera-z `depths`."""
+    rays = pixel_rays(intrinsics, depths.shape[-2:])
+    return transform_points(c2w, rays * depths[..., None])
+
+
+def transform_points(
+    matrices: Float[Tensor, "*batch 4 4"], points: Float[Tensor, "*batch height width 3"]
+) -> Float[Tensor, "*batch height width 3"]:
+    """Apply rigid transforms to grids of points."""
+    rotated = torch.einsum("...ij,...hwj->...hwi", matrices[..., :3, :3], points)
+    return rotated + matrices[..., None, None, :3, 3]
+
+
+def project(
+    points: Float[Tensor, "*batch point 3"],
+    intrinsics: Float[Tensor, "*batch 3 3"],
+    c2w: Float[Tensor, "*batch 4 4"],
+) -> tuple[Float[Tensor, "*batch point 2"], Float[Tensor, "*batch point"]]:
+    """Normalised picture coordinates and camera z of world points; coordinates mean nothing where z <= 0."""
+    w2c = invert_rigid(c2w)
+    camera = torch.einsum("...ij,...nj->...ni", w2c[..., :3, :3], points) + w2c[..., None, :3, 3]
+    z = camera[..., 2]
+    safe = torch.where(z.abs() > 1e-12, z, torch.full_like(z, 1e-12))
+    image = torch.einsum("...ij,...nj->...ni", intrinsics, camera / safe[..., None])
+    return image[..., :2], z
+
+
+def invert_rigid(matrices: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
+    """Inverse of rigid transforms: c2w to w2c and back."""
+    rotation = matrices[..., :3, :3].transpose(-1, -2)
+    result = torch.zeros_like(matrices)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -torch.einsum("...ij,...j->...i", rotation, matrices[..., :3, 3])
+    result[..., 3, 3] = 1
+    return result
+
+
+def relative_to_first(c2w: Float[Tensor, "batch view 4 4"]) -> Float[Tensor, "batch view 4 4"]:
+    """The same poses in the frame of view 0, whose own becomes exactly the identity."""
+    result = invert_rigid(c2w[:, :1]) @ c2w
+    result = result.clone()
+    result[:, 0] = torch.eye(4, dtype=c2w.dtype, device=c2w.device)
+    return result

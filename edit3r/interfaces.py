@@ -1,0 +1,255 @@
+"""The interface of every kind of component.
+
+Each concrete class has a nested `Settings` (a subclass of `edit3r.Settings`, every field with default, range and
+description) and is constructed by the registry as `Class(settings, **parts)`. Interfaces are abstract, concrete
+classes are final: compose, do not subclass. Progress, facts for the manifest and warnings go through
+`edit3r.reporting` (`track`, `note`, `warn`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from edit3r.config import Settings
+from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
+
+if TYPE_CHECKING:
+    from edit3r.plugins import Offer
+
+
+class Configured:
+    """What the registry sets on everything it builds."""
+
+    settings: Settings
+    offer: "Offer"
+
+
+class Editor(Configured, ABC):
+    """Changes photos as an instruction says.
+
+    Keeps number, size and cameras of the views; same seed, same result. It need not honour `request.masks`: the
+    pipeline composites the result with them, so pixels outside stay bit-equal whatever the editor does.
+    """
+
+    @abstractmethod
+    def edit(self, views: Views, request: EditRequest) -> Views:
+        """Return the edited views, images in [0, 1]. Raises PromptError for an instruction it cannot carry out."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One object on one picture, with the fields SAM2's automatic mask generator gives.
+
+    A segmenter without learned weights fills `stability` and `predicted_iou` with proxies and says so in its summary.
+    """
+
+    soft_mask: Float[Tensor, "height width"]  # in [0, 1]
+    area: float  # share of the picture covered by soft_mask > 0.5, in [0, 1]
+    stability: float  # in [0, 1]: overlap of the mask under two thresholds
+    predicted_iou: float  # in [0, 1]: how good the mask believes it is
+    box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Objects followed through views: index r is the same object everywhere."""
+
+    logits: Float[Tensor, "view object height width"]  # > 0: inside
+    present: Bool[Tensor, "view object"]  # False: lost in that view, its logits are all <= 0
+
+
+class Segmenter(Configured, ABC):
+    """Finds objects on one picture and follows them through other views of the scene."""
+
+    @abstractmethod
+    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
+        """All candidate objects, most salient first."""
+
+    @abstractmethod
+    def segment(
+        self,
+        image: Float[Tensor, "3 height width"],
+        points: Sequence[tuple[float, float]] = (),
+        box: tuple[float, float, float, float] | None = None,
+    ) -> Proposal:
+        """The object at `points` (x, y normalised to [0, 1]) or in `box` (x, y, w, h, normalised)."""
+
+    @abstractmethod
+    def track(
+        self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+    ) -> Tracks:
+        """Follow objects given by soft masks on view 0 through all views; an object not found is reported lost."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One box that a text names."""
+
+    label: str
+    score: float  # in [0, 1]
+    box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+
+
+class Detector(Configured, ABC):
+    """Finds what a text names."""
+
+    @abstractmethod
+    def detect(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Detection, ...]:
+        """Boxes of `text` (such as "the bike"), best first; empty when there is none."""
+
+
+class Reconstructor(Configured, ABC):
+    """Turns edited views into 3D Gaussians in one pass, in the frame of view 0."""
+
+    min_views: int = 2
+    max_views: int | None = None  # the pipeline subsamples evenly above it and says so
+
+    @abstractmethod
+    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+        """Reconstruct `views`; `source` is the same photos before editing, which agree with each other.
+
+        Raises MatchingError when the photos cannot be placed relative to each other.
+        """
+
+    @property
+    def network(self) -> nn.Module | None:
+        """The trainable part, None for a reconstructor without one."""
+        return None
+
+
+class Backbone(Configured, nn.Module, ABC):
+    """Network from views to features; any number of views >= 2."""
+
+    patch_size: int  # height and width of its input must be multiples of this [pixels]
+    feature_widths: tuple[int, ...]  # channels of each level it returns
+
+    @abstractmethod
+    def forward(
+        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+    ) -> Features:
+        """Features of images in [0, 1] with normalised intrinsics."""
+
+
+class GaussianHead(Configured, nn.Module, ABC):
+    """Network from features to one Gaussian per pixel, ordered view-major, then row-major."""
+
+    @abstractmethod
+    def forward(self, features: Features, images: Float[Tensor, "batch view 3 height width"]) -> Gaussians:
+        """Gaussians with `view_index` set, for images in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class MatchedGeometry:
+    """Relative poses and depths of B scenes, read from photos that agree with each other.
+
+    The unit of length is arbitrary but common to poses and depths.
+    """
+
+    c2w: Float[Tensor, "batch view 4 4"]  # view 0 is the identity
+    depths: Float[Tensor, "batch view height width"]  # camera z > 0, filled where nothing matched
+    confidence: Float[Tensor, "batch view height width"]  # in [0, 1]; 0: filled in, not measured
+    registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
+
+
+class Matcher(Configured, ABC):
+    """Reads relative pose and depth from unedited photos."""
+
+    @abstractmethod
+    def match(self, views: Views) -> MatchedGeometry:
+        """Geometry at the views' own resolution. Raises MatchingError when view 0 matches no other view."""
+
+
+class Rasterizer(Configured, ABC):
+    """Renders Gaussians; differentiable in means, quats, scales, opacities and harmonics."""
+
+    @abstractmethod
+    def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
+        """Pictures, alphas and expected depths of every camera of every scene."""
+
+
+@dataclass(frozen=True)
+class LossInputs:
+    """All that a loss may compare. What a training step does not have is None."""
+
+    rendered: Float[Tensor, "batch view 3 height width"] | None = None  # pictures of the prediction
+    target: Float[Tensor, "batch view 3 height width"] | None = None  # what they should show
+    gaussians: Gaussians | None = None  # the prediction
+    reference: Gaussians | None = None  # frozen reconstructor's answer for the unedited photos, Gaussian by Gaussian
+
+
+class Loss(Configured, ABC):
+    """One term of a training objective; its weight is applied by the trainer."""
+
+    @abstractmethod
+    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+        """A finite scalar, 0 at the target."""
+
+
+@dataclass(frozen=True)
+class SceneSample:
+    """One multi-view training sample, without a batch axis: V context views and T target views."""
+
+    context: Float[Tensor, "view 3 height width"]  # unedited
+    target: Float[Tensor, "target 3 height width"]  # unedited
+    context_cameras: Cameras  # batch 1; view 0 at the origin
+    target_cameras: Cameras  # batch 1
+    context_depths: Float[Tensor, "view height width"] | None = None  # camera z, 0 unknown
+    context_masks: Float[Tensor, "object view height width"] | None = None  # instance masks
+    target_masks: Float[Tensor, "object target height width"] | None = None
+    edited_context: Float[Tensor, "view 3 height width"] | None = None  # where the data knows the edited truth
+    edited_target: Float[Tensor, "target 3 height width"] | None = None
+    name: str = ""
+
+
+class Dataset(Configured, torch.utils.data.Dataset, ABC):
+    """Multi-view samples by index; the same index and settings give the same sample, in any worker."""
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def __getitem__(self, index: int) -> SceneSample: ...
+
+
+@dataclass(frozen=True)
+class TrainingJob:
+    """Everything a trainer is given, already built."""
+
+    reconstructor: Reconstructor
+    rasterizer: Rasterizer
+    train_data: Dataset
+    validation_data: Dataset | None
+    losses: Mapping[str, tuple[float, Loss]]  # name: (weight, loss)
+    out: Path  # folder for checkpoints, logs and sample sheets
+    resume: bool = False
+    config: Mapping[str, Any] | None = None  # the whole resolved configuration, saved with every checkpoint
+
+
+class Trainer(Configured, ABC):
+    """A training recipe."""
+
+    @abstractmethod
+    def train(self, job: TrainingJob) -> Path:
+        """Train until the recipe's last step; returns the folder of the best checkpoint."""
+
+
+INTERFACES: dict[str, type] = {
+    "editor": Editor,
+    "segmenter": Segmenter,
+    "detector": Detector,
+    "reconstructor": Reconstructor,
+    "backbone": Backbone,
+    "head": GaussianHead,
+    "matcher": Matcher,
+    "rasterizer": Rasterizer,
+    "loss": Loss,
+    "dataset": Dataset,
+    "trainer": Trainer,
+}
+"""The interface of each kind, for checks and documentation."""

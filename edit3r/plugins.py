@@ -1,0 +1,166 @@
+"""Find installed plugins and ask each what it offers, each in its own guard.
+
+Whatever one plugin does (fail on import, misspell a hook, call `sys.exit`, offer something that is no Component, be
+written for another API version), it becomes one `PluginFailure` with its reason, and every other plugin still works.
+"""
+
+import importlib.util
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+
+import pluggy
+
+from edit3r import hookspecs
+from edit3r.component import KINDS, Component, hook_name
+from edit3r.errors import InputError, suggest
+
+ENTRY_POINT_GROUP = "edit3r"
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A component together with the plugin that offers it."""
+
+    kind: str
+    component: Component
+    plugin: str  # entry point name
+    version: str  # of the distribution; "" for a local file
+
+    @property
+    def qualified_name(self) -> str:
+        return f"{self.plugin}:{self.component.name}"
+
+
+@dataclass(frozen=True)
+class PluginFailure:
+    """A plugin, or one component of it, that could not be used, and why in one sentence."""
+
+    plugin: str
+    version: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class LoadedPlugins:
+    """The outcome of one search."""
+
+    offers: tuple[Offer, ...]
+    failures: tuple[PluginFailure, ...]
+    import_seconds: dict[str, float]  # per plugin; shown by `list-plugins --check`
+
+
+def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
+    """Load every installed plugin and the named local files (`--plugin path/to/file.py`)."""
+    manager = pluggy.PluginManager(ENTRY_POINT_GROUP)
+    manager.add_hookspecs(hookspecs)
+    offers: list[Offer] = []
+    failures: list[PluginFailure] = []
+    seconds: dict[str, float] = {}
+    for name, version, load in [*_installed(), *_local(local_files)]:
+        started = time.perf_counter()
+        try:
+            offers += _offers(manager, name, version, load())
+        except (Exception, SystemExit) as error:
+            failures.append(PluginFailure(name, version, _reason(error)))
+        seconds[name] = time.perf_counter() - started
+    return LoadedPlugins(tuple(offers), tuple(failures), seconds)
+
+
+def _installed():
+    """(name, version, loader) of every entry point, in a stable order."""
+    points = sorted(metadata.entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value))
+    seen = set()
+    for point in points:
+        if (point.name, point.value) in seen:  # an editable install beside its wheel lists a plugin twice
+            continue
+        seen.add((point.name, point.value))
+        version = point.dist.version if point.dist is not None else ""
+        yield point.name, version, point.load
+
+
+def _local(files: Iterable[str | Path]):
+    for file in files:
+        path = Path(file)
+        if not path.is_file():
+            raise InputError(f"--plugin {file}: no such file; expected a Python module with edit3r hooks.")
+        yield path.stem, "", lambda path=path: _import_file(path)
+
+
+def _import_file(path: Path) -> ModuleType:
+    """Import a local module under its own name, so that `target="<stem>:Class"` finds it."""
+    name = path.stem
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is not a Python module")
+    if name in sys.modules and getattr(sys.modules[name], "__file__", None) != str(path):
+        raise ImportError(f"a module named {name!r} is already imported; rename {path.name}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _offers(manager: pluggy.PluginManager, name: str, version: str, module: ModuleType) -> list[Offer]:
+    """Register one plugin and collect what it offers; raises with the reason when anything is off."""
+    api = getattr(module, "EDIT3R_API", hookspecs.API_VERSION)
+    if api != hookspecs.API_VERSION:
+        raise ValueError(
+            f"written for edit3r API {api}, this edit3r has API {hookspecs.API_VERSION}; "
+            f"install a matching version of the plugin or of edit3r"
+        )
+    manager.register(module, name)
+    try:
+        _refuse_unknown_hooks(manager, module)
+        offers = [
+            Offer(kind, component, name, version) for kind in KINDS for component in _ask(manager, module, kind, name)
+        ]
+        if not offers:
+            hooks = ", ".join(hook_name(kind) for kind in KINDS[:3])
+            raise ValueError(f"offers nothing: no function marked @edit3r.hookimpl returned a Component ({hooks}, ...)")
+        return offers
+    except BaseException:
+        manager.unregister(module)
+        raise
+
+
+def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
+    known = [hook_name(kind) for kind in KINDS]
+    for attribute in dir(module):
+        marked = manager.parse_hookimpl_opts(module, attribute) is not None
+        if attribute not in known and (marked or attribute.startswith("register_")):
+            raise ValueError(f"{attribute!r} is not an edit3r hook.{suggest(attribute, known)}")
+        if attribute in known and not marked:
+            raise ValueError(f"{attribute} is not marked; put @edit3r.hookimpl above it")
+
+
+def _ask(manager: pluggy.PluginManager, module: ModuleType, kind: str, name: str) -> list[Component]:
+    """This plugin's answer to the hook of one kind."""
+    hook = hook_name(kind)
+    others = [plugin for plugin in manager.get_plugins() if plugin is not module]
+    answers = manager.subset_hook_caller(hook, others)()
+    listed = [(answer,) if isinstance(answer, Component) else answer for answer in answers]
+    components = [component for answer in listed for component in answer]
+    for component in components:
+        if not isinstance(component, Component):
+            raise TypeError(f"{hook} returned {type(component).__name__} {component!r}, expected edit3r.Component")
+    names = [component.name for component in components]
+    double = next((n for n in names if names.count(n) > 1), None)
+    if double is not None:
+        raise ValueError(f"{hook} offers {double!r} twice")
+    return components
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, SystemExit):
+        return f"called sys.exit({error.code!r}) while loading"
+    text = " ".join(str(error).split())
+    return text if isinstance(error, ValueError | TypeError) and text else f"{type(error).__name__}: {text}"

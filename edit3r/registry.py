@@ -1,0 +1,177 @@
+"""Look components up by name, explain misses and clashes, and build them with their parts.
+
+A component's class has a nested `Settings` (see `edit3r.config`) and is constructed as `Class(settings, **parts)`.
+For a component declared with `parts=("backbone", "head")` the registry builds those first and passes them in; which
+component fills a part is a setting of the same name (a `PartChoice`), so any backbone goes with any head and no
+plugin looks anything up. A part that itself names a part already built beside it (a head that needs the backbone's
+widths) is given that same object.
+"""
+
+import importlib
+import importlib.util
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from edit3r.component import KINDS
+from edit3r.config import PartChoice, Settings, make_settings, merge
+from edit3r.errors import MissingDependencyError, PluginError, UnknownComponentError, suggest
+from edit3r.plugins import LoadedPlugins, Offer, PluginFailure, load_plugins
+
+
+class Registry:
+    """All components on offer."""
+
+    def __init__(self, plugins: LoadedPlugins) -> None:
+        self.plugins = plugins
+
+    @property
+    def failures(self) -> tuple[PluginFailure, ...]:
+        return self.plugins.failures
+
+    def offers(self, kind: str | None = None) -> list[Offer]:
+        """Offers of one kind (all kinds by default), sorted by kind, name and plugin."""
+        if kind is not None:
+            _check_kind(kind)
+        chosen = [offer for offer in self.plugins.offers if kind in (None, offer.kind)]
+        return sorted(chosen, key=lambda o: (KINDS.index(o.kind), o.component.name, o.plugin))
+
+    def clashes(self) -> list[tuple[Offer, ...]]:
+        """Offers that share kind and name; each must be asked for as `plugin:name`."""
+        groups: dict[tuple[str, str], list[Offer]] = {}
+        for offer in self.offers():
+            groups.setdefault((offer.kind, offer.component.name), []).append(offer)
+        return [tuple(group) for group in groups.values() if len(group) > 1]
+
+    def find(self, kind: str, name: str) -> Offer:
+        """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to do."""
+        offers = self.offers(kind)
+        found = [offer for offer in offers if name in (offer.component.name, offer.qualified_name)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            ways = " or ".join(repr(offer.qualified_name) for offer in found)
+            raise UnknownComponentError(f"{kind} {name!r} is offered by two plugins; ask for {ways}.")
+        known = [offer.component.name for offer in offers]
+        failed = "".join(f" Plugin {f.plugin!r} did not load: {f.reason}." for f in self.failures)
+        listed = ", ".join(dict.fromkeys(known)) or "none"
+        raise UnknownComponentError(f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{failed}")
+
+    def missing(self, offer: Offer) -> tuple[str, ...]:
+        """The modules the component requires that are not installed."""
+        return tuple(module for module in offer.component.requires if not _installed(module))
+
+    def load_class(self, offer: Offer) -> type:
+        """Import the component's class; raises MissingDependencyError or PluginError with the way out."""
+        missing = self.missing(offer)
+        if missing:
+            raise MissingDependencyError(
+                f"{offer.kind} {offer.component.name!r} needs {', '.join(missing)}; {install_hint(offer)}"
+            )
+        module, _, attribute = offer.component.target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except (Exception, SystemExit) as error:
+            reason = " ".join(str(error).split())
+            raise PluginError(
+                f"{offer.kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be imported from "
+                f"{offer.component.target!r} ({type(error).__name__}: {reason})."
+            ) from error
+
+    def settings_class(self, offer: Offer) -> type[Settings]:
+        """The component's settings class; one without any gets an empty one."""
+        cls = getattr(self.load_class(offer), "Settings", Settings)
+        if not (isinstance(cls, type) and issubclass(cls, Settings)):
+            raise PluginError(f"{offer.kind} {offer.component.name!r}: its Settings must subclass edit3r.Settings.")
+        return cls
+
+    def build(self, kind: str, name: str, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+        """Build a component by name from settings.
+
+        `parts` fills parts with objects already built, or with names or `PartChoice`s that override the settings'.
+        The result carries what it was built from as `.settings` and `.offer`.
+        """
+        return self._build(kind, name, settings, dict(parts or {}), built={})
+
+    def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any]) -> Any:
+        offer = self.find(kind, name)
+        cls = self.load_class(offer)
+        settings_class = self.settings_class(offer)
+        values = _with_default_names(settings_class, offer.component.parts, values)
+        settings = make_settings(settings_class, values, where=kind)
+        siblings = dict(built)
+        parts: dict[str, Any] = {}
+        for part in offer.component.parts:
+            parts[part] = siblings[part] = self._part(offer, settings, part, given, siblings)
+        try:
+            component = cls(settings, **parts)
+        except TypeError as error:
+            raise PluginError(
+                f"{kind} {offer.component.name!r}: {cls.__name__} could not be constructed as "
+                f"{cls.__name__}(settings{''.join(f', {p}=...' for p in parts)}) ({error})."
+            ) from error
+        component.settings, component.offer = settings, offer
+        return component
+
+    def _part(self, offer: Offer, settings: Settings, part: str, given: dict, siblings: dict) -> Any:
+        choice = given.get(part, siblings.get(part, getattr(settings, part, None)))
+        if choice is None:
+            raise PluginError(
+                f"{offer.kind} {offer.component.name!r} needs a {part}; neither its settings nor the caller name one."
+            )
+        if isinstance(choice, str | Mapping):
+            choice = PartChoice.model_validate(choice)
+        if not isinstance(choice, PartChoice):
+            return choice
+        return self._build(part, choice.name, dict(choice.settings), given, siblings)
+
+
+def _with_default_names(cls: type[Settings], parts: Iterable[str], values: dict[str, Any]) -> dict[str, Any]:
+    """`--set reconstructor.backbone.width=64` keeps the default backbone: merge over its declared choice."""
+    result = dict(values)
+    for part in parts:
+        field = cls.model_fields.get(part)
+        given = values.get(part)
+        if field is None or not isinstance(given, Mapping) or "name" in given:
+            continue
+        default = field.get_default(call_default_factory=True)
+        if isinstance(default, PartChoice):
+            result[part] = merge({"name": default.name, **default.settings}, given)
+    return result
+
+
+def install_hint(offer: Offer) -> str:
+    """The command that brings what the component requires."""
+    if not offer.component.extra:
+        return f"install with: pip install {' '.join(offer.component.requires)}"
+    name = offer.component.extra
+    return f"install with: pip install {name!r}" if "[" in name else f'install with: pip install "edit3r[{name}]"'
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise UnknownComponentError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
+
+
+@cache
+def default_registry(local_files: tuple[str | Path, ...] = ()) -> Registry:
+    """The registry of everything installed, loaded once per process."""
+    return Registry(load_plugins(local_files))
+
+
+def build(kind: str, name: str, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+    """Build an installed component: `edit3r.build("rasterizer", "numba", near=0.01)`."""
+    return default_registry().build(kind, name, parts, **settings)
+
+
+def components(kind: str | None = None) -> list[Offer]:
+    """What is available of one kind, or of all, without importing any of it."""
+    return default_registry().offers(kind)

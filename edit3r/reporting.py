@@ -1,0 +1,109 @@
+"""How stages say what they are doing without knowing who listens: progress, facts for `run.json`, warnings.
+
+A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and the command line
+shows it. Outside a run the calls do nothing, so a component used on its own needs no set-up.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
+
+
+@dataclass
+class StageRecord:
+    """One finished stage: its name, wall and CPU seconds, and the process's peak memory when it ended."""
+
+    name: str
+    seconds: float
+    cpu_seconds: float
+    peak_memory_mb: float
+
+
+@dataclass
+class Report:
+    """What one run collected. `on_event` is told (event, text, done, total) as things happen, for progress bars."""
+
+    stages: list[StageRecord] = field(default_factory=list)
+    notes: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    on_event: Callable[[str, str, int, int], None] | None = None
+
+    def emit(self, event: str, text: str, done: int = 0, total: int = 0) -> None:
+        if self.on_event is not None:
+            self.on_event(event, text, done, total)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage; nothing is recorded for one that raises."""
+        self.emit("start", name)
+        wall, cpu = time.perf_counter(), time.process_time()
+        yield
+        record = StageRecord(name, time.perf_counter() - wall, time.process_time() - cpu, peak_memory_mb())
+        self.stages.append(record)
+        self.emit("end", name)
+
+
+_current: ContextVar[Report | None] = ContextVar("edit3r_report", default=None)
+_lock = threading.Lock()
+
+
+@contextmanager
+def collecting(report: Report) -> Iterator[Report]:
+    """Send `note`, `warn` and `track` calls inside the block to `report`."""
+    token = _current.set(report)
+    try:
+        yield report
+    finally:
+        _current.reset(token)
+
+
+def note(key: str, value: Any) -> None:
+    """Record a fact under `key` (dots group) in the run's manifest; `value` must be JSON data."""
+    report = _current.get()
+    if report is not None:
+        with _lock:
+            report.notes[key] = value
+
+
+def warn(text: str) -> None:
+    """Tell the user something that does not stop the run; once per text, also kept in the manifest."""
+    report = _current.get()
+    if report is not None and text not in report.warnings:
+        with _lock:
+            report.warnings.append(text)
+        report.emit("warn", text)
+
+
+def track(items: Iterable[Item], text: str, total: int | None = None) -> Iterator[Item]:
+    """Iterate while showing progress under `text`."""
+    if total is None:
+        items = list(items)
+        total = len(items)
+    progress(text, 0, total)
+    for done, item in enumerate(items, start=1):
+        yield item
+        progress(text, done, total)
+
+
+def progress(text: str, done: int, total: int) -> None:
+    """Show that `done` of `total` units of `text` are finished."""
+    report = _current.get()
+    if report is not None:
+        report.emit("progress", text, done, total)
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of this process so far [MiB]; 0 where the platform does not tell."""
+    try:
+        import resource
+        import sys
+    except ImportError:  # Windows
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
