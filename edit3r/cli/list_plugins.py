@@ -1,0 +1,88 @@
+"""`edit3r list-plugins`: everything on offer, what it lacks, and which plugins failed and why."""
+
+import argparse
+import json
+
+from edit3r.component import KINDS
+
+HELP = "list installed plugins and their components, what they lack, and which failed and why"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--kind", choices=KINDS, help="only components of this kind")
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    parser.add_argument("--check", action="store_true", help="also import every component and check its interface")
+    parser.add_argument("--strict", action="store_true", help="exit with 1 when a plugin failed or a name clashes")
+    parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+
+
+def main(args: argparse.Namespace) -> int:
+    from edit3r.checks import check_offer
+    from edit3r.registry import default_registry
+
+    registry = default_registry(tuple(args.plugin))
+    offers = registry.offers(args.kind)
+    problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
+    rows = [_row(registry, offer, problems[offer]) for offer in offers]
+    failures = [vars(failure) for failure in registry.failures]
+    clashes = [
+        f"{group[0].kind} {group[0].component.name!r} is offered by {' and '.join(o.plugin for o in group)}; "
+        f"ask for {' or '.join(o.qualified_name for o in group)}"
+        for group in registry.clashes()
+    ]
+    slow = _slow_imports(registry) if args.check else []
+    if args.json:
+        content = {"components": rows, "failures": failures, "clashes": clashes, "slow": slow}
+        print(json.dumps(content, indent=2))
+    else:
+        _print_table(rows, failures, [*clashes, *slow])
+    broken = failures or clashes or any(problems.values())
+    return 1 if args.strict and broken else 0
+
+
+def _row(registry, offer, problem: str) -> dict[str, str]:
+    from edit3r.registry import install_hint
+
+    missing = registry.missing(offer)
+    return {
+        "plugin": offer.plugin,
+        "version": offer.version,
+        "kind": offer.kind,
+        "name": offer.component.name,
+        "summary": offer.component.summary,
+        "licence": offer.component.licence,
+        "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
+        "problem": problem,
+    }
+
+
+def _slow_imports(registry) -> list[str]:
+    """A plugin's declaration module should import nothing heavy; every command waits for it."""
+    limit = 0.3
+    return [
+        f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
+        for name, seconds in registry.plugins.import_seconds.items()
+        if seconds > limit
+    ]
+
+
+def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for column in ("kind", "name", "plugin", "version", "licence", "summary"):
+        table.add_column(column, overflow="fold", no_wrap=column in ("kind", "name", "plugin", "version"))
+    for row in rows:
+        notes = [f"missing: {row['missing']}"] if row["missing"] else []
+        notes += [f"problem: {row['problem']}"] if row["problem"] else []
+        cells = [row[c] for c in ("kind", "name", "plugin", "version", "licence")]
+        table.add_row(*cells, "\n".join([row["summary"], *notes]))
+    # Piped output keeps whole lines, so that grep finds what it looks for.
+    console.print(table, markup=False, soft_wrap=False, width=None if console.is_terminal else 240)
+    for failure in failures:
+        version = f" {failure['version']}" if failure["version"] else ""
+        console.print(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}", markup=False, soft_wrap=True)
+    for remark in remarks:
+        console.print(f"note: {remark}", markup=False, soft_wrap=True)

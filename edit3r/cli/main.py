@@ -1,0 +1,98 @@
+"""Entry point of `edit3r`: find the command, parse its arguments, turn errors into one sentence and an exit code."""
+
+import argparse
+import importlib
+import pkgutil
+import sys
+import traceback
+from collections.abc import Sequence
+
+import edit3r
+from edit3r import cli
+from edit3r.errors import Edit3rError, RunError, suggest
+
+
+class UsageError(Edit3rError):
+    """Wrong arguments."""
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that raises instead of exiting, and suggests the option that was meant."""
+
+    def error(self, message: str) -> None:
+        options = [option for action in self._actions for option in action.option_strings]
+        given = message.removeprefix("unrecognized arguments: ").split(" ")[0]
+        hint = suggest(given.split("=")[0], options) if message.startswith("unrecognized") else ""
+        raise UsageError(f"{message}.{hint} See '{self.prog} --help'.")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 1 failed, 2 wrong use or unusable input, 130 interrupted."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in argv
+    try:
+        return _dispatch(argv)
+    except KeyboardInterrupt:
+        print("edit3r: interrupted; nothing half-written was left under its final name.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output went away: `edit3r list-plugins | head`
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        known = error if isinstance(error, Edit3rError) else _as_known(error)
+        print(f"edit3r: {' '.join(str(known).split())}", file=sys.stderr)
+        return known.exit_code
+
+
+def _dispatch(argv: list[str]) -> int:
+    commands = _commands()
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(_overview(commands))
+        return 0 if argv else 2
+    if argv[0] in ("-V", "--version"):
+        print(f"edit3r {edit3r.__version__}")
+        return 0
+    name, *rest = argv
+    if name not in commands:
+        raise UsageError(f"no command {name!r}.{suggest(name, commands)} Commands: {', '.join(commands)}.")
+    command = importlib.import_module(f"{cli.__name__}.{commands[name]}")
+    parser = Parser(prog=f"edit3r {name}", description=command.HELP)
+    command.add_arguments(parser)
+    parser.add_argument("--debug", action="store_true", help="show the full traceback of an error")
+    return command.main(parser.parse_intermixed_args(rest)) or 0
+
+
+def _commands() -> dict[str, str]:
+    """Command name to module name."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(cli.__path__))
+    return {m.replace("_", "-"): m for m in modules if not m.startswith("_") and m != "main"}
+
+
+def _overview(commands: dict[str, str]) -> str:
+    rows = [(name, importlib.import_module(f"{cli.__name__}.{module}").HELP) for name, module in commands.items()]
+    width = max(len(name) for name, _ in rows)
+    listed = "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
+    return (
+        f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
+        "usage: edit3r COMMAND [options]\n\n"
+        f"{listed}\n\n"
+        "Start with: edit3r run --editor recolor --recon edit3r\n"
+        "Each command explains itself: edit3r run --help"
+    )
+
+
+def _as_known(error: Exception) -> Edit3rError:
+    """A sentence for errors that are not ours."""
+    if isinstance(error, MemoryError) or "out of memory" in str(error).lower() or "can't allocate" in str(error):
+        return RunError(
+            "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
+        )
+    if isinstance(error, OSError) and error.filename:
+        return Edit3rError(f"{error.filename}: {error.strerror}.")
+    return RunError(f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback.")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
