@@ -1,0 +1,185 @@
+"""One run end to end, as a table of contents: photos, edit, reconstruct, check.
+
+    photos --> editor --> composite with the masks --> reconstructor (photos beside) --> Gaussians, cameras
+
+Writing the results to disk is `edit3r.results`; the command line is a thin shell over both.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.config import PartChoice
+from edit3r.errors import InputError, PluginError
+from edit3r.interfaces import Editor, Reconstructor
+from edit3r.registry import Registry, default_registry
+from edit3r.reporting import Report, collecting, note, warn
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+
+MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run made, in memory."""
+
+    photos: Views  # the views that were used, unedited
+    edited: Views  # after the 2D editor and the mask composite
+    gaussians: Gaussians  # the edited scene, frame of view 0
+    cameras: Cameras  # poses of the input views in that frame
+    request: EditRequest
+    editor: Editor
+    reconstructor: Reconstructor
+    report: Report = field(repr=False)
+
+
+def run(
+    views: Views,
+    prompt: str = "",
+    *,
+    editor: str | PartChoice | Editor = "recolor",
+    recon: str | PartChoice | Reconstructor = "edit3r",
+    segmenter: str | PartChoice | Any | None = None,
+    masks: Float[Tensor, "batch view height width"] | None = None,
+    edit_views: Literal["all", "first"] = "all",
+    seed: int = 0,
+    device: str | torch.device | None = None,
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
+    registry: Registry | None = None,
+    report: Report | None = None,
+) -> RunResult:
+    """Edit `views` as `prompt` says and reconstruct them in 3D.
+
+    `editor`, `recon` and `segmenter` are names, `PartChoice`s or built objects; `settings` holds settings by kind
+    (`{"editor": {...}, "reconstructor": {...}}`) for those given by name. `masks` in [0, 1] say where pixels may
+    change: outside (exactly 0) they stay bit-equal whatever the editor does. With `edit_views="first"` only view 0 is
+    edited and the reconstructor carries the edit to the others. Same inputs and seed, same result.
+    """
+    registry = registry or default_registry()
+    settings = settings or {}
+    report = report or Report()
+    with collecting(report):
+        with report.stage("load components"):
+            parts = {"segmenter": segmenter} if segmenter is not None else {}
+            editor = _built(registry, "editor", editor, settings, parts)
+            recon = _built(registry, "reconstructor", recon, settings, {})
+            if device is not None:
+                views = views.to(device)
+                masks = masks.to(device) if masks is not None else None
+                if recon.network is not None:
+                    recon.network.to(device)
+        views, masks = _views_for(recon, views, masks)
+        request = EditRequest(prompt, seed, masks)
+        with report.stage(f"edit ({_name(editor)})"), torch.no_grad():
+            edited = _edit(editor, views, request, edit_views)
+        with report.stage(f"reconstruct ({_name(recon)})"), torch.no_grad():
+            reconstruction = recon(edited, source=views)
+            _check_reconstruction(recon, reconstruction)
+            cameras = _cameras(reconstruction, edited)
+    return RunResult(views, edited, reconstruction.gaussians, cameras, request, editor, recon, report)
+
+
+def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts: Mapping[str, Any]) -> Any:
+    """The component itself, built from a name or choice where needed."""
+    if not isinstance(choice, str | PartChoice):
+        return choice
+    choice = PartChoice.model_validate(choice) if isinstance(choice, str) else choice
+    return registry.build(kind, choice.name, parts, **{**choice.settings, **settings.get(kind, {})})
+
+
+def _name(component: Any) -> str:
+    offer = getattr(component, "offer", None)
+    return offer.component.name if offer is not None else type(component).__name__
+
+
+def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tuple[Views, Tensor | None]:
+    """Check the view count against what the reconstructor declares; above its maximum take evenly spaced ones."""
+    if masks is not None and masks.shape != (*views.images.shape[:2], *views.image_size):
+        raise InputError(
+            f"masks: expected one per view at the views' size {[*views.images.shape[:2], *views.image_size]}, "
+            f"got {list(masks.shape)}."
+        )
+    if views.count < recon.min_views:
+        raise InputError(
+            f"{_name(recon)} needs at least {recon.min_views} photos of the same scene, got {views.count}; "
+            f"add photos taken from other places."
+        )
+    if recon.max_views is None or views.count <= recon.max_views:
+        return views, masks
+    chosen = torch.linspace(0, views.count - 1, recon.max_views).round().long().tolist()
+    warn(f"{_name(recon)} takes at most {recon.max_views} views; of {views.count} these are used: {chosen}.")
+    return views.select(chosen), masks[:, chosen] if masks is not None else None
+
+
+def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:
+    """Edit all views or the first, hold the editor to its contract, and confine the change to the masks."""
+    count = views.count if edit_views == "all" else 1
+    chosen = views.select(range(count))
+    asked = replace(request, masks=request.masks[:, :count] if request.masks is not None else None)
+    answer = editor.edit(chosen, asked)
+    _check_edit(editor, chosen, answer)
+    if asked.masks is not None:
+        spilled = ((answer.images - chosen.images).abs().mean(2) * (asked.masks == 0)).sum()
+        outside = (asked.masks == 0).sum().clamp(min=1)
+        note("edit.change_outside_mask_before_composite", float(spilled / outside))
+        answer = replace(answer, images=composite(chosen.images, answer.images, asked.masks))
+    change = (answer.images - chosen.images).abs()
+    note("edit.mean_change_per_view", [round(float(c), 5) for c in change.mean((0, 2, 3, 4))])
+    if float(change.mean()) < MIN_VISIBLE_CHANGE and _name(editor) != "none":
+        warn(f"the edit changed the photos very little (mean {255 * float(change.mean()):.1f} of 255).")
+    images = torch.cat((answer.images, views.images[:, count:]), dim=1)
+    return replace(views, images=images)
+
+
+def composite(
+    original: Float[Tensor, "batch view 3 height width"],
+    edited: Float[Tensor, "batch view 3 height width"],
+    masks: Float[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view 3 height width"]:
+    """Blend by mask; bit-equal to `original` where the mask is 0 and to `edited` where it is 1."""
+    weight = masks[:, :, None]
+    blended = original + weight * (edited - original)
+    return torch.where(weight <= 0, original, torch.where(weight >= 1, edited, blended))
+
+
+def _check_edit(editor: Editor, views: Views, answer: Views) -> None:
+    if not isinstance(answer, Views):
+        raise PluginError(f"editor {_name(editor)!r} must return edit3r.Views, got {type(answer).__name__}.")
+    images = answer.images
+    if images.shape != views.images.shape:
+        raise PluginError(
+            f"editor {_name(editor)!r} must keep number and size of the views: gave it {list(views.images.shape)}, "
+            f"got back {list(images.shape)}."
+        )
+    if images.dtype != views.images.dtype:
+        raise PluginError(f"editor {_name(editor)!r} must return {views.images.dtype} pictures, got {images.dtype}.")
+    low, high = float(images.amin()), float(images.amax())
+    if not (low >= 0 and high <= 1):  # also false for NaN
+        raise PluginError(f"editor {_name(editor)!r} must return pictures in [0, 1], got {low:.4g} to {high:.4g}.")
+
+
+def _check_reconstruction(recon: Reconstructor, reconstruction: Reconstruction) -> None:
+    if not isinstance(reconstruction, Reconstruction):
+        kind = type(reconstruction).__name__
+        raise PluginError(f"reconstructor {_name(recon)!r} must return edit3r.Reconstruction, got {kind}.")
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        tensor = getattr(reconstruction.gaussians, name)
+        bad = int((~torch.isfinite(tensor)).sum())
+        if bad:
+            raise PluginError(
+                f"reconstructor {_name(recon)!r} returned {bad} of {tensor.numel()} values of {name} that are not finite."
+            )
+
+
+def _cameras(reconstruction: Reconstruction, views: Views) -> Cameras:
+    """The input views' poses: the reconstructor's own, else found by PnP on its Gaussians."""
+    if reconstruction.cameras is not None:
+        return reconstruction.cameras
+    from edit3r.geometry.pose import estimate_cameras
+
+    note("cameras", "PnP on the predicted Gaussian centres")
+    return estimate_cameras(reconstruction.gaussians, views)

@@ -1,0 +1,46 @@
+"""What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's own flags."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from edit3r.config import PartChoice, Settings, make_settings, merge
+
+PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
+
+
+class RunConfig(Settings):
+    """Settings of `edit3r run`, outside those of the components themselves."""
+
+    prompt: str = Field("", description="what to change, in words")
+    editor: PartChoice = Field(PartChoice(name="recolor"), description="2D editor and its settings")
+    reconstructor: PartChoice = Field(PartChoice(name="edit3r"), description="reconstructor and its settings")
+    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="rasterizer and its settings")
+    segmenter: PartChoice | None = Field(None, description="segmenter for editors that use one; default: the editor's")
+    edit_views: Literal["all", "first"] = Field(
+        "all", description="edit every view, or the first only (as in training) and let the reconstructor carry it over"
+    )
+    seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
+    size: int = Field(512, ge=8, le=8192, description="longer side that photos are reduced to [pixels]")
+    fov: float | None = Field(
+        None, gt=1, lt=170, description="horizontal field of view [degrees] of photos that do not tell their own"
+    )
+    device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
+    frames: int = Field(48, ge=2, le=2000, description="frames of the camera path between and around the input views")
+
+
+def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
+    """Merge layers, later over earlier, and validate; a component may be given by name alone in any layer."""
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        merged = merge(merged, {key: _named(key, value) for key, value in layer.items()})
+    defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
+    for key, default in defaults.items():
+        if isinstance(merged.get(key), dict) and "name" not in merged[key] and default is not None:
+            merged[key] = {"name": default.name, **merged[key]}
+    return make_settings(RunConfig, merged, where="run")
+
+
+def _named(key: str, value: Any) -> Any:
+    return {"name": value} if key in PART_KEYS and isinstance(value, str) else value
