@@ -86,6 +86,10 @@ class Segmenter(Configured, ABC):
     ) -> Tracks:
         """Follow objects given by soft masks on view 0 through all views; an object not found is reported lost."""
 
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...] | None:
+        """What `text` (such as "the bike") names, best first; empty when it is not there, None: cannot read text."""
+        return None
+
 
 @dataclass(frozen=True)
 class Detection:
