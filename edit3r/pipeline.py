@@ -171,7 +171,7 @@ def _check_reconstruction(recon: Reconstructor, reconstruction: Reconstruction) 
         bad = int((~torch.isfinite(tensor)).sum())
         if bad:
             raise PluginError(
-                f"reconstructor {_name(recon)!r} returned {bad} of {tensor.numel()} values of {name} that are not finite."
+                f"reconstructor {_name(recon)!r} returned {name} with {bad} of {tensor.numel()} values not finite."
             )
 
 

@@ -1,0 +1,49 @@
+"""Wrong use ends with exit code 2 and one sentence; help and lists are quick because nothing heavy is imported."""
+
+import subprocess
+import sys
+
+import pytest
+
+from edit3r.cli.main import main
+
+
+def test_an_unknown_command_is_one_sentence_with_a_suggestion(capsys):
+    assert main(["rn"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "Did you mean 'run'?" in error
+
+
+def test_an_unknown_option_is_one_sentence_with_a_suggestion(capsys):
+    assert main(["run", "--promt", "x"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "Did you mean '--prompt'?" in error
+
+
+def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
+    assert main([]) == 2
+    assert "run" in capsys.readouterr().out
+
+
+def test_unknown_components_end_the_run_before_anything_else(capsys, tmp_path):
+    assert main(["run", "--editor", "recolour", "--out", str(tmp_path / "out")]) == 2
+    assert "Did you mean 'recolor'?" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_and_photos_may_be_mixed(capsys, tmp_path):
+    missing = str(tmp_path / "a.jpg")
+    assert main(["run", missing, "--prompt", "x", str(tmp_path / "b.jpg"), "--editor", "none"]) == 2
+    assert "a.jpg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["list-plugins"]])
+def test_help_and_lists_import_no_torch(arguments):
+    code = (
+        "import sys\nfrom edit3r.cli.main import main\n"
+        f"try:\n    main({arguments!r})\nexcept SystemExit:\n    pass\n"
+        "heavy = {'torch', 'numba', 'cv2', 'kornia', 'skimage'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr

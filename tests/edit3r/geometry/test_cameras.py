@@ -1,0 +1,56 @@
+import math
+
+import torch
+
+from edit3r.geometry import cameras
+from edit3r.geometry.rotations import quats_to_matrices
+
+
+def _pose(seed):
+    generator = torch.Generator().manual_seed(seed)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = quats_to_matrices(torch.randn(4, dtype=torch.float64, generator=generator))
+    pose[:3, 3] = torch.randn(3, dtype=torch.float64, generator=generator)
+    return pose
+
+
+def test_unprojected_pixels_project_back_to_their_centres():
+    intrinsics = torch.tensor([[0.8, 0, 0.45], [0, 1.1, 0.6], [0, 0, 1]], dtype=torch.float64)
+    depths = 1 + torch.rand(5, 7, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    pose = _pose(1)
+    points = cameras.unproject(depths, intrinsics, pose)
+    image, z = cameras.project(points.flatten(0, 1), intrinsics, pose)
+    assert torch.allclose(image.view(5, 7, 2), cameras.pixel_grid((5, 7), depths), atol=1e-12)
+    assert torch.allclose(z.view(5, 7), depths, atol=1e-12)
+
+
+def test_the_first_pixel_centre_is_half_a_pixel_from_the_corner():
+    grid = cameras.pixel_grid((4, 8), torch.zeros(()))
+    assert grid[0, 0].tolist() == [0.0625, 0.125]
+
+
+def test_intrinsics_survive_the_way_through_pixels_and_give_their_field_of_view():
+    intrinsics = cameras.intrinsics_from_fov(math.radians(60), (300, 400))
+    pixels = cameras.to_pixels(intrinsics, (300, 400))
+    assert torch.allclose(pixels[0, 0], pixels[1, 1])  # square pixels
+    assert torch.allclose(cameras.from_pixels(pixels, (300, 400)), intrinsics)
+    assert math.isclose(float(cameras.field_of_view(intrinsics)[0]), math.radians(60), rel_tol=1e-6)
+
+
+def test_invert_rigid_is_the_matrix_inverse():
+    pose = _pose(2)
+    assert torch.allclose(cameras.invert_rigid(pose), torch.linalg.inv(pose), atol=1e-12)
+
+
+def test_relative_poses_start_at_exactly_the_identity_and_keep_what_lies_between():
+    poses = torch.stack([_pose(3), _pose(4)])[None]
+    relative = cameras.relative_to_first(poses)
+    assert torch.equal(relative[0, 0], torch.eye(4, dtype=torch.float64))
+    assert torch.allclose(poses[0, 0] @ relative[0, 1], poses[0, 1], atol=1e-12)
+
+
+def test_points_behind_the_camera_give_finite_coordinates_and_negative_z():
+    image, z = cameras.project(
+        torch.tensor([[0.0, 0, 0], [1, 1, -1]]), cameras.intrinsics_from_fov(1.0, (4, 4)), torch.eye(4)
+    )
+    assert torch.isfinite(image).all() and z.tolist() == [0, -1]

@@ -1,0 +1,133 @@
+"""The pipeline's promises, with small editors and reconstructors made here."""
+
+import pytest
+import torch
+
+from edit3r.errors import InputError, PluginError
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.interfaces import Editor, Reconstructor
+from edit3r.pipeline import composite, run
+from edit3r.reporting import Report
+from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+
+
+class Invert(Editor):
+    def edit(self, views, request):
+        return Views(1 - views.images, views.intrinsics, views.names)
+
+
+class Answer(Editor):
+    """Returns whatever it is told to."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def edit(self, views, request):
+        return self.answer(views)
+
+
+class Flat(Reconstructor):
+    """One Gaussian per pixel on the plane z = 1 with the picture's colours."""
+
+    max_views = 3
+
+    def __init__(self, spoil=None):
+        self.spoil = spoil
+
+    def __call__(self, views, source=None):
+        colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
+        ones = torch.ones_like(colours[..., :1])
+        count = colours.shape[1] // views.count
+        gaussians = Gaussians(
+            means=torch.cat((colours[..., :2], ones), -1),
+            scales=ones.expand_as(colours) * 0.01,
+            quats=torch.cat((ones, 0 * colours), -1),
+            opacities=ones[..., 0],
+            harmonics=colour_to_dc(colours)[:, :, None],
+            view_index=torch.arange(views.count).repeat_interleave(count),
+        )
+        if self.spoil:
+            getattr(gaussians, self.spoil)[0, 0] = float("nan")
+        pose = torch.eye(4).expand(1, views.count, 4, 4)
+        return Reconstruction(gaussians, Cameras(pose, views.intrinsics, views.image_size))
+
+
+@pytest.fixture
+def views():
+    images = torch.rand(1, 2, 3, 6, 8, generator=torch.Generator().manual_seed(0))
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    return Views(images, intrinsics, ("a", "b"))
+
+
+def test_pixels_outside_the_masks_are_bit_equal_whatever_the_editor_does(views):
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[:, :, :3, :4] = 1
+    result = run(views, "x", editor=Invert(), recon=Flat(), masks=masks)
+    inside = masks[:, :, None].expand_as(views.images) == 1
+    assert torch.equal(result.edited.images[~inside], views.images[~inside])
+    assert torch.equal(result.edited.images[inside], (1 - views.images)[inside])
+    assert result.report.notes["edit.change_outside_mask_before_composite"] > 0.1
+
+
+def test_composite_blends_between_and_is_exact_at_zero_and_one():
+    original, edited = torch.full((1, 1, 3, 1, 3), 0.1), torch.full((1, 1, 3, 1, 3), 0.7)
+    blended = composite(original, edited, torch.tensor([[[[0.0, 0.5, 1.0]]]]))
+    assert blended[0, 0, 0, 0].tolist() == pytest.approx([0.1, 0.4, 0.7])
+    assert blended[0, 0, 0, 0, 0] == original[0, 0, 0, 0, 0] and blended[0, 0, 0, 0, 2] == edited[0, 0, 0, 0, 2]
+
+
+def test_edit_views_first_leaves_the_other_views_as_they_were(views):
+    result = run(views, "x", editor=Invert(), recon=Flat(), edit_views="first")
+    assert torch.equal(result.edited.images[:, 0], 1 - views.images[:, 0])
+    assert torch.equal(result.edited.images[:, 1], views.images[:, 1])
+
+
+def test_too_few_views_is_an_error_that_names_both_counts(views):
+    with pytest.raises(InputError, match="at least 2 photos of the same scene, got 1"):
+        run(views.select([0]), "x", editor=Invert(), recon=Flat())
+
+
+def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
+    report = Report()
+    result = run(views.select([0, 1, 0, 1, 0]), "x", editor=Invert(), recon=Flat(), report=report)
+    assert result.photos.count == 3
+    assert any("of 5 these are used: [0, 2, 4]" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: Views(v.images[..., :4], v.intrinsics), "keep number and size"),
+        (lambda v: Views(v.images.double(), v.intrinsics), "torch.float32 pictures, got torch.float64"),
+        (lambda v: Views(v.images * 2, v.intrinsics), r"pictures in \[0, 1\], got"),
+        (lambda v: Views(v.images * float("nan"), v.intrinsics), "nan"),
+    ],
+)
+def test_an_editor_that_breaks_its_contract_is_named(views, answer, said):
+    with pytest.raises(PluginError, match=said):
+        run(views, "x", editor=Answer(answer), recon=Flat())
+
+
+@pytest.mark.parametrize("field", ["means", "scales", "quats", "opacities", "harmonics"])
+def test_a_reconstruction_that_is_not_finite_is_an_error_that_names_the_field(views, field):
+    with pytest.raises(PluginError, match=field):
+        run(views, "x", editor=Invert(), recon=Flat(spoil=field))
+
+
+def test_masks_of_the_wrong_size_are_an_error_with_both_sizes(views):
+    with pytest.raises(InputError, match=r"\[1, 2, 6, 8\], got \[1, 2, 3, 3\]"):
+        run(views, "x", editor=Invert(), recon=Flat(), masks=torch.ones(1, 2, 3, 3))
+
+
+def test_an_edit_that_does_nothing_is_reported(views):
+    report = Report()
+    run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
+    assert any("changed the photos very little" in text for text in report.warnings)
+
+
+def test_stages_are_timed_in_order(views):
+    result = run(views, "x", editor=Invert(), recon=Flat())
+    names = [stage.name for stage in result.report.stages]
+    assert names == ["load components", "edit (Invert)", "reconstruct (Flat)"]
+    assert all(stage.seconds >= 0 for stage in result.report.stages)
