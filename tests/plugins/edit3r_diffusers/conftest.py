@@ -1,0 +1,194 @@
+"""Tiny random models with the real architectures, saved to disk and loaded the way users load theirs."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+import edit3r
+
+pytest.importorskip("diffusers")
+pytest.importorskip("transformers")
+
+SIZE = 32  # pixels; a tiny VAE halves it once
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory) -> "TinyModels":
+    return TinyModels(tmp_path_factory.mktemp("models"))
+
+
+class TinyModels:
+    """Folders of models by name, each made on first use."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def instruct_pix2pix(self) -> Path:
+        from diffusers import StableDiffusionInstructPix2PixPipeline
+
+        return self._saved("instruct-pix2pix", lambda: StableDiffusionInstructPix2PixPipeline(**self.sd_parts(8)))
+
+    def stable_diffusion(self) -> Path:
+        from diffusers import StableDiffusionPipeline
+
+        return self._saved("stable-diffusion", lambda: StableDiffusionPipeline(**self.sd_parts(4)))
+
+    def controlnet(self) -> Path:
+        """With random instead of zero convolutions: as initialised, a ControlNet changes nothing."""
+        from diffusers import ControlNetModel, UNet2DConditionModel
+
+        def make():
+            unet = UNet2DConditionModel.from_pretrained(self.stable_diffusion(), subfolder="unet")
+            net = ControlNetModel.from_unet(unet, conditioning_channels=3, conditioning_embedding_out_channels=(16, 32))
+            zero = [p for p in net.parameters() if not p.any() and p.ndim == 4]
+            assert zero
+            with torch.no_grad():
+                for parameter in zero:
+                    parameter.normal_(0, 0.3)
+            return net
+
+        return self._saved("controlnet", make)
+
+    def flux_kontext(self) -> Path:
+        from diffusers import FluxKontextPipeline
+
+        return self._saved("flux-kontext", lambda: FluxKontextPipeline(**self.flux_parts()))
+
+    def _saved(self, name: str, make) -> Path:
+        folder = self.root / name
+        if not folder.is_dir():
+            torch.manual_seed(0)
+            make().save_pretrained(folder)
+        return folder
+
+    def sd_parts(self, latent_channels: int) -> dict:
+        """Parts of a Stable Diffusion 1.x pipeline; InstructPix2Pix's UNet takes 8 channels: latents and photo."""
+        from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
+
+        unet = UNet2DConditionModel(
+            in_channels=latent_channels,
+            out_channels=4,
+            sample_size=16,
+            block_out_channels=(32, 64),
+            layers_per_block=1,
+            down_block_types=("DownBlock2D", "CrossAttnDownBlock2D"),
+            up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
+            cross_attention_dim=32,
+            attention_head_dim=4,
+            norm_num_groups=8,
+        )
+        scheduler = DDIMScheduler(
+            beta_start=0.00085,
+            beta_end=0.012,
+            beta_schedule="scaled_linear",
+            clip_sample=False,
+            set_alpha_to_one=False,
+            steps_offset=1,
+        )
+        return {
+            "unet": unet,
+            "scheduler": scheduler,
+            "vae": self.vae(AutoencoderKL, latent_channels=4),
+            "text_encoder": self.clip_text(),
+            "tokenizer": self.clip_tokenizer(),
+            "safety_checker": None,
+            "feature_extractor": None,
+            "requires_safety_checker": False,
+        }
+
+    def flux_parts(self) -> dict:
+        from diffusers import AutoencoderKL, FlowMatchEulerDiscreteScheduler, FluxTransformer2DModel
+        from transformers import T5Config, T5EncoderModel
+
+        transformer = FluxTransformer2DModel(
+            in_channels=16,
+            num_layers=1,
+            num_single_layers=1,
+            attention_head_dim=16,
+            num_attention_heads=2,
+            joint_attention_dim=32,
+            pooled_projection_dim=32,
+            axes_dims_rope=(4, 4, 8),
+            guidance_embeds=True,
+        )
+        t5 = T5Config(vocab_size=300, d_model=32, d_kv=8, d_ff=37, num_layers=1, num_heads=4)
+        return {
+            "transformer": transformer,
+            "scheduler": FlowMatchEulerDiscreteScheduler(),
+            "vae": self.vae(AutoencoderKL, latent_channels=4, use_quant_conv=False, use_post_quant_conv=False),
+            "text_encoder": self.clip_text(),
+            "tokenizer": self.clip_tokenizer(),
+            "text_encoder_2": T5EncoderModel(t5).eval(),
+            "tokenizer_2": self.t5_tokenizer(),
+        }
+
+    def vae(self, cls, **given):
+        return cls(
+            block_out_channels=(32, 64),
+            down_block_types=("DownEncoderBlock2D",) * 2,
+            up_block_types=("UpDecoderBlock2D",) * 2,
+            norm_num_groups=8,
+            sample_size=SIZE,
+            **given,
+        )
+
+    def clip_text(self):
+        from transformers import CLIPTextConfig, CLIPTextModel
+
+        config = CLIPTextConfig(
+            vocab_size=514,
+            hidden_size=32,
+            intermediate_size=37,
+            num_hidden_layers=2,
+            num_attention_heads=4,
+            bos_token_id=512,
+            eos_token_id=513,
+            pad_token_id=513,
+        )
+        return CLIPTextModel(config).eval()
+
+    def clip_tokenizer(self):
+        """A byte-level CLIP tokenizer whose vocabulary is the 256 bytes, alone and at word end."""
+        from transformers import CLIPTokenizer
+        from transformers.convert_slow_tokenizer import bytes_to_unicode
+
+        letters = list(bytes_to_unicode().values())
+        words = [*letters, *(letter + "</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
+        folder = self.root / "clip-vocabulary"
+        folder.mkdir(exist_ok=True)
+        (folder / "vocab.json").write_text(json.dumps({word: index for index, word in enumerate(words)}))
+        (folder / "merges.txt").write_text("#version: 0.2\n")
+        return CLIPTokenizer.from_pretrained(folder, model_max_length=77)
+
+    def t5_tokenizer(self):
+        from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
+        from transformers import T5TokenizerFast
+
+        pieces = ["<pad>", "</s>", "<unk>", "▁", *map(chr, range(33, 127))]
+        core = Tokenizer(models.Unigram([(piece, -float(i)) for i, piece in enumerate(pieces)], unk_id=2))
+        core.pre_tokenizer = pre_tokenizers.Metaspace()
+        core.decoder = decoders.Metaspace()
+        core.post_processor = processors.TemplateProcessing(single="$A </s>", special_tokens=[("</s>", 1)])
+        return T5TokenizerFast(
+            tokenizer_object=core, eos_token="</s>", unk_token="<unk>", pad_token="<pad>", extra_ids=0
+        )
+
+
+@pytest.fixture(scope="session")
+def two_views() -> edit3r.Views:
+    """Two smooth pictures that differ."""
+    y, x = torch.meshgrid(torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij")
+    first = torch.stack((x, y, 0.5 * (x + y)))
+    second = torch.stack((y, 1 - x, x * y))
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    return edit3r.Views(torch.stack((first, second))[None], intrinsics, ("left.png", "right.png"))
+
+
+@pytest.fixture(scope="session")
+def left_half() -> torch.Tensor:
+    """A mask that lets the left half change, for both views."""
+    mask = torch.zeros(1, 2, SIZE, SIZE)
+    mask[..., : SIZE // 2] = 1
+    return mask

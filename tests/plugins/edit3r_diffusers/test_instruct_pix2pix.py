@@ -1,0 +1,79 @@
+"""InstructPix2Pix on a tiny random model."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.errors import PromptError
+from edit3r.reporting import Report, collecting
+
+ASK = edit3r.EditRequest("paint it red", seed=3)
+
+
+@pytest.fixture(scope="module")
+def build(tiny):
+    def build(**settings):
+        settings = {"steps": 2, "resolution": 0, "local_files_only": True, **settings}
+        return edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings)
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def edited(build, two_views):
+    return build().edit(two_views, ASK).images
+
+
+def test_an_edit_keeps_shape_range_and_names(edited, two_views):
+    assert edited.shape == two_views.images.shape and edited.dtype == torch.float32
+    assert edited.min() >= 0 and edited.max() <= 1
+    assert not torch.equal(edited, two_views.images)
+
+
+def test_the_same_seed_gives_equal_bytes_and_another_seed_others(build, edited, two_views):
+    editor = build()
+    assert torch.equal(editor.edit(two_views, ASK).images, edited)
+    assert not torch.equal(editor.edit(two_views, replace(ASK, seed=4)).images, edited)
+
+
+def test_two_equal_views_get_the_same_edit(build, two_views):
+    twice = two_views.select([0, 0])
+    images = build().edit(twice, ASK).images
+    assert torch.equal(images[:, 0], images[:, 1])
+
+
+def test_prompt_guidance_and_negative_prompt_change_the_result(build, edited, two_views):
+    assert not torch.equal(build().edit(two_views, replace(ASK, prompt="make it snow")).images, edited)
+    for change in ({"guidance": 3.0}, {"image_guidance": 3.0}, {"negative_prompt": "blurry"}, {"steps": 3}):
+        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), change
+
+
+def test_a_mask_confines_the_edit_already_before_the_composite(build, two_views, left_half):
+    masked = replace(ASK, masks=left_half)
+    images = build().edit(two_views, masked).images
+    other = build().edit(two_views, replace(masked, prompt="make it snow")).images
+    # Far outside the mask only the autoencoder's own loss is left, whatever the instruction.
+    assert torch.allclose(images[..., -8:], other[..., -8:], atol=0.02)
+    assert not torch.allclose(images[..., :8], other[..., :8], atol=0.02)
+
+
+def test_photos_of_any_size_come_back_at_their_size(build):
+    for height, width in ((33, 47), (9, 31)):
+        views = edit3r.Views(torch.rand(1, 2, 3, height, width), torch.eye(3).expand(1, 2, 3, 3))
+        assert build(resolution=32).edit(views, ASK).images.shape == views.images.shape
+
+
+def test_steps_are_reported_as_progress_and_weights_noted(build, two_views):
+    events = []
+    report = Report(on_event=lambda *event: events.append(event))
+    with collecting(report):
+        build().edit(two_views, ASK)
+    assert ("progress", "editing left.png", 1, 2) in events and ("progress", "editing right.png", 2, 2) in events
+    assert report.notes["editor.weights"]["model"].endswith("instruct-pix2pix")
+
+
+def test_an_empty_instruction_is_refused(build, two_views):
+    with pytest.raises(PromptError, match="--prompt"):
+        build().edit(two_views, edit3r.EditRequest("  "))
