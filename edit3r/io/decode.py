@@ -1,0 +1,219 @@
+"""One picture file to upright 8-bit sRGB pixels, whatever the format, or one sentence why not."""
+
+import contextlib
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
+
+from edit3r.errors import InputError, MissingDependencyError
+from edit3r.reporting import warn
+
+MAX_PIXELS = 1 << 27
+"""Largest picture that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
+
+FULL_FRAME_DIAGONAL = math.hypot(36, 24)  # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal
+READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
+
+_HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, um
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded file: pixels as a viewer would show them, and the focal length its EXIF states."""
+
+    pixels: Image.Image  # mode RGB, upright, sRGB
+    focal: float | None  # [pixels of `pixels`], same in x and y; None: EXIF does not say
+    focal_source: str  # such as "EXIF 35 mm equivalent (26 mm)"; "" when focal is None
+
+
+def decode(path: str | Path) -> Picture:
+    """Read a picture: EXIF orientation applied, colour profile converted to sRGB, alpha laid over white, 16 bits cut
+    to 8, the first frame of several. Raises InputError, or MissingDependencyError for HEIC without the extra."""
+    path = Path(path)
+    _check_is_file(path)
+    with warnings.catch_warnings(), _opened(path) as image:
+        warnings.simplefilter("ignore")  # Pillow's own remarks; what matters is raised or said below
+        if image.width * image.height > MAX_PIXELS:
+            raise InputError(_too_large(path, f"{image.width}x{image.height}"))
+        focal, source = _exif_focal(image, path)
+        try:
+            image.load()
+            pixels = _to_srgb(image, path)
+            return Picture(_upright(image, pixels, path), focal, source)
+        except InputError:
+            raise
+        except Exception as error:  # damaged files make Pillow's decoders raise almost anything
+            raise InputError(f"{path}: the picture is damaged or cut off ({_reason(error)}); copy it again.") from None
+
+
+def read_image(path: str | Path) -> Image.Image:
+    """The upright sRGB pixels of a picture file (mode RGB); see `decode`."""
+    return decode(path).pixels
+
+
+def picture_size(path: str | Path) -> tuple[int, int]:
+    """(height, width) of the upright picture from its header, without decoding the pixels."""
+    path = Path(path)
+    _check_is_file(path)
+    with warnings.catch_warnings(), _opened(path) as image:
+        warnings.simplefilter("ignore")
+        turned = _orientation(image, path) in (5, 6, 7, 8)
+        return (image.width, image.height) if turned else (image.height, image.width)
+
+
+def _check_is_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{path}: expected a picture file, got a folder.")
+    if not path.exists():
+        raise InputError(f"{path}: no such file.")
+    if not path.is_file():
+        raise InputError(f"{path}: not a regular file.")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty (0 bytes).")
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    heic = _is_heic(path)
+    if heic:
+        _register_heic(path)
+    try:
+        image = Image.open(path)
+    except Image.DecompressionBombError:
+        raise InputError(_too_large(path, "far too many pixels")) from None
+    except UnidentifiedImageError:
+        raise InputError(f"{path}: not a picture that can be read; expected {READABLE}.") from None
+    except PermissionError:
+        raise InputError(f"{path}: no permission to read it.") from None
+    except Exception as error:  # a damaged header, see decode
+        raise InputError(f"{path}: the picture is damaged ({_reason(error)}); copy it again.") from None
+    with image:
+        yield image
+
+
+def _too_large(path: Path, found: str) -> str:
+    return f"{path}: {found}; pictures of at most {MAX_PIXELS // 10**6} megapixels are read. Scale it down first."
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text[:120] or type(error).__name__
+
+
+def _is_heic(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            head = file.read(12)
+    except OSError:
+        return False  # opening it as a picture gives the reason
+    return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS
+
+
+def _register_heic(path: Path) -> None:
+    try:
+        from pi_heif import register_heif_opener  # decoder only, without the GPL encoder
+    except ImportError:
+        try:
+            from pillow_heif import register_heif_opener
+        except ImportError:
+            raise MissingDependencyError(
+                f'{path}: a HEIC photo needs one more package: pip install "edit3r[heic]", or export the photo as JPEG.'
+            ) from None
+    register_heif_opener()
+
+
+def _to_srgb(image: Image.Image, path: Path) -> Image.Image:
+    """Any Pillow mode to RGB in sRGB."""
+    if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":  # MPO: phones keep a preview behind the photo
+        warn(f"{path}: holds {image.n_frames} pictures; the first is used.")
+    if image.mode.startswith("I;16") or image.mode in ("I", "F"):
+        return _from_high_depth(image, path)
+    if image.mode in ("LA", "La", "PA", "RGBa") or "transparency" in image.info:
+        image = image.convert("RGBA")
+    if image.mode == "RGBA":
+        alpha = image.getchannel("A")
+        opaque = _through_profile(image.convert("RGB"), image.info.get("icc_profile"), path)
+        white = Image.new("RGB", image.size, "white")
+        white.paste(opaque, mask=alpha)
+        return white
+    return _through_profile(image, image.info.get("icc_profile"), path)
+
+
+def _from_high_depth(image: Image.Image, path: Path) -> Image.Image:
+    """Grey of more than 8 bits: 16-bit values keep their high byte, as Pillow does for 16-bit colour."""
+    low, high = image.getextrema()
+    if image.mode == "F" or low < 0 or high > 65535:
+        raise InputError(
+            f"{path}: grey values of mode {image.mode} from {low:g} to {high:g}; expected 8 or 16 bits per channel."
+        )
+    return image.convert("I").point(lambda value: value * (1 / 256)).convert("L").convert("RGB")
+
+
+def _through_profile(image: Image.Image, profile: bytes | None, path: Path) -> Image.Image:
+    if not profile or image.mode not in ("RGB", "CMYK", "L"):
+        return image.convert("RGB")
+    try:
+        import io
+
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        return ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        warn(f"{path}: its colour profile cannot be used; colours are taken as sRGB.")
+        return image.convert("RGB")
+
+
+def _orientation(image: Image.Image, path: Path) -> int:
+    try:
+        return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+    except Exception:  # EXIF is a foreign format inside a foreign format
+        warn(f"{path}: its EXIF data cannot be read; the picture is taken as upright.")
+        return 1
+
+
+def _upright(image: Image.Image, pixels: Image.Image, path: Path) -> Image.Image:
+    orientation = _orientation(image, path)
+    if orientation not in range(2, 9):
+        return pixels
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    tagged = pixels.copy()
+    tagged.info["exif"] = exif.tobytes()
+    return ImageOps.exif_transpose(tagged)
+
+
+def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
+    """Focal length [pixels] from the 35 mm equivalent, else from focal length and sensor resolution."""
+    try:
+        tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        equivalent = _positive(tags.get(ExifTags.Base.FocalLengthIn35mmFilm))
+        millimetres = _positive(tags.get(ExifTags.Base.FocalLength))
+        density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
+        unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
+        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
+    except Exception:  # see _orientation
+        return None, ""
+    focal, source = None, ""
+    if equivalent:
+        focal = equivalent * math.hypot(*image.size) / FULL_FRAME_DIAGONAL
+        source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
+    elif millimetres and density and unit:
+        focal = millimetres * density / unit * image.width / recorded
+        source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
+    if focal is not None and not 0.1 < focal / max(image.size) < 50:
+        warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
+        return None, ""
+    return focal, source
+
+
+def _positive(value: object) -> float | None:
+    """An EXIF number if it is one and says something (0, 0/0 and text do not)."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None

@@ -1,0 +1,83 @@
+"""Which part of each photo is used, so that photos of any sizes share one, and what that does to the intrinsics."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Float64
+from PIL import Image
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A centred crop of a picture and the size it is resampled to."""
+
+    source: tuple[int, int]  # (height, width) of the picture [pixels]
+    box: tuple[float, float, float, float]  # left, top, right, bottom of the crop [pixels of the picture]
+    target: tuple[int, int]  # (height, width) after resampling [pixels]
+
+    @property
+    def scale(self) -> float:
+        """Target pixels per picture pixel."""
+        left, _, right, _ = self.box
+        return self.target[1] / (right - left)
+
+    @property
+    def cropped(self) -> float:
+        """Share of the picture's area that is lost, in [0, 1)."""
+        left, top, right, bottom = self.box
+        return 1 - (right - left) * (bottom - top) / (self.source[0] * self.source[1])
+
+    def cut(self, picture: Image.Image, smooth: Image.Resampling = Image.Resampling.LANCZOS) -> Image.Image:
+        """Crop and resample in one step, antialiased, on sRGB values. The picture may be of any size of the source's
+        shape; a crop that changes nothing returns the very pixels."""
+        height, width = self.source
+        x, y = picture.width / width, picture.height / height
+        left, top, right, bottom = self.box
+        # Rounding must not push the box over the edge.
+        box = (left * x, top * y, min(right * x, picture.width), min(bottom * y, picture.height))
+        shrinks = self.target[1] < box[2] - box[0]
+        return picture.resize(self.target[::-1], smooth if shrinks else Image.Resampling.BICUBIC, box=box)
+
+    def follow(self, intrinsics: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
+        """Normalised intrinsics of the crop, from those of the picture."""
+        height, width = self.source
+        left, top, right, bottom = self.box
+        stretch = intrinsics.new_tensor([[width / (right - left)], [height / (bottom - top)], [1.0]])
+        result = intrinsics * stretch
+        result[0, 2] -= left / (right - left)
+        result[1, 2] -= top / (bottom - top)
+        return result
+
+
+def common_size(sizes: Sequence[tuple[int, int]], longest: int | None) -> tuple[int, int]:
+    """(height, width) that photos of `sizes` are brought to.
+
+    The shape is the median one, so that most photos lose nothing and two different ones meet in the middle; the
+    longer side is the (lower) median of what the photos offer in that shape, at most `longest`.
+    """
+    aspect = math.exp(statistics.median(math.log(width / height) for height, width in sizes))
+    offered = [_longer_side(size, aspect) for size in sizes]
+    longer = statistics.median_low(offered)
+    longer = max(1, round(longer if longest is None else min(longer, longest)))
+    shorter = max(1, round(longer * min(aspect, 1 / aspect)))
+    return (shorter, longer) if aspect >= 1 else (longer, shorter)
+
+
+def frame_for(size: tuple[int, int], target: tuple[int, int]) -> Frame:
+    """The largest centred part of a photo with the target's shape; all of it if that costs less than a pixel."""
+    height, width = size
+    scale = max(target[0] / height, target[1] / width)
+    used_height, used_width = target[0] / scale, target[1] / scale
+    if max(height - used_height, width - used_width) * scale < 1:
+        return Frame(size, (0.0, 0.0, float(width), float(height)), target)
+    left, top = (width - used_width) / 2, (height - used_height) / 2
+    return Frame(size, (left, top, left + used_width, top + used_height), target)
+
+
+def _longer_side(size: tuple[int, int], aspect: float) -> float:
+    height, width = size
+    used_width = min(width, height * aspect)
+    return max(used_width, used_width / aspect)

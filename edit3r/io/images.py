@@ -1,0 +1,219 @@
+"""Photos in and pictures out: files and folders to `Views`, with a record of where every intrinsics value came from.
+
+Photos of one run may differ in size, shape and camera. Each is scaled to cover a common size and cropped around its
+middle; intrinsics follow exactly.
+"""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from edit3r.errors import InputError
+from edit3r.io.decode import decode, picture_size, read_image
+from edit3r.io.framing import Frame, common_size, frame_for
+from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder
+from edit3r.io.masks import load_masks
+from edit3r.io.run_folder import atomic_write
+from edit3r.reporting import track, warn
+from edit3r.types import Views
+
+__all__ = [
+    "LoadedPhotos",
+    "Photo",
+    "find_photos",
+    "load_masks",
+    "load_photos",
+    "load_views",
+    "read_image",
+    "save_image",
+]
+
+SUFFIXES = (
+    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif"),
+    *(".bmp", ".ppm", ".pgm", ".jp2"),
+)
+"""Files taken from a folder; a file given by itself may be called anything."""
+
+
+@dataclass(frozen=True)
+class Photo:
+    """How one photo became one view."""
+
+    name: str
+    file: str
+    sha256: str  # of the file
+    size: tuple[int, int]  # (height, width) of the upright original [pixels]
+    frame: Frame  # the part of it that is used, and its size as a view
+    intrinsics_source: str  # such as "camera file cameras.json", "--fov 60", "EXIF 35 mm equivalent (26 mm)"
+    focal: tuple[float, float]  # fx, fy [pixels of the original]
+
+
+@dataclass(frozen=True)
+class LoadedPhotos:
+    """Views (batch 1) and the record of each."""
+
+    views: Views
+    photos: tuple[Photo, ...]
+
+
+def load_views(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+) -> Views:
+    """The views of `load_photos`, without the record."""
+    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names).views
+
+
+def load_photos(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+) -> LoadedPhotos:
+    """Read photos, given as files and folders (a folder's pictures come in natural order).
+
+    Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov` (horizontal [degrees]),
+    else EXIF, else a stated default. `size` bounds the longer side [pixels]; None keeps the photos' own. Raises
+    InputError for anything that cannot be used, in one sentence that names the file.
+    """
+    _check_arguments(fov, size)
+    files = find_photos(paths)
+    finder = IntrinsicsFinder(cameras, fov)
+    finder.check_all_used(files)
+    # Headers first, so that no more than one photo is ever in memory at full size.
+    sizes = [picture_size(file) for file in files]
+    target = common_size(sizes, size)
+    frames = [frame_for(photo_size, target) for photo_size in sizes]
+    images, found = [], []
+    for file, frame in track(list(zip(files, frames)), "read photos"):
+        picture = decode(file)
+        found.append(finder.find(file, picture))
+        images.append(_to_tensor(frame.cut(picture.pixels)))
+    names = _names(files, names)
+    photos = tuple(map(_record, names, files, frames, found))
+    _warn_of_losses(photos)
+    intrinsics = torch.stack([frame.follow(i.normalised) for frame, i in zip(frames, found)])
+    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names), photos)
+
+
+def find_photos(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """The picture files named by `paths`; each folder stands for its pictures in natural order (img2 before img10),
+    or for those of its `images` folder when it has none itself. Raises InputError when a path is not there."""
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    files: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            files += _pictures_in(path)
+        elif path.exists():
+            files.append(path)
+        else:
+            raise InputError(f"{path}: no such file or folder.")
+    if not files:
+        raise InputError("No photos given: name two or more picture files, or a folder of them.")
+    return files
+
+
+def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None:
+    """Write a picture as 8-bit PNG (by suffix also JPEG or WebP): clipped to [0, 1], times 255, to nearest, half to
+    even. A picture read at its own size comes back as the very same bytes per pixel."""
+    if image.dim() != 3 or image.shape[0] != 3:
+        raise ValueError(f"save_image: expected shape [3, height, width], got {list(image.shape)}")
+    if not torch.isfinite(image).all():
+        raise ValueError(f"save_image: the picture for {path} holds values that are not finite")
+    with atomic_write(path) as partial:
+        Image.fromarray(to_bytes(image)).save(partial)
+
+
+def to_bytes(image: Float[Tensor, "3 height width"]) -> np.ndarray:
+    """uint8 `[height, width, 3]` of an sRGB picture, rounded as `save_image` states."""
+    scaled = image.detach().to("cpu", torch.float32).clamp(0, 1).mul(255).round()
+    return np.ascontiguousarray(scaled.to(torch.uint8).permute(1, 2, 0).numpy())
+
+
+def _to_tensor(picture: Image.Image) -> Float[Tensor, "3 height width"]:
+    return torch.from_numpy(np.array(picture, dtype=np.float32) / 255).permute(2, 0, 1).contiguous()
+
+
+def _check_arguments(fov: float | None, size: int | None) -> None:
+    if fov is not None and not 0 < fov < 180:
+        raise InputError(f"--fov: expected degrees above 0 and below 180, got {fov:g}.")
+    if size is not None and size < 1:
+        raise InputError(f"--size: expected at least 1 pixel, got {size}.")
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    for place in (folder, folder / "images"):
+        if place.is_dir():
+            found = [p for p in place.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
+            found = [p for p in found if not p.name.startswith(".")]  # such as macOS's ._IMG_0001.jpg
+            if found:
+                return sorted(found, key=_natural)
+    raise InputError(f"{folder}: no pictures in this folder.")
+
+
+def _natural(path: Path) -> tuple:
+    """Sort key in which digits count as numbers; the plain name decides between equals."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(part.isdecimal(), int(part) if part.isdecimal() else part) for part in parts], path.name
+
+
+def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...]:
+    """The given names, or the files' own without suffix, numbered where two are called the same."""
+    if names is not None:
+        if len(names) != len(files):
+            raise InputError(f"names: expected one per photo ({len(files)}), got {len(names)}.")
+        return tuple(names)
+    count, seen = Counter(file.stem for file in files), Counter[str]()
+    result = []
+    for stem in (file.stem for file in files):
+        seen[stem] += 1
+        result.append(stem if count[stem] == 1 else f"{stem}-{seen[stem]}")
+    return tuple(result)
+
+
+def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
+    height, width = frame.source
+    focal = (float(intrinsics.normalised[0, 0]) * width, float(intrinsics.normalised[1, 1]) * height)
+    return Photo(name, str(file), _sha256(file), frame.source, frame, intrinsics.source, focal)
+
+
+def _sha256(file: Path) -> str:
+    digest = hashlib.sha256()
+    with file.open("rb") as stream:
+        while chunk := stream.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _warn_of_losses(photos: Sequence[Photo]) -> None:
+    guessed = [photo.name for photo in photos if photo.intrinsics_source.startswith("default")]
+    if guessed:
+        warn(
+            f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across the longer side are "
+            "assumed; --fov or --cameras tells better."
+        )
+    first: dict[str, str] = {}
+    for photo in photos:
+        height, width = photo.frame.target
+        if photo.frame.cropped > 0.02:
+            warn(f"{photo.file}: {photo.frame.cropped:.0%} is cropped away, so that all photos are {width}x{height}.")
+        if photo.frame.scale > 1.05:
+            warn(f"{photo.file}: enlarged {photo.frame.scale:.1f} times, so that all photos are {width}x{height}.")
+        twin = first.setdefault(photo.sha256, photo.file)
+        if twin != photo.file:
+            warn(f"{twin} and {photo.file} are the same picture.")

@@ -1,0 +1,109 @@
+"""`run.json`: how a run was made, so that it can be understood, checked and made again."""
+
+import dataclasses
+import importlib.metadata
+import json
+import math
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import edit3r
+from edit3r.io.images import Photo
+from edit3r.io.run_folder import atomic_write
+from edit3r.reporting import StageRecord
+
+FORMAT = 1
+"""Version of this layout; raised when a field changes its meaning or goes."""
+
+_PACKAGES = ("torch", "numpy", "pillow", "opencv-contrib-python-headless", "kornia", "scikit-image", "scipy", "numba")
+_SECRET = re.compile(r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class PluginRecord:
+    """One component that took part."""
+
+    kind: str
+    name: str
+    plugin: str
+    version: str
+    licence: str
+    needs_network: bool = False
+
+
+@dataclass(frozen=True)
+class WeightsRecord:
+    """One weight file that was loaded."""
+
+    file: str
+    sha256: str
+    licence: str
+
+
+@dataclass(frozen=True)
+class RunManifest:
+    """Everything `run.json` says, in its order."""
+
+    prompt: str
+    seed: int
+    device: str
+    settings: Mapping[str, Any]  # resolved, as JSON data
+    plugins: Sequence[PluginRecord]
+    inputs: Sequence[Photo]
+    masks: Mapping[str, str]  # file: sha256
+    weights: Sequence[WeightsRecord]
+    gaussians: int
+    harmonics_degree: int
+    stages: Sequence[StageRecord]
+    warnings: Sequence[str]
+    notes: Mapping[str, Any]
+    frame: str = "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; the length unit is arbitrary"
+    versions: Mapping[str, str] = field(default_factory=lambda: installed_versions())
+    format: int = FORMAT
+
+
+def write_manifest(path: str | Path, manifest: RunManifest) -> None:
+    """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite as null."""
+    content = {item.name: _plain(getattr(manifest, item.name)) for item in dataclasses.fields(manifest)}
+    with atomic_write(path) as partial:
+        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+        partial.write_text(text + "\n", encoding="utf-8")
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of Python, edit3r and the packages that results depend on, and the platform."""
+    versions = {"edit3r": edit3r.__version__, "python": platform.python_version(), "platform": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def _plain(value: Any, name: str = "") -> Any:
+    """JSON data of nested dataclasses, mappings, sequences and settings."""
+    if isinstance(value, str) and value and _SECRET.search(name):
+        return "(not recorded)"
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "get_secret_value"):  # pydantic's SecretStr
+        return "(not recorded)"
+    if hasattr(value, "model_dump"):
+        return _plain(value.model_dump())
+    if dataclasses.is_dataclass(value):
+        return {item.name: _plain(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(value[key], str(key)) for key in sorted(value, key=str)}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = sorted(value) if isinstance(value, (set, frozenset)) else value
+        return [_plain(item) for item in items]
+    if hasattr(value, "tolist"):  # numpy and torch
+        return _plain(value.tolist())
+    return str(value)

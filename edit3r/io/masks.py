@@ -1,0 +1,56 @@
+"""Mask files to the views' pixels: 1 where a picture may change, 0 where it must not."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from edit3r.errors import InputError
+from edit3r.io.decode import read_image
+from edit3r.io.framing import Frame
+from edit3r.io.intrinsics import SHAPE_TOLERANCE
+from edit3r.reporting import warn
+
+if TYPE_CHECKING:
+    from edit3r.io.images import LoadedPhotos
+
+
+def load_masks(paths: Sequence[str | Path], photos: "LoadedPhotos") -> Float[Tensor, "1 view height width"]:
+    """One mask per photo, in the photos' order: black 0, white 1, greys between.
+
+    A mask has the shape of its original photo (any size), and is then cropped as the photo was, or exactly the size of
+    the view. Raises InputError for a wrong number, shape or file.
+    """
+    paths = [Path(path) for path in paths]
+    if len(paths) != len(photos.photos):
+        raise InputError(f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(paths)}.")
+    return torch.stack([_load(path, photo.frame) for path, photo in zip(paths, photos.photos)])[None]
+
+
+def _load(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
+    picture = _stretched(read_image(path).convert("L"), path)
+    height, width = frame.source
+    if picture.size != frame.target[::-1]:
+        if abs(picture.width / picture.height * height / width - 1) > SHAPE_TOLERANCE:
+            raise InputError(
+                f"{path}: this mask is {picture.width}x{picture.height}; expected the shape of its photo "
+                f"({width}x{height}) or the size of its view ({frame.target[1]}x{frame.target[0]})."
+            )
+        picture = frame.cut(picture, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
+    mask = torch.from_numpy(np.array(picture, dtype=np.float32) / 255)
+    if not mask.any():
+        warn(f"{path}: this mask is all black, so nothing may change in its view.")
+    return mask
+
+
+def _stretched(mask: Image.Image, path: Path) -> Image.Image:
+    """A mask of zeros and ones (out of 255), as programs write truth values, means black and white."""
+    if mask.getextrema() != (0, 1):
+        return mask
+    warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
+    return mask.point(lambda value: 255 * value)

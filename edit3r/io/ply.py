@@ -1,0 +1,164 @@
+"""Gaussians as the PLY of 3D Gaussian Splatting, which every splat viewer opens.
+
+One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (channel-major: all of red,
+then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3 (wxyz). The header's comments say in which frame.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from edit3r.errors import InputError
+from edit3r.io.ply_header import PlyHeader, read_header
+from edit3r.io.run_folder import atomic_write
+from edit3r.reporting import warn
+from edit3r.types import MAX_DEGREE, Gaussians
+
+__all__ = ["load_ply", "save_ply"]
+
+OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
+SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
+VIEWER_DEGREE = 3  # common viewers read harmonics up to here
+MOST_RUNS = 256  # of equal view_index that the header keeps
+
+_FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), camera at the origin"
+_VIEWS = "view_index runs (view:count)"
+_REQUIRED = (
+    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+
+def save_ply(
+    path: str | Path, gaussians: Gaussians, *, degree: int | None = None, comment_lines: Sequence[str] = ()
+) -> None:
+    """Write one scene (batch 1); the same Gaussians give the same bytes.
+
+    All harmonics are written. Common viewers stop at degree 3 (some refuse more): `degree` cuts to that many, which
+    loses the finest change of colour with direction. `view_index` goes into the header as runs of equal values, where
+    no viewer stumbles over it; more than 256 runs are not kept. Opacities 0 and 1 come back as 1e-7 and 1 - 1e-7.
+    """
+    if gaussians.means.shape[0] != 1:
+        raise ValueError(f"save_ply writes one scene, got a batch of {gaussians.means.shape[0]}")
+    degree = gaussians.degree if degree is None else min(degree, gaussians.degree)
+    if degree > VIEWER_DEGREE:
+        warn(f"{path}: harmonics of degree {degree}; many viewers read {VIEWER_DEGREE} at most.")
+    table = _to_table(gaussians, degree)
+    comments = ["3D Gaussians by edit3r", _FRAME, *_view_runs(gaussians.view_index.cpu().numpy()), *comment_lines]
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        file.write(_header(table, comments))
+        file.write(table.tobytes())
+
+
+def load_ply(path: str | Path) -> Gaussians:
+    """Read a 3DGS PLY (binary or ascii, any number type, extra properties ignored) as one scene on the CPU.
+
+    Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are left out with a
+    warning. Raises InputError for a file that is no such PLY, or is cut off.
+    """
+    path = Path(path)
+    header = read_header(path)
+    missing = [name for name in _REQUIRED if name not in header.names]
+    if missing:
+        raise InputError(f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}.")
+    return _from_table(header.read_vertices(), header)
+
+
+def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
+    """Structured array of the vertex element; logits and logarithms are taken in double precision."""
+    coefficients = (degree + 1) ** 2
+    quats = gaussians.quats[0].detach().double()
+    opacities = gaussians.opacities[0].detach().double().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    harmonics = gaussians.harmonics[0, :, :coefficients].detach().double()
+    columns = (
+        gaussians.means[0].detach().double(),
+        torch.zeros_like(gaussians.means[0], dtype=torch.float64),
+        harmonics[:, 0],
+        harmonics[:, 1:].transpose(1, 2).flatten(1),  # [G, 3 * (K - 1)]
+        torch.logit(opacities)[:, None],
+        gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
+        quats / quats.norm(dim=-1, keepdim=True).clamp(min=1e-12),
+    )
+    values = torch.cat(columns, 1).cpu().numpy()
+    if not np.isfinite(values).all():
+        raise ValueError("save_ply: the Gaussians hold values that are not finite")
+    names = [
+        *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+        *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
+        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    ]
+    table = np.ascontiguousarray(values, dtype="<f4")
+    return table.view([(name, "<f4") for name in names])[:, 0]
+
+
+def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {' '.join(comment.split())}" for comment in comments]
+    lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in table.dtype.names), "end_header"]
+    return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
+
+
+def _view_runs(view_index: np.ndarray) -> list[str]:
+    if not len(view_index) or (view_index == -1).all():
+        return []
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(view_index)) + 1))
+    if len(starts) > MOST_RUNS:
+        return []
+    counts = np.diff(np.append(starts, len(view_index)))
+    runs = " ".join(f"{view}:{count}" for view, count in zip(view_index[starts], counts))
+    return [f"{_VIEWS} {runs}"]
+
+
+def _read_view_runs(header: PlyHeader) -> np.ndarray:
+    """`view_index` from the header's comment, -1 where it says nothing that fits the number of Gaussians."""
+    for comment in header.comments:
+        if comment.startswith(_VIEWS):
+            runs = [run.partition(":") for run in comment.removeprefix(_VIEWS).split()]
+            try:
+                index = np.repeat([int(view) for view, _, _ in runs], [int(count) for _, _, count in runs])
+            except ValueError:
+                break
+            if len(index) == header.count:
+                return index.astype(np.int64)
+    return np.full(header.count, -1, dtype=np.int64)
+
+
+def _from_table(table: np.ndarray, header: PlyHeader) -> Gaussians:
+    rest = [name for name in header.names if name.startswith("f_rest_")]
+    degree = _degree(len(rest), header.path)
+    dc = _columns(table, ("f_dc_0", "f_dc_1", "f_dc_2"))[:, None]
+    higher = _columns(table, [f"f_rest_{i}" for i in range(len(rest))]).reshape(header.count, 3, -1).transpose(0, 2, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
+        columns = {
+            "means": _columns(table, ("x", "y", "z")),
+            "scales": np.exp(_columns(table, ("scale_0", "scale_1", "scale_2"))),
+            "quats": quats / np.maximum(np.linalg.norm(quats, axis=-1, keepdims=True), 1e-12),
+            "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
+            "harmonics": np.concatenate((dc, higher), 1) if degree else dc,
+        }
+        # Through float32 first: what is finite in double may not be afterwards.
+        tensors = {name: torch.from_numpy(values.astype(np.float32)) for name, values in columns.items()}
+    finite = torch.ones(header.count, dtype=torch.bool)
+    for values in tensors.values():
+        finite &= torch.isfinite(values).reshape(header.count, -1).all(1)
+    if not finite.all():
+        warn(f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite and left out.")
+    view_index = torch.from_numpy(_read_view_runs(header))[finite]
+    return Gaussians(**{name: values[finite][None] for name, values in tensors.items()}, view_index=view_index)
+
+
+def _degree(rest: int, path: Path) -> int:
+    for degree in range(MAX_DEGREE + 1):
+        if rest == 3 * ((degree + 1) ** 2 - 1):
+            return degree
+    raise InputError(f"{path}: {rest} f_rest properties; expected 0, 9, 24, 45 or 72 (harmonics of degree 0 to 4).")
+
+
+def _columns(table: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """[G, len(names)] in double precision."""
+    if not names:
+        return np.zeros((len(table), 0))
+    return np.stack([table[name].astype(np.float64) for name in names], -1)
