@@ -28,6 +28,7 @@ class Configured:
 
     settings: Settings
     offer: "Offer"
+    parts: Mapping[str, Any]  # the components it was built with, by kind
 
 
 class Editor(Configured, ABC):

@@ -90,7 +90,7 @@ class Registry:
         """Build a component by name from settings.
 
         `parts` fills parts with objects already built, or with names or `PartChoice`s that override the settings'.
-        The result carries what it was built from as `.settings` and `.offer`.
+        The result carries what it was built from as `.settings`, `.offer` and `.parts`.
         """
         return self._build(kind, name, settings, dict(parts or {}), built={})
 
@@ -111,7 +111,7 @@ class Registry:
                 f"{kind} {offer.component.name!r}: {cls.__name__} could not be constructed as "
                 f"{cls.__name__}(settings{''.join(f', {p}=...' for p in parts)}) ({error})."
             ) from error
-        component.settings, component.offer = settings, offer
+        component.settings, component.offer, component.parts = settings, offer, parts
         return component
 
     def _part(self, offer: Offer, settings: Settings, part: str, given: dict, siblings: dict) -> Any:

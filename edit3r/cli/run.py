@@ -1,6 +1,7 @@
 """`edit3r run`: photos in, an edited 3D scene out."""
 
 import argparse
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +43,13 @@ def main(args: argparse.Namespace) -> int:
     config = _config(args)
     registry = default_registry(tuple(args.plugin))
     _check_names(registry, config)
-    paths = args.images or _packaged_pair()
+    paths, cameras = (args.images, args.cameras) if args.images else _packaged_pair()
     with StageConsole(quiet=args.quiet) as console:
         report = Report(on_event=console)
         with collecting(report), report.stage("read photos"):
-            photos = load_photos(paths, fov=config.fov, size=config.size, cameras=args.cameras)
+            photos = load_photos(paths, fov=config.fov, size=config.size, cameras=cameras)
             masks = load_masks(args.mask, photos) if args.mask else None
+            hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in args.mask}
         with atomic_folder(args.out) as folder:
             result = pipeline.run(
                 photos.views,
@@ -63,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
                 report=report,
             )
             rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
-            results.write(folder, result, photos, rasterizer, config)
+            results.write(folder, result, photos, hashes, rasterizer, config)
     if not args.quiet:
         print(results.summary(Path(args.out), result))
     return 0
@@ -108,9 +110,12 @@ def _check_names(registry, config) -> None:
             registry.load_class(registry.find(kind, choice.name))
 
 
-def _packaged_pair() -> list[str]:
-    """The real photo pair that scikit-image ships (Middlebury 2014, Motorcycle)."""
+def _packaged_pair() -> tuple[list[str], Path]:
+    """The real photo pair that scikit-image ships (Middlebury 2014, Motorcycle), and its published calibration."""
     import skimage
 
+    import edit3r
+
     folder = Path(skimage.__file__).parent / "data"
-    return [str(folder / f"motorcycle_{side}.png") for side in ("left", "right")]
+    cameras = Path(edit3r.__file__).parent / "io" / "motorcycle_cameras.json"
+    return [str(folder / f"motorcycle_{side}.png") for side in ("left", "right")], cameras

@@ -1,0 +1,125 @@
+"""What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from edit3r.geometry.paths import between_and_around
+from edit3r.interfaces import Rasterizer
+from edit3r.io.cameras import posed_cameras, write_cameras
+from edit3r.io.images import LoadedPhotos, save_image
+from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, write_manifest
+from edit3r.io.ply import save_ply
+from edit3r.io.run_folder import RunFolder
+from edit3r.io.sheet import save_before_after
+from edit3r.io.video import save_video
+from edit3r.io.viewer import save_viewer
+from edit3r.reporting import collecting, note, track
+from edit3r.types import Cameras, Gaussians, Rendering
+
+if TYPE_CHECKING:
+    from edit3r.pipeline import RunResult
+    from edit3r.run_config import RunConfig
+
+VIDEO_FPS = 24
+
+
+def write(
+    root: Path,
+    result: "RunResult",
+    photos: LoadedPhotos,
+    masks: dict[str, str],
+    rasterizer: Rasterizer,
+    config: "RunConfig",
+) -> None:
+    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256."""
+    folder = RunFolder(root)
+    report = result.report
+    with collecting(report), torch.no_grad():
+        with report.stage("render"):
+            rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
+            path = between_and_around(result.cameras, config.frames)
+            frames = render_each(rasterizer, result.gaussians, path, "render camera path")
+            note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
+        with report.stage("write files"):
+            _write_pictures(folder, result, rendered, frames)
+            save_ply(folder.scene, result.gaussians, comment_lines=[f"prompt: {_one_line(config.prompt)}"])
+            names = [f"inputs/{name}.png" for name in result.photos.names]
+            write_cameras(folder.cameras, posed_cameras(result.cameras, names))
+            save_video(folder.video, _clipped(frames), VIDEO_FPS)
+            save_viewer(folder.viewer, result.gaussians, result.cameras, title=config.prompt or "edit3r scene")
+    write_manifest(folder.manifest, _manifest(result, photos, masks, rasterizer, config))
+
+
+def render_each(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, text: str) -> Rendering:
+    """Render camera by camera, showing progress."""
+    parts = [rasterizer.render(gaussians, cameras.select([i])) for i in track(range(cameras.count), text)]
+    return Rendering(*(torch.cat([getattr(p, name) for p in parts], 1) for name in ("images", "alphas", "depths")))
+
+
+def _clipped(rendering: Rendering) -> list[torch.Tensor]:
+    return list(rendering.images[0].clamp(0, 1).cpu())
+
+
+def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: Rendering) -> None:
+    views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
+    for index, name in enumerate(result.photos.names):
+        save_image(views[0][index], folder.inputs / f"{name}.png")
+        save_image(views[1][index], folder.edited / f"{name}.png")
+        save_image(views[2][index], folder.renders / f"{name}.png")
+    for index, frame in enumerate(_clipped(frames)):
+        save_image(frame, folder.renders / f"path_{index:04d}.png")
+    save_before_after(folder.before_after, *views, names=result.photos.names, prompt=result.request.prompt)
+
+
+def _manifest(
+    result: "RunResult", photos: LoadedPhotos, masks: dict[str, str], rasterizer: Rasterizer, config: "RunConfig"
+) -> RunManifest:
+    report = result.report
+    components = {"editor": result.editor, "reconstructor": result.reconstructor, "rasterizer": rasterizer}
+    weights = [WeightsRecord(**value) for key, value in report.notes.items() if key.startswith("weights.")]
+    settings: dict[str, Any] = {"run": config.model_dump(), **{k: c.settings for k, c in components.items()}}
+    used = set(result.photos.names)
+    return RunManifest(
+        prompt=config.prompt,
+        seed=config.seed,
+        device=config.device,
+        settings=settings,
+        plugins=[record for component in components.values() for record in plugin_records(component)],
+        inputs=[photo for photo in photos.photos if photo.name in used],
+        masks=masks,
+        weights=weights,
+        gaussians=result.gaussians.count,
+        harmonics_degree=result.gaussians.degree,
+        stages=report.stages,
+        warnings=report.warnings,
+        notes={key: value for key, value in report.notes.items() if not key.startswith("weights.")},
+    )
+
+
+def plugin_records(component: Any) -> list[PluginRecord]:
+    """The component and the parts it was built with, as the registry remembers them."""
+    offer = getattr(component, "offer", None)
+    if offer is None:  # an object the caller made by hand
+        return []
+    own = offer.component
+    record = PluginRecord(offer.kind, own.name, offer.plugin, offer.version, own.licence, own.needs_network)
+    return [record, *(r for part in component.parts.values() for r in plugin_records(part))]
+
+
+def summary(out: Path, result: "RunResult") -> str:
+    """Where to look first, for the end of a run on the command line."""
+    folder = RunFolder(out)
+    seconds = sum(stage.seconds for stage in result.report.stages)
+    return (
+        f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s\n"
+        f"  look first   {folder.before_after}\n"
+        f"  walk around  {folder.viewer} (opens in a browser, no network needed)\n"
+        f"  scene        {folder.scene}\n"
+        f"  how it was   {folder.manifest}"
+    )
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
