@@ -30,6 +30,7 @@ class Offer:
     component: Component
     plugin: str  # entry point name
     version: str  # of the distribution; "" for a local file
+    module: str = ""  # the one that declares it
 
     @property
     def qualified_name(self) -> str:
@@ -55,7 +56,7 @@ class LoadedPlugins:
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
-    """Load every installed plugin and the named local files (`--plugin path/to/file.py`)."""
+    """Load every installed plugin and the named local files or package folders (`--plugin path/to/file.py`)."""
     manager = pluggy.PluginManager(ENTRY_POINT_GROUP)
     manager.add_hookspecs(hookspecs)
     offers: list[Offer] = []
@@ -85,16 +86,19 @@ def _installed():
 
 def _local(files: Iterable[str | Path]):
     for file in files:
-        path = Path(file)
-        if not path.is_file():
-            raise InputError(f"--plugin {file}: no such file; expected a Python module with edit3r hooks.")
-        yield path.stem, "", lambda path=path: _import_file(path)
+        path = Path(file).resolve()
+        source = path / "__init__.py" if path.is_dir() else path
+        if not source.is_file():
+            raise InputError(
+                f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or a package's folder."
+            )
+        yield path.stem, "", lambda name=path.stem, source=source: _import_file(name, source)
 
 
-def _import_file(path: Path) -> ModuleType:
+def _import_file(name: str, path: Path) -> ModuleType:
     """Import a local module under its own name, so that `target="<stem>:Class"` finds it."""
-    name = path.stem
-    spec = importlib.util.spec_from_file_location(name, path)
+    folders = [str(path.parent)] if path.name == "__init__.py" else None
+    spec = importlib.util.spec_from_file_location(name, path, submodule_search_locations=folders)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is not a Python module")
     if name in sys.modules and getattr(sys.modules[name], "__file__", None) != str(path):
@@ -121,7 +125,9 @@ def _offers(manager: pluggy.PluginManager, name: str, version: str, module: Modu
     try:
         _refuse_unknown_hooks(manager, module)
         offers = [
-            Offer(kind, component, name, version) for kind in KINDS for component in _ask(manager, module, kind, name)
+            Offer(kind, component, name, version, module.__name__)
+            for kind in KINDS
+            for component in _ask(manager, module, kind, name)
         ]
         if not offers:
             hooks = ", ".join(hook_name(kind) for kind in KINDS[:3])

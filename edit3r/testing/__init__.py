@@ -1,0 +1,96 @@
+"""Contract tests: one per kind of component, run over everything registered and by a stranger with one import.
+
+In a test file:
+
+    from edit3r.testing import EditorContract
+
+    class TestSepia(EditorContract):
+        component = "sepia"
+
+Without pytest, `check("editor", "sepia")` returns what held and what did not. Every violation says what the author
+has to change.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from edit3r.testing.contract import Contract, ContractViolation, Outcome, claims, run_contract
+from edit3r.testing.dataset import DatasetContract
+from edit3r.testing.detector import DetectorContract
+from edit3r.testing.editor import EditorContract
+from edit3r.testing.loss import LossContract
+from edit3r.testing.matcher import MatcherContract
+from edit3r.testing.network import BackboneContract, HeadContract, TinyBackbone
+from edit3r.testing.rasterizer import RasterizerContract
+from edit3r.testing.reconstructor import ReconstructorContract
+from edit3r.testing.scenes import Photographed, broad_gaussians, cameras_around, gaussian_cloud, photograph
+from edit3r.testing.segmenter import SegmenterContract
+from edit3r.testing.trainer import TrainerContract
+
+CONTRACTS: dict[str, type[Contract]] = {
+    "editor": EditorContract,
+    "segmenter": SegmenterContract,
+    "detector": DetectorContract,
+    "reconstructor": ReconstructorContract,
+    "backbone": BackboneContract,
+    "head": HeadContract,
+    "matcher": MatcherContract,
+    "rasterizer": RasterizerContract,
+    "loss": LossContract,
+    "dataset": DatasetContract,
+    "trainer": TrainerContract,
+}
+"""The contract of each kind."""
+
+
+def contract_for(
+    kind: str,
+    component: str,
+    plugin_files: tuple[str | Path, ...] = (),
+    parts: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> type[Contract]:
+    """The contract of `kind`, bound to a component by name, built with `settings`."""
+    bound = {"component": component, "plugin_files": plugin_files, "parts": parts or {}, "settings": settings}
+    return type(f"{kind.title()}{component.title().replace('-', '')}", (CONTRACTS[kind],), bound)
+
+
+def check(
+    kind: str,
+    component: str,
+    plugin_files: tuple[str | Path, ...] = (),
+    parts: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> tuple[Outcome, ...]:
+    """Run a component's contract without pytest: `check("editor", "sepia", strength=0.5)`."""
+    return run_contract(contract_for(kind, component, plugin_files, parts, **settings))
+
+
+__all__ = [
+    "CONTRACTS",
+    "BackboneContract",
+    "Contract",
+    "ContractViolation",
+    "DatasetContract",
+    "DetectorContract",
+    "EditorContract",
+    "HeadContract",
+    "LossContract",
+    "MatcherContract",
+    "Outcome",
+    "Photographed",
+    "RasterizerContract",
+    "ReconstructorContract",
+    "SegmenterContract",
+    "TinyBackbone",
+    "TrainerContract",
+    "broad_gaussians",
+    "cameras_around",
+    "check",
+    "claims",
+    "contract_for",
+    "gaussian_cloud",
+    "photograph",
+    "run_contract",
+]

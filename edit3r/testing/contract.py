@@ -1,0 +1,181 @@
+"""What every contract shares: building the component, reporting a violation, running all claims.
+
+A contract is a class whose `test_*` methods each hold one claim about a component. pytest runs a subclass that names
+the component; `check` runs one without pytest. This module needs no pytest.
+"""
+
+import subprocess
+import sys
+import unittest
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+
+from edit3r.checks import check_offer
+from edit3r.errors import Edit3rError
+from edit3r.plugins import Offer
+from edit3r.registry import Registry, default_registry, install_hint
+
+HEAVY = ("torch", "numpy", "cv2", "kornia", "skimage", "scipy", "numba", "transformers", "diffusers")
+"""Modules a plugin's declaration must not import: every command would wait for them."""
+
+
+class ContractViolation(AssertionError):
+    """A component broke its contract; the message says what its author has to change."""
+
+
+class Contract:
+    """Base of the contract of each kind. Name the component in a subclass called `Test...`."""
+
+    kind: ClassVar[str] = ""
+    component: ClassVar[str] = ""  # "sepia", or "plugin:sepia" where two plugins offer the name
+    settings: ClassVar[Mapping[str, Any]] = {}  # what the component is built with
+    parts: ClassVar[Mapping[str, Any]] = {}  # parts to use instead of those its settings name
+    plugin_files: ClassVar[tuple[str | Path, ...]] = ()  # local plugin files or folders to load first
+    _subject: ClassVar[Any] = None
+
+    def build(self) -> Any:
+        """A fresh component. Override to test an object that no plugin offers yet."""
+        if not self.component:
+            raise ContractViolation(f"{type(self).__name__}: set `component` to the name your plugin offers.")
+        self._skip_unless_usable()
+        return self.registry.build(self.kind, self.component, dict(self.parts), **self.settings)
+
+    @property
+    def subject(self) -> Any:
+        """The component under test, built once for all claims of a class."""
+        cls = type(self)
+        if "_subject" not in cls.__dict__:
+            cls._subject = self.build()
+        return cls._subject
+
+    @property
+    def registry(self) -> Registry:
+        return default_registry(tuple(str(file) for file in self.plugin_files))
+
+    @property
+    def offer(self) -> Offer | None:
+        """What the plugin declared; None for an object that no plugin offers."""
+        return self.registry.find(self.kind, self.component) if self.component else None
+
+    @property
+    def device(self) -> torch.device:
+        """Where the claims run: the GPU for a component that needs one."""
+        return torch.device("cuda" if self.offer and self.offer.component.needs_gpu else "cpu")
+
+    @property
+    def tolerance(self) -> float:
+        """How far two runs with the same inputs may differ: not at all on a CPU, 1e-5 on a GPU."""
+        return 0.0 if self.device.type == "cpu" else 1e-5
+
+    def require(self, held: bool, change: str) -> None:
+        """Raise ContractViolation with the sentence `change` unless `held`."""
+        __tracebackhide__ = True
+        if not bool(held):
+            raise ContractViolation(f"{self.kind} {self.component or type(self).__name__!r}: {change}")
+
+    def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Call the component; whatever it raises becomes a violation that says for which input."""
+        __tracebackhide__ = True
+        try:
+            return function(*args, **kwargs)
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            self.require(False, f"{what} raised {type(error).__name__}: {reason}. It must handle this input.")
+
+    def require_tensor(
+        self, name: str, tensor: Any, shape: tuple[int, ...], dtype: torch.dtype = torch.float32
+    ) -> None:
+        """A finite tensor of this shape and dtype on the contract's device."""
+        __tracebackhide__ = True
+        self.require(isinstance(tensor, torch.Tensor), f"{name} is a {type(tensor).__name__}; return a torch.Tensor.")
+        given = list(tensor.shape)
+        self.require(given == list(shape), f"{name} has shape {given}; return {list(shape)}.")
+        self.require(tensor.dtype == dtype, f"{name} has dtype {tensor.dtype}; return the dtype of the input, {dtype}.")
+        self.require(
+            tensor.device.type == self.device.type, f"{name} is on {tensor.device}; return it on {self.device}."
+        )
+        if tensor.is_floating_point():
+            bad = int((~torch.isfinite(tensor)).sum())
+            where = "look for 0/0, log(0) and sqrt of negative numbers"
+            self.require(bad == 0, f"{name} holds {bad} NaN or infinite values of {tensor.numel()}; {where}.")
+
+    def require_range(self, name: str, tensor: torch.Tensor, low: float, high: float, fix: str) -> None:
+        """Every value within [low, high]; `fix` is what the author should do."""
+        __tracebackhide__ = True
+        if tensor.numel() == 0:
+            return
+        least, most = tensor.min().item(), tensor.max().item()
+        self.require(
+            low <= least and most <= high, f"{name} spans [{least:.4g}, {most:.4g}], allowed is [{low}, {high}]; {fix}."
+        )
+
+    def require_equal(self, what: str, first: torch.Tensor, second: torch.Tensor, fix: str, atol: float = 0.0) -> None:
+        """Same shape and values within `atol`."""
+        __tracebackhide__ = True
+        same_shape = first.shape == second.shape
+        far = (first.double() - second.double()).abs().max().item() if same_shape and first.numel() else 0.0
+        self.require(same_shape and far <= atol, f"{what} (largest difference {far:.3g}); {fix}.")
+
+    def _skip_unless_usable(self) -> None:
+        offer = self.offer
+        missing = self.registry.missing(offer)
+        if missing:
+            raise unittest.SkipTest(f"needs {', '.join(missing)}; {install_hint(offer)}")
+        if offer.component.needs_gpu and not torch.cuda.is_available():
+            raise unittest.SkipTest("needs a GPU, and none is here")
+
+    # ---- claims about every kind of component ----
+
+    def test_declaration_keeps_its_promises(self) -> None:
+        """The class exists, follows the interface, and every setting has a description."""
+        if self.offer is not None:
+            problem = check_offer(self.registry, self.offer)
+            self.require(not problem, problem)
+
+    def test_declaration_imports_nothing_heavy(self) -> None:
+        """`edit3r --help` and `list-plugins` import every plugin's declaration, so it must be cheap."""
+        if self.offer is None or self.offer.module == "" or self.plugin_files:
+            return
+        code = f"import sys, {self.offer.module}; print(*[m for m in {HEAVY!r} if m in sys.modules])"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        self.require(done.returncode == 0, f"importing {self.offer.module} fails: {done.stderr.strip()[-200:]}")
+        loaded = ", ".join(done.stdout.split())
+        self.require(
+            not loaded, f"importing {self.offer.module} imports {loaded}; move that import to the component's module."
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one claim came to."""
+
+    claim: str  # name of the contract's method
+    held: bool | None  # None: skipped
+    message: str = ""  # what to change, or why it was skipped
+
+
+def claims(contract: type[Contract]) -> tuple[str, ...]:
+    """Names of the claims of a contract, in the order they are written, the common ones first."""
+    names = [name for cls in reversed(contract.__mro__) for name in vars(cls) if name.startswith("test_")]
+    return tuple(dict.fromkeys(names))
+
+
+def run_contract(contract: type[Contract]) -> tuple[Outcome, ...]:
+    """Try every claim of a contract class; nothing is raised."""
+    return tuple(_try(contract, claim) for claim in claims(contract))
+
+
+def _try(contract: type[Contract], claim: str) -> Outcome:
+    try:
+        getattr(contract(), claim)()
+    except unittest.SkipTest as reason:
+        return Outcome(claim, None, str(reason))
+    except (ContractViolation, Edit3rError) as violation:
+        return Outcome(claim, False, str(violation))
+    except Exception as error:
+        return Outcome(claim, False, f"{type(error).__name__}: {' '.join(str(error).split())}")
+    return Outcome(claim, True)
