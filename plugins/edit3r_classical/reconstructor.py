@@ -1,0 +1,39 @@
+"""The reconstructor `classical`: measured depth, one Gaussian a pixel."""
+
+from pydantic import Field
+
+from edit3r import config
+from edit3r.config import PartChoice
+from edit3r.interfaces import Matcher, Reconstructor
+from edit3r.types import Cameras, Reconstruction, Views
+from edit3r_classical.splatting import splat
+from edit3r_classical.visibility import floats_in_front
+
+__all__ = ["ClassicalReconstructor"]
+
+
+class ClassicalReconstructor(Reconstructor):
+    """Geometry from the unedited photos, colours from the edited ones.
+
+    Pixels whose depth was guessed are less opaque, and left out where they float in front of what another view
+    surely saw.
+    """
+
+    class Settings(config.Settings):
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
+        footprint: float = Field(0.5, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
+        opacity: float = Field(0.95, gt=0, le=1, description="opacity where two views measured the depth")
+        guessed_opacity: float = Field(0.9, ge=0, le=1, description="opacity where the depth was filled in")
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings = settings
+        self.matcher = matcher
+
+    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+        geometry = self.matcher.match(views if source is None else source)
+        chosen = self.settings
+        opacities = chosen.guessed_opacity + (chosen.opacity - chosen.guessed_opacity) * geometry.confidence
+        kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
+        gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
+        gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
+        return Reconstruction(gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size))

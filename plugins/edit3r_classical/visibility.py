@@ -1,0 +1,47 @@
+"""Which guessed pixels contradict what another view saw."""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.geometry.cameras import project, unproject
+from edit3r.interfaces import MatchedGeometry
+
+__all__ = ["floats_in_front"]
+
+_MARGIN = 0.03
+"""Relative difference in depth by which a pixel must stand before a surface to hide it."""
+
+
+def floats_in_front(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Guessed pixels (confidence below 0.5) that would stand before a surface that another view measured."""
+    points = unproject(geometry.depths, intrinsics, geometry.c2w)
+    guessed = geometry.confidence < 0.5
+    floating = torch.zeros_like(guessed)
+    views = geometry.depths.shape[1]
+    for view in range(views):
+        for other in range(views):
+            if other != view:
+                hides = _before(points[:, view], geometry, intrinsics, other)
+                hides &= geometry.registered[:, other, None, None]
+                floating[:, view] |= hides
+    return floating & guessed
+
+
+def _before(
+    points: Float[Tensor, "batch height width 3"],
+    geometry: MatchedGeometry,
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    other: int,
+) -> Bool[Tensor, "batch height width"]:
+    """Points that stand before what view `other` measured along the same ray."""
+    batch, height, width = points.shape[:3]
+    places, depth = project(points.flatten(1, 2), intrinsics[:, other], geometry.c2w[:, other])
+    grid = (2 * places - 1).view(batch, height, width, 2)
+    seen = torch.stack((geometry.depths[:, other], geometry.confidence[:, other]), 1)
+    seen = F.grid_sample(seen, grid, mode="nearest", padding_mode="zeros", align_corners=False)
+    depth = depth.view(batch, height, width)
+    return (depth > 0) & (seen[:, 1] > 0.5) & (depth < (1 - _MARGIN) * seen[:, 0])
