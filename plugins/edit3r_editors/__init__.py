@@ -1,0 +1,29 @@
+"""Editors that need no learned weights: none at all, a stand-in, pictures from elsewhere, any program."""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_editors():
+    return (
+        Component("none", "edit3r_editors.none:NoneEditor", "returns the photos as they are: reconstruction only"),
+        Component(
+            "mock-diffusion",
+            "edit3r_editors.mock_diffusion:MockDiffusionEditor",
+            "stand-in for a diffusion editor: seeded colour and texture changes, understands no prompt",
+        ),
+        Component(
+            "folder",
+            "edit3r_editors.folder:FolderEditor",
+            "takes pictures you edited elsewhere from a folder (editor.path)",
+        ),
+        Component(
+            "command",
+            "edit3r_editors.command:CommandEditor",
+            "runs any program on the photos (editor.command)",
+            supports_seed=False,
+            licence="that of the program you name",
+        ),
+    )

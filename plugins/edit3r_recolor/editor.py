@@ -1,0 +1,83 @@
+"""Recolour an object or the whole picture from plain words, the same in every view."""
+
+from dataclasses import asdict, replace
+
+import torch
+from jaxtyping import Float
+from pydantic import Field, field_validator
+from torch import Tensor
+
+from edit3r import reporting
+from edit3r.config import PartChoice, Settings
+from edit3r.interfaces import Editor, Segmenter
+from edit3r.types import EditRequest, Views
+from edit3r_recolor.blend import blend_regions
+from edit3r_recolor.parameters import RecolorParameters, RecolorRanges, sample_parameters
+from edit3r_recolor.prompt import read_prompt
+from edit3r_recolor.region import choose_region
+from edit3r_recolor.steps import apply_step
+from edit3r_recolor.wish import Sample, Wish
+
+
+class RecolorEditor(Editor):
+    """Colour edits without a model: reads the prompt, finds the region, blends softly (section 3.2)."""
+
+    class Settings(Settings):
+        point: tuple[float, float] | None = Field(
+            None, description="a point [x, y] on the object in the first view, in picture widths and heights"
+        )
+        box: tuple[float, float, float, float] | None = Field(
+            None, description="a box [x, y, width, height] around the object in the first view, normalised likewise"
+        )
+        strength: float = Field(1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo")
+        ranges: RecolorRanges = Field(
+            RecolorRanges(), description="how strongly a recolouring without a named colour is sampled"
+        )
+        segmenter: PartChoice = Field(PartChoice(name="classical"), description="finds and follows the object")
+
+        @field_validator("point", "box")
+        @classmethod
+        def _inside_the_picture(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+            if value is not None and not all(0 <= v <= 1 for v in value):
+                raise ValueError("numbers must be in [0, 1], in picture widths and heights")
+            if value is not None and len(value) == 4 and min(value[2:]) <= 0:
+                raise ValueError("width and height must be above 0")
+            return value
+
+    def __init__(self, settings: Settings, segmenter: Segmenter) -> None:
+        self.settings = settings
+        self.segmenter = segmenter
+
+    def edit(self, views: Views, request: EditRequest) -> Views:
+        wish = read_prompt(request.prompt)
+        parameters = sample_parameters(torch.Generator().manual_seed(request.seed), self.settings.ranges)
+        _note_wish(wish, parameters)
+        images = []
+        for index, scene in enumerate(views.images):
+            given = None if request.masks is None else request.masks[index]
+            images.append(self._recolor_scene(scene, given, wish, parameters))
+        return replace(views, images=torch.stack(images))
+
+    def _recolor_scene(
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        given: Float[Tensor, "view height width"] | None,
+        wish: Wish,
+        parameters: RecolorParameters,
+    ) -> Float[Tensor, "view 3 height width"]:
+        point, box = self.settings.point, self.settings.box
+        region = choose_region(images, given, wish, self.segmenter, point, box)
+        reporting.note("editor.region", region.source)
+        reporting.note("editor.region_share", [round(float(share), 4) for share in region.masks.mean((1, 2))])
+        recolored = images
+        for step in wish.steps:
+            recolored = apply_step(recolored, region.masks, step, parameters)
+        return blend_regions(images, recolored[None], self.settings.strength * region.masks[None])
+
+
+def _note_wish(wish: Wish, parameters: RecolorParameters) -> None:
+    """What the prompt was understood as, for the run's manifest."""
+    steps = [{"step": type(step).__name__.lower(), **asdict(step)} for step in wish.steps]
+    reporting.note("editor.understood", {"steps": steps, "scope": wish.scope, "subject": " ".join(wish.subject)})
+    if any(isinstance(step, Sample) for step in wish.steps):
+        reporting.note("editor.parameters", parameters.to_json())

@@ -1,0 +1,73 @@
+"""Where a recolouring applies: given masks, a marked object, the most salient object, or the whole picture."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r import reporting
+from edit3r.errors import InputError
+from edit3r.interfaces import Proposal, Segmenter
+from edit3r_recolor.wish import Wish
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Soft masks of one region in every view of a scene, and how it was found."""
+
+    masks: Float[Tensor, "view height width"]  # in [0, 1]
+    source: str  # "masks", "point", "box", "everything", "most salient object" or "background"
+
+
+def choose_region(
+    images: Float[Tensor, "view 3 height width"],
+    given: Float[Tensor, "view height width"] | None,
+    wish: Wish,
+    segmenter: Segmenter,
+    point: tuple[float, float] | None = None,
+    box: Box | None = None,
+) -> Region:
+    """Given masks first, then a point or box on view 0 (normalised), then what the wish says."""
+    if given is not None:
+        return Region(given.to(images), "masks")
+    if point is not None or box is not None:
+        first = segmenter.segment(images[0], [point] if point is not None else (), box)
+        return Region(_follow(images, first, segmenter), "point" if point is not None else "box")
+    if wish.scope == "everything":
+        return Region(torch.ones_like(images[:, 0]), "everything")
+    masks = _follow(images, _most_salient(images[0], wish, segmenter), segmenter)
+    if wish.scope == "background":
+        return Region(1 - masks, "background")
+    return Region(masks, "most salient object")
+
+
+def _most_salient(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> Proposal:
+    proposals = segmenter.propose(image)
+    advice = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
+    if not proposals:
+        raise InputError(f"No object stands out on the first view; {advice}.")
+    named = " ".join(wish.subject)
+    taken = f"the most salient object found by segmenter {segmenter.offer.component.name!r} is taken"
+    if named:
+        reporting.warn(f"The recolor editor cannot look up {named!r}: {taken}; {advice}.")
+    else:
+        reporting.warn(f"No object is named or marked: {taken}; {advice}.")
+    return proposals[0]
+
+
+def _follow(
+    images: Float[Tensor, "view 3 height width"], first: Proposal, segmenter: Segmenter
+) -> Float[Tensor, "view height width"]:
+    """The object of view 0 in all views; zero, with a warning, where it is lost."""
+    if len(images) == 1:
+        return first.soft_mask[None].to(images)
+    tracks = segmenter.track(images, first.soft_mask[None].to(images))
+    lost = [str(view + 1) for view in range(len(images)) if not bool(tracks.present[view, 0])]
+    if lost:
+        reporting.warn(f"The object was not found again in view {', '.join(lost)}; it keeps its colours there.")
+    masks = tracks.logits[:, 0].sigmoid() * tracks.present[:, :1, None].to(images)
+    masks[0] = first.soft_mask.to(images)
+    return masks
