@@ -1,0 +1,135 @@
+"""Components and their settings in words: for `edit3r describe` and the reference pages."""
+
+import types
+from dataclasses import dataclass
+from typing import Any, Literal, Union, get_args, get_origin
+
+import yaml
+from pydantic.fields import FieldInfo
+
+from edit3r.component import Component
+from edit3r.config import PartChoice, Settings
+from edit3r.plugins import Offer
+
+BOUNDS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"), ("multiple_of", "multiple of"))
+RUN_KINDS = ("editor", "segmenter", "reconstructor", "rasterizer")
+"""Kinds that are top-level keys of a run's configuration."""
+
+
+@dataclass(frozen=True)
+class SettingLine:
+    """One setting in words."""
+
+    name: str
+    type: str  # "float", "int or null", "'a' | 'b'", "component (backbone)"
+    range: str  # "≥ 0, ≤ 1"; "" where the type says it all
+    default: Any
+    sentence: str
+
+    @property
+    def default_yaml(self) -> str:
+        """The default as one line of YAML."""
+        return _flow(self.default)
+
+
+def settings_lines(cls: type[Settings]) -> tuple[SettingLine, ...]:
+    """Every setting of a component's settings class, in the order written."""
+    return tuple(_line(name, field) for name, field in cls.model_fields.items())
+
+
+def yaml_example(offer: Offer, cls: type[Settings]) -> str:
+    """The component with its defaults as a configuration's YAML, each setting explained in a comment."""
+    lines = settings_lines(cls)
+    rows = [(f"  {line.name}: {line.default_yaml}", _comment(line)) for line in lines]
+    rows = [(f"  name: {offer.component.name}", ""), *rows]
+    width = min(max(len(row) for row, _ in rows), 44)
+    body = [f"{row:<{width}}  # {comment}" if comment else row for row, comment in rows]
+    return "\n".join(_under_its_key(offer.kind, body))
+
+
+def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
+    """What a user should know before building the component, as (what, value)."""
+    most = "any number" if component.max_views is None else str(component.max_views)
+    views = f"{component.min_views} or more" if component.max_views is None else f"{component.min_views} to {most}"
+    lines = (
+        ("licence", component.licence),
+        ("views", views),
+        ("needs a GPU", _yes(component.needs_gpu)),
+        ("needs the network", _yes(component.needs_network)),
+        ("same seed, same result", _yes(component.supports_seed)),
+        ("requires", ", ".join(component.requires)),
+        ("parts", ", ".join(component.parts)),
+        ("citation", component.citation),
+    )
+    return tuple((what, value) for what, value in lines if value)
+
+
+def _line(name: str, field: FieldInfo) -> SettingLine:
+    default = None if field.is_required() else field.get_default(call_default_factory=True)
+    sentence = (field.description or "").strip()
+    return SettingLine(name, type_in_words(field.annotation), _range(field), _plain(default), sentence)
+
+
+def type_in_words(annotation: Any) -> str:
+    """A type annotation as a user would say it."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType):
+        return " or ".join(type_in_words(argument) for argument in arguments)
+    if origin is Literal:
+        return " | ".join(_flow(argument) for argument in arguments)
+    if origin in (tuple, list, set, frozenset) and arguments:
+        kinds = list(dict.fromkeys(type_in_words(a) for a in arguments if a is not Ellipsis))
+        count = f"{len(arguments)} " if origin is tuple and Ellipsis not in arguments else ""
+        return f"list of {count}{' or '.join(kinds)}"
+    if origin is dict and arguments:
+        return f"mapping of {type_in_words(arguments[0])} to {type_in_words(arguments[1])}"
+    names = {type(None): "null", str: "text", bool: "true or false", PartChoice: "component", Any: "anything"}
+    return names.get(annotation, getattr(annotation, "__name__", str(annotation)))
+
+
+def _range(field: FieldInfo) -> str:
+    """Bounds from pydantic's constraints."""
+    found = [
+        f"{sign} {getattr(bound, attribute):g}"
+        for attribute, sign in BOUNDS
+        for bound in field.metadata
+        if getattr(bound, attribute, None) is not None
+    ]
+    return ", ".join(found)
+
+
+def _plain(value: Any) -> Any:
+    """A default as YAML data."""
+    if isinstance(value, PartChoice):
+        return {"name": value.name, **_plain(value.settings)} if value.settings else value.name
+    if isinstance(value, Settings):
+        return {name: _plain(getattr(value, name)) for name in type(value).model_fields}
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(inner) for inner in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def _flow(value: Any) -> str:
+    """A value as one line of YAML."""
+    text = yaml.safe_dump(value, default_flow_style=True, width=10**6, sort_keys=False, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _comment(line: SettingLine) -> str:
+    allowed = ", ".join(text for text in (line.type, line.range) if text)
+    return f"{line.sentence} ({allowed})" if line.sentence else allowed
+
+
+def _under_its_key(kind: str, body: list[str]) -> list[str]:
+    """Indent below the key where a configuration chooses this kind."""
+    if kind in RUN_KINDS:
+        return [f"{kind}:", *body]
+    if kind in ("backbone", "head", "matcher"):
+        return ["reconstructor:", f"  {kind}:", *("  " + line for line in body)]
+    return [f"{kind}:", *body]
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
