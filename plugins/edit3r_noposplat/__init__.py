@@ -1,0 +1,47 @@
+"""The NoPoSplat / Edit3r network: photos without poses to 3D Gaussians in one pass, any number of views.
+
+Written from a description of the published network; no code of that family is used.
+"""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+_CITATION = (
+    "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
+)
+
+
+@hookimpl
+def register_backbones():
+    return Component(
+        "asymmetric-vit",
+        "edit3r_noposplat.backbone:AsymmetricViT",
+        "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other views",
+        min_views=2,
+        citation=_CITATION,
+    )
+
+
+@hookimpl
+def register_heads():
+    return Component(
+        "dpt-gaussian",
+        "edit3r_noposplat.head:DptGaussianHead",
+        "dense heads: centres from transformer features alone, attributes with an RGB shortcut",
+        parts=("backbone",),
+        min_views=2,
+        citation=_CITATION,
+    )
+
+
+@hookimpl
+def register_reconstructors():
+    return Component(
+        "noposplat",
+        "edit3r_noposplat.reconstructor:NoPoSplatReconstructor",
+        "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
+        parts=("backbone", "head"),
+        min_views=2,
+        citation=_CITATION,
+    )

@@ -1,0 +1,70 @@
+"""Raw network maps to Gaussians: pure functions, always in float32 or wider."""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.types import Gaussians
+
+MAX_DISTANCE_EXPONENT = 40.0
+"""Raw distances are cut here: e^40 is beyond any scene, and its square is still a float32."""
+MIN_SCALE = 1e-12
+"""Keeps scales positive where softplus underflows [scene units]."""
+
+
+def centres(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Points at distance e^|raw| - 1 in the direction of `raw`, in the frame of view 0; z may be negative."""
+    length = raw.norm(dim=-1, keepdim=True)
+    return raw / length.clamp(min=1e-8) * torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
+
+
+def bounded_scales(raw: Float[Tensor, "*batch 3"], factor: float, largest: float) -> Float[Tensor, "*batch 3"]:
+    """min(factor softplus(raw), largest)."""
+    return (factor * F.softplus(raw)).clamp(MIN_SCALE, largest)
+
+
+def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
+    """The network's x, y, z, w as wxyz, of unit length except near zero (zero stays zero: no rotation)."""
+    unit = raw / (raw.norm(dim=-1, keepdim=True) + 1e-8)
+    return unit.roll(1, -1)
+
+
+def harmonics_mask(degree: int, like: Tensor) -> Float[Tensor, "coefficient"]:
+    """Fixed damping of view dependence: 1 for l = 0, 0.1 * 0.25^l for higher l."""
+    factors = [1.0 if level == 0 else 0.1 * 0.25**level for level in range(degree + 1) for _ in range(2 * level + 1)]
+    return torch.tensor(factors, dtype=like.dtype, device=like.device)
+
+
+def attribute_channels(degree: int) -> int:
+    """Channels of the attribute map: opacity, three scales, four quaternion entries, harmonics of three colours."""
+    return 8 + 3 * (degree + 1) ** 2
+
+
+def assemble(
+    points: Float[Tensor, "batch view 3 height width"],
+    attributes: Float[Tensor, "batch view channel height width"],
+    scale_factor: float,
+    max_scale: float,
+    degree: int,
+) -> Gaussians:
+    """One Gaussian per pixel, view-major and row-major, with harmonics kept up to `degree`."""
+    views, height, width = points.shape[1], *points.shape[3:]
+    raw = _per_pixel(attributes)
+    opacity, scale, quat, colour = raw.split((1, 3, 4, raw.shape[-1] - 8), -1)
+    harmonics = colour.unflatten(-1, (3, -1)).transpose(-1, -2)  # [batch, gaussian, coefficient, 3]
+    kept = (degree + 1) ** 2
+    return Gaussians(
+        means=centres(_per_pixel(points)),
+        scales=bounded_scales(scale, scale_factor, max_scale),
+        quats=quats_from_xyzw(quat),
+        opacities=opacity.squeeze(-1).sigmoid(),
+        harmonics=harmonics[..., :kept, :] * harmonics_mask(degree, raw)[:, None],
+        view_index=torch.arange(views, device=points.device).repeat_interleave(height * width),
+    )
+
+
+def _per_pixel(maps: Tensor) -> Float[Tensor, "batch gaussian channel"]:
+    """[batch, view, channel, height, width] to one row per pixel, at least float32."""
+    wide = maps.float() if maps.dtype in (torch.float16, torch.bfloat16) else maps
+    return wide.movedim(2, -1).flatten(1, 3)
