@@ -39,7 +39,7 @@ def write(
     with collecting(report), torch.no_grad():
         with report.stage("render"):
             rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
-            path = between_and_around(result.cameras, config.frames)
+            path = path_around(result.cameras, rendered, config.frames)
             frames = render_each(rasterizer, result.gaussians, path, "render camera path")
             note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
         with report.stage("write files"):
@@ -56,6 +56,12 @@ def render_each(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, 
     """Render camera by camera, showing progress."""
     parts = [rasterizer.render(gaussians, cameras.select([i])) for i in track(range(cameras.count), text)]
     return Rendering(*(torch.cat([getattr(p, name) for p in parts], 1) for name in ("images", "alphas", "depths")))
+
+
+def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
+    """A camera path between and around `cameras`, whose swing is bounded by the depth of what they show."""
+    seen = rendered.depths[rendered.alphas > 0.5]
+    return between_and_around(cameras, frames, float(seen.median()) if seen.numel() else None)
 
 
 def _clipped(rendering: Rendering) -> list[torch.Tensor]:
