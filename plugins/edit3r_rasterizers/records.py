@@ -1,0 +1,65 @@
+"""Memory layouts that the numba kernels share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+TILE = 16
+"""Side of a tile [pixels]; a tile is TILE / BLOCK squared blocks."""
+BLOCK = 4
+"""Side of a block [pixels]; one block is one vector of sixteen lanes."""
+
+# Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
+# log2(alpha) = LOG_OPACITY - (NARROWNESS * (d_x - SLOPE * d_y))^2 - (FLATNESS * d_y)^2.
+X, X_REST, Y, Y_REST = 0, 1, 2, 3  # mean as a sum of two float32 [pixels]
+SLOPE, NARROWNESS, FLATNESS, LOG_OPACITY = 4, 5, 6, 7
+RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
+REACH = 12  # the sum of the two squares above which alpha < min_alpha
+LEAN = 13  # d_y of the highest alpha on a column, per d_x
+RECORD = 16
+
+# Columns of a camera, float64: the world axes' images first (rotation of c2w, row-major), then the rest.
+CENTRE = 9  # of the camera in the world, 3 numbers
+FOCAL_X, FOCAL_Y, CENTRE_X, CENTRE_Y = 12, 13, 14, 15  # [pixels]
+LOW_X, HIGH_X, LOW_Y, HIGH_Y = 16, 17, 18, 19  # tangents between which the Jacobian is not clamped
+CAMERA = 20
+
+# Columns of the sums that the backward pass takes over a splat's pixels; s, t: the two terms squared above,
+# in units of standard deviations, v: the gradient by the exponent sigma.
+SUM_V, SUM_VS, SUM_VT, SUM_VSS, SUM_VST, SUM_VTT = 0, 1, 2, 3, 4, 5
+SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = 6, 7, 8, 9
+SUMS = 10
+
+
+@dataclass(frozen=True)
+class TileGrid:
+    """How a picture is cut into tiles."""
+
+    height: int  # [pixels]
+    width: int  # [pixels]
+
+    @property
+    def columns(self) -> int:
+        return -(-self.width // TILE)
+
+    @property
+    def rows(self) -> int:
+        return -(-self.height // TILE)
+
+    @property
+    def count(self) -> int:
+        return self.rows * self.columns
+
+
+def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
+    """The camera as the kernels read it; `border`: how far the Jacobian's tangents may leave the picture."""
+    pose = c2w.detach().to("cpu", torch.float64).numpy()
+    matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
+    size = np.array([grid.width, grid.height], dtype=np.float64)
+    focal, centre = matrix[[0, 1], [0, 1]] * size, matrix[:2, 2] * size
+    margin = border * 0.5 * size / focal
+    low, high = -(centre / focal + margin), (size - centre) / focal + margin
+    limits = np.stack((low, high), -1).ravel()
+    return np.concatenate((pose[:3, :3].ravel(), pose[:3, 3], focal, centre, limits))

@@ -1,0 +1,77 @@
+"""Spherical harmonics of one direction inside numba kernels; basis and signs as in `edit3r.geometry.harmonics`."""
+
+from numba import njit
+
+from edit3r.geometry import harmonics
+
+_C0, _C1, _C2, _C3, _C4 = harmonics.DC, harmonics._L1, harmonics._L2, harmonics._L3, harmonics._L4
+
+
+@njit
+def evaluate_basis(x, y, z, count, out):
+    """The first `count` (1, 4, 9, 16 or 25) basis functions at a unit direction, into `out`."""
+    out[0] = _C0
+    if count > 1:
+        out[1], out[2], out[3] = -_C1 * y, _C1 * z, -_C1 * x
+    if count > 4:
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        out[4], out[5], out[6] = _C2[0] * xy, _C2[1] * yz, _C2[2] * (2 * zz - xx - yy)
+        out[7], out[8] = _C2[3] * xz, _C2[4] * (xx - yy)
+        if count > 9:
+            out[9], out[10], out[11] = _C3[0] * y * (3 * xx - yy), _C3[1] * xy * z, _C3[2] * y * (4 * zz - xx - yy)
+            out[12], out[13] = _C3[3] * z * (2 * zz - 3 * xx - 3 * yy), _C3[4] * x * (4 * zz - xx - yy)
+            out[14], out[15] = _C3[5] * z * (xx - yy), _C3[6] * x * (xx - 3 * yy)
+        if count > 16:
+            out[16], out[17] = _C4[0] * xy * (xx - yy), _C4[1] * yz * (3 * xx - yy)
+            out[18], out[19] = _C4[2] * xy * (7 * zz - 1), _C4[3] * yz * (7 * zz - 3)
+            out[20] = _C4[4] * (zz * (35 * zz - 30) + 3)
+            out[21], out[22] = _C4[5] * xz * (7 * zz - 3), _C4[6] * (xx - yy) * (7 * zz - 1)
+            out[23], out[24] = _C4[7] * xz * (xx - 3 * yy), _C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))
+
+
+@njit
+def basis_gradient(x, y, z, weights, count):
+    """Gradient (d/dx, d/dy, d/dz) of sum_k weights[k] * basis_k(x, y, z), the basis taken as polynomials."""
+    w = weights
+    gx, gy, gz = 0.0, 0.0, 0.0
+    if count > 1:
+        gx, gy, gz = -_C1 * w[3], -_C1 * w[1], _C1 * w[2]
+    if count > 4:
+        a, b, c, d, e = _C2[0] * w[4], _C2[1] * w[5], _C2[2] * w[6], _C2[3] * w[7], _C2[4] * w[8]
+        gx += a * y - 2 * c * x + d * z + 2 * e * x
+        gy += a * x + b * z - 2 * c * y - 2 * e * y
+        gz += b * y + 4 * c * z + d * x
+    if count > 9:
+        dx, dy, dz = _third_order(x, y, z, w)
+        gx, gy, gz = gx + dx, gy + dy, gz + dz
+    if count > 16:
+        dx, dy, dz = _fourth_order(x, y, z, w)
+        gx, gy, gz = gx + dx, gy + dy, gz + dz
+    return gx, gy, gz
+
+
+@njit
+def _third_order(x, y, z, w):
+    xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+    a, b, c, d = _C3[0] * w[9], _C3[1] * w[10], _C3[2] * w[11], _C3[3] * w[12]
+    e, f, g = _C3[4] * w[13], _C3[5] * w[14], _C3[6] * w[15]
+    planar = 3 * (xx - yy)
+    gx = 6 * a * xy + b * yz - 2 * c * xy - 6 * d * xz + e * (4 * zz - 3 * xx - yy) + 2 * f * xz + g * planar
+    gy = a * planar + b * xz + c * (4 * zz - xx - 3 * yy) - 6 * d * yz - 2 * e * xy - 2 * f * yz - 6 * g * xy
+    gz = b * xy + 8 * c * yz + d * (6 * zz - 3 * xx - 3 * yy) + 8 * e * xz + f * (xx - yy)
+    return gx, gy, gz
+
+
+@njit
+def _fourth_order(x, y, z, w):
+    xx, yy, zz, xy = x * x, y * y, z * z, x * y
+    a, b, c, d, e = _C4[0] * w[16], _C4[1] * w[17], _C4[2] * w[18], _C4[3] * w[19], _C4[4] * w[20]
+    f, g, h, i = _C4[5] * w[21], _C4[6] * w[22], _C4[7] * w[23], _C4[8] * w[24]
+    seven, third = 7 * zz - 1, 7 * zz - 3
+    gx = a * y * (3 * xx - yy) + 6 * b * xy * z + c * y * seven + f * z * third + 2 * g * x * seven
+    gx += 3 * h * z * (xx - yy) + 4 * i * x * (xx - 3 * yy)
+    gy = a * x * (xx - 3 * yy) + 3 * b * z * (xx - yy) + c * x * seven + d * z * third - 2 * g * y * seven
+    gy += -6 * h * xy * z + 4 * i * y * (yy - 3 * xx)
+    gz = b * y * (3 * xx - yy) + 14 * c * xy * z + d * y * (21 * zz - 3) + e * z * (140 * zz - 60)
+    gz += f * x * (21 * zz - 3) + 14 * g * z * (xx - yy) + h * x * (xx - 3 * yy)
+    return gx, gy, gz
