@@ -21,12 +21,14 @@ class StepEnd:
     noised latents, so what is drawn inside grows to fit what stays outside.
     """
 
-    def __init__(self, text: str, steps: int, mask: Float[Tensor, "n 1 h w"] | None, photo_at: LatentsAt) -> None:
+    def __init__(
+        self, text: str, steps: int, mask: Float[Tensor, "n 1 h w"] | None = None, photo_at: LatentsAt | None = None
+    ) -> None:
         self.text, self.steps, self.mask, self.photo_at = text, steps, mask, photo_at
 
     def __call__(self, pipeline: Any, step: int, timestep: Tensor, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
         progress(self.text, step + 1, self.steps)
-        if self.mask is None:
+        if self.mask is None or self.photo_at is None:
             return tensors
         latents = tensors["latents"]
         mask = resize_mask(self.mask.to(latents), latents.shape[-2:])
@@ -57,3 +59,12 @@ def encode(vae: Any, images: Float[Tensor, "n 3 height width"]) -> Float[Tensor,
     with torch.no_grad():
         shift = vae.config.shift_factor or 0.0
         return (vae.encode(2 * images - 1).latent_dist.mode() - shift) * vae.config.scaling_factor
+
+
+def noise_like_latents(
+    pipeline: Any, images: Float[Tensor, "n 3 height width"], generators: list[torch.Generator]
+) -> Float[Tensor, "n c h w"]:
+    """Noise for each picture's latents, each drawn from its own generator."""
+    factor = pipeline.vae_scale_factor
+    size = (pipeline.vae.config.latent_channels, images.shape[-2] // factor, images.shape[-1] // factor)
+    return torch.stack([torch.randn(size, generator=generator) for generator in generators]).to(images)

@@ -12,6 +12,9 @@ from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunEr
 from edit3r.reporting import note
 from edit3r_diffusers.settings import DiffusionSettings
 
+NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
+"""For Stable Diffusion 1.x pipelines: theirs turns a photo black on a false alarm, and a black view ruins the scene."""
+
 
 def pick_device(name: str, photos_on: torch.device) -> torch.device:
     """The device called `name`; 'auto' is where the photos are. Raises SettingsError when it is not there."""
@@ -94,8 +97,6 @@ def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> 
     if settings.low_memory:
         pipeline.vae.enable_slicing()
         pipeline.vae.enable_tiling()
-        if hasattr(pipeline, "unet"):
-            pipeline.enable_attention_slicing()
 
 
 @contextmanager

@@ -1,8 +1,5 @@
 """Between photos of any size and the sizes a diffusion model works at."""
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -26,16 +23,15 @@ def resize(images: Float[Tensor, "n c h w"], size: tuple[int, int]) -> Float[Ten
     return F.interpolate(images, size, mode="bicubic", antialias=True, align_corners=False).clamp(0, 1)
 
 
+def mask_on_grid(mask: Float[Tensor, "n 1 h w"], size: tuple[int, int], cell: int) -> Float[Tensor, "n 1 H W"]:
+    """A 0/1 mask of `size` made of square cells of `cell` pixels, the grid of the latents."""
+    cells = resize_mask(mask, (size[0] // cell, size[1] // cell))
+    return F.interpolate((cells > 0).to(mask), size, mode="nearest")
+
+
 def resize_mask(mask: Float[Tensor, "n 1 h w"], size: tuple[int, int]) -> Float[Tensor, "n 1 H W"]:
     """A mask at another size in which every cell that touches a pixel that may change may change too."""
     return F.interpolate(F.adaptive_max_pool2d(mask, size), size, mode="nearest")
-
-
-def edit_each(views: Views, edit_one: Callable[[int, int], Float[Tensor, "3 height width"]]) -> Views:
-    """Views made of `edit_one(scene, view)` for every view of every scene."""
-    scenes, count = views.images.shape[:2]
-    edited = [torch.stack([edit_one(scene, view) for view in range(count)]) for scene in range(scenes)]
-    return replace(views, images=torch.stack(edited))
 
 
 def checked(image: Tensor, like: Tensor, view: str) -> Tensor:

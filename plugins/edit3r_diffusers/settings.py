@@ -26,4 +26,4 @@ class DiffusionSettings(Settings):
     offload: Literal["none", "model", "sequential"] = Field(
         "none", description="keep parts in main memory while they are idle: model (a little slower), sequential (much)"
     )
-    low_memory: bool = Field(False, description="decode in tiles and slice the attention: slower, smaller peak")
+    low_memory: bool = Field(False, description="encode and decode one picture and tile at a time: a smaller peak")

@@ -35,7 +35,7 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
 
 def test_without_a_mask_the_latents_are_untouched(scheduler):
     tensors = {"latents": torch.randn(1, 4, 8, 8)}
-    step_end = blending.StepEnd("x", 4, None, blending.noised(tensors["latents"], tensors["latents"]))
+    step_end = blending.StepEnd("x", 4)
     assert step_end(Pipeline(scheduler), 0, scheduler.timesteps[0], tensors) is tensors
 
 

@@ -1,0 +1,131 @@
+"""A depth-conditioned editor that draws all views together, after GaussCtrl (Wu et al. 2024).
+
+photos --> DDIM inversion (depth ControlNet) --> noise --> denoise with the edit's prompt, same depth,
+                                                           self-attention looking across views --> edited photos
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import PartChoice
+from edit3r.errors import PromptError
+from edit3r.interfaces import Editor, Matcher
+from edit3r.types import EditRequest, Views
+from edit3r_diffusers import blending, depth, inversion, loading, pictures
+from edit3r_diffusers.cross_view import look_across_views
+from edit3r_diffusers.settings import DiffusionSettings
+
+
+class ControlNetDepthEditor(Editor):
+    """Redraws the photos towards a description (not an instruction), geometry held by depth, views by attention."""
+
+    class Settings(DiffusionSettings):
+        model: str = Field("stable-diffusion-v1-5/stable-diffusion-v1-5", description="model id, or a saved folder")
+        controlnet: str = Field("lllyasviel/control_v11f1p_sd15_depth", description="depth ControlNet for that model")
+        depth_model: str = Field(
+            "", description="network that sees depth in one photo, id or folder; empty: depth measured by the matcher"
+        )
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="measures depth from the photos")
+        source_prompt: str = Field("", description="what the photos show; guides the inversion")
+        guidance: float = Field(7.5, ge=1, le=50, description="how strongly the description is followed")
+        control_scale: float = Field(1.0, ge=0, le=2, description="how strongly depth holds the geometry; 0: not")
+        strength: float = Field(1.0, gt=0, le=1, description="share of the steps that are redrawn; lower keeps more")
+        invert: bool = Field(True, description="start from the photos' own noise (DDIM inversion) instead of random")
+        eta: float = Field(0.1, ge=0, le=1, description="fresh noise per step; at 0 an inverted edit ignores the seed")
+        cross_view: float = Field(0.4, ge=0, le=1, description="weight of the reference views in self-attention")
+        references: int = Field(4, ge=1, le=64, description="how many views, from the first, the others look at")
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings, self.matcher = settings, matcher
+        self._pipeline: Any = None
+        self._depth_model: Any = None
+
+    def edit(self, views: Views, request: EditRequest) -> Views:
+        if not request.prompt.strip():
+            raise PromptError("controlnet-depth needs a description of the edited scene; give one with --prompt.")
+        pipeline = self._loaded(views.images.device)
+        scenes = [self._edit_scene(pipeline, views, request, scene) for scene in range(len(views.images))]
+        return replace(views, images=torch.stack(scenes))
+
+    def _loaded(self, photos_on: torch.device) -> Any:
+        if self._pipeline is None:
+            with loading.quiet():
+                from diffusers import ControlNetModel, DDIMScheduler, StableDiffusionControlNetImg2ImgPipeline
+
+            chosen = self.settings
+            device = loading.pick_device(chosen.device, photos_on)
+            dtype = loading.pick_dtype(chosen.dtype, device, torch.float16)
+            controlnet = loading.pretrained(ControlNetModel, chosen.controlnet, chosen, dtype, key="controlnet")
+            parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
+            pipeline = loading.load(StableDiffusionControlNetImg2ImgPipeline, chosen, device, dtype, **parts)
+            # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
+            pipeline.scheduler = DDIMScheduler.from_config(
+                pipeline.scheduler.config, clip_sample=False, set_alpha_to_one=False, timestep_spacing="leading"
+            )
+            self._pipeline = pipeline
+        return self._pipeline
+
+    def _edit_scene(
+        self, pipeline: Any, views: Views, request: EditRequest, scene: int
+    ) -> Float[Tensor, "view 3 height width"]:
+        photos = views.images[scene]
+        size = pictures.working_size(*photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor)
+        one = Views(views.images[scene : scene + 1], views.intrinsics[scene : scene + 1], views.names)
+        control = depth.control_pictures(self._disparity(one), size)
+        mask = request.masks[scene][:, None] if request.masks is not None else None
+        doing = f"editing {len(photos)} views together at {size[1]}x{size[0]}"
+        with torch.no_grad(), loading.out_of_memory_told(doing):
+            device, dtype = pipeline._execution_device, pipeline.dtype
+            images = pictures.resize(photos.float(), size).to(device, dtype)
+            edited = self._denoise(pipeline, images, control.to(device, dtype), mask, request, doing)
+        return pictures.checked(edited, photos, "the views")
+
+    def _disparity(self, views: Views) -> Float[Tensor, "view h w"]:
+        """Inverse depth of one scene's unedited photos."""
+        if not self.settings.depth_model:
+            return depth.matched_disparity(self.matcher, views)
+        if self._depth_model is None:
+            device = loading.pick_device(self.settings.device, views.images.device)
+            self._depth_model = depth.load_predictor(self.settings.depth_model, self.settings, device)
+        return depth.predicted_disparity(self._depth_model, views.images[0].to(self._depth_model.device))
+
+    def _denoise(
+        self, pipeline: Any, images: Tensor, control: Tensor, mask: Tensor | None, request: EditRequest, text: str
+    ) -> Float[Tensor, "view 3 height width"]:
+        chosen, count = self.settings, len(images)
+        generators = [torch.Generator("cpu").manual_seed(request.seed) for _ in range(count)]
+        clean = blending.encode(pipeline.vae, images)
+        noise = blending.noise_like_latents(pipeline, images, generators)
+        photo_at = blending.noised(clean, noise)
+        if chosen.invert:
+            steps, prompt = chosen.steps, chosen.source_prompt
+            trajectory = inversion.invert(pipeline, clean, control, prompt, steps, chosen.control_scale)
+            photo_at = inversion.along(trajectory, clean)
+        redrawn = max(1, int(chosen.steps * chosen.strength))
+        pipeline.scheduler.set_timesteps(chosen.steps)
+        start = photo_at(pipeline.scheduler, pipeline.scheduler.timesteps[chosen.steps - redrawn])
+        own_attention = pipeline.unet.attn_processors
+        look_across_views(pipeline.unet, count, chosen.references, chosen.cross_view)
+        try:
+            return pipeline(
+                prompt=[request.prompt] * count,
+                negative_prompt=[chosen.negative_prompt] * count,
+                image=images,
+                control_image=control,
+                latents=start,
+                strength=min(1.0, (redrawn + 0.5) / chosen.steps),  # the pipeline rounds down
+                num_inference_steps=chosen.steps,
+                guidance_scale=chosen.guidance,
+                controlnet_conditioning_scale=chosen.control_scale,
+                eta=chosen.eta,
+                generator=generators,
+                output_type="pt",
+                callback_on_step_end=blending.StepEnd(text, redrawn, mask, photo_at),
+            ).images
+        finally:
+            pipeline.unet.set_attn_processor(own_attention)  # the inversion of the next scene looks at each view alone
