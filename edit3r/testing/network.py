@@ -17,7 +17,7 @@ class TinyBackbone(Backbone):
     class Settings(Settings):
         """Nothing to set."""
 
-    def __init__(self, patch_size: int = 8, feature_widths: tuple[int, ...] = (12, 16, 20, 24)) -> None:
+    def __init__(self, patch_size: int = 16, feature_widths: tuple[int, ...] = (12, 16, 20, 24)) -> None:
         super().__init__()
         self.settings = self.Settings()
         self.patch_size, self.feature_widths = patch_size, feature_widths
@@ -37,7 +37,7 @@ class BackboneContract(Contract):
 
     kind = "backbone"
     subject: Backbone
-    patches: tuple[int, int] = (4, 6)  # rows and columns of patches of the test photos
+    patches: tuple[int, int] = (2, 3)  # rows and columns of patches of the test photos
 
     def test_features_have_the_declared_shape(self) -> None:
         for count in (2, 3, 4):
@@ -92,7 +92,7 @@ class HeadContract(Contract):
 
     kind = "head"
     subject: GaussianHead
-    patches: tuple[int, int] = (4, 6)  # rows and columns of patches of the test photos
+    patches: tuple[int, int] = (2, 3)  # rows and columns of patches of the test photos
 
     def make_backbone(self) -> Backbone:
         """The backbone the head is tried on; override for a head that needs a certain one."""

@@ -16,7 +16,7 @@ class ReconstructorContract(Contract):
 
     kind = "reconstructor"
     subject: Reconstructor
-    image_size: tuple[int, int] = (128, 160)  # (height, width) [pixels]; large enough for features to match
+    image_size: tuple[int, int] = (96, 128)  # (height, width) [pixels]; large enough for features to match
     batch_tolerance: float = 1e-4  # relative; convolutions and matrix products of another size round differently
 
     def reconstruct(self, views: Views, source: Views | None = None, subject: Reconstructor | None = None):
