@@ -5,6 +5,9 @@ import json
 
 from edit3r.component import KINDS
 
+COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
+PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
+
 HELP = "list installed plugins and their components, what they lack, and which failed and why"
 
 
@@ -59,30 +62,36 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
 def _slow_imports(registry) -> list[str]:
     """A plugin's declaration module should import nothing heavy; every command waits for it."""
     limit = 0.3
+    local = {offer.plugin for offer in registry.offers() if not offer.version}  # one file holds all of those
     return [
         f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
         for name, seconds in registry.plugins.import_seconds.items()
-        if seconds > limit
+        if seconds > limit and name not in local
     ]
 
 
 def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
+    """The table, then one line for everything that is wrong, so that grep finds it whole."""
+    import sys
+
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for column in ("kind", "name", "plugin", "version", "licence", "summary"):
+    for column in COLUMNS:
         table.add_column(column, overflow="fold", no_wrap=column in ("kind", "name", "plugin", "version"))
     for row in rows:
-        notes = [f"missing: {row['missing']}"] if row["missing"] else []
-        notes += [f"problem: {row['problem']}"] if row["problem"] else []
-        cells = [row[c] for c in ("kind", "name", "plugin", "version", "licence")]
-        table.add_row(*cells, "\n".join([row["summary"], *notes]))
-    # Piped output keeps whole lines, so that grep finds what it looks for.
-    console.print(table, markup=False, soft_wrap=False, width=None if console.is_terminal else 240)
+        table.add_row(*(row[column] + ("*" if column == "name" and row["missing"] else "") for column in COLUMNS))
+    console.print(table, markup=False)
+    lines = [f"* {row['kind']} {row['name']} needs {row['missing']}" for row in rows if row["missing"]]
+    lines += [
+        f"problem: {row['kind']} {row['name']} of plugin {row['plugin']}: {row['problem']}"
+        for row in rows
+        if row["problem"]
+    ]
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
-        console.print(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}", markup=False, soft_wrap=True)
-    for remark in remarks:
-        console.print(f"note: {remark}", markup=False, soft_wrap=True)
+        lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")
+    for line in [*lines, *(f"note: {remark}" for remark in remarks)]:
+        console.print(line, markup=False, soft_wrap=True)

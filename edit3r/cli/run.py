@@ -36,6 +36,7 @@ def main(args: argparse.Namespace) -> int:
     from edit3r import pipeline, results
     from edit3r.cli._console import StageConsole
     from edit3r.io.images import load_masks, load_photos
+    from edit3r.io.packaged import packaged_pair
     from edit3r.io.run_folder import atomic_folder
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
@@ -43,7 +44,7 @@ def main(args: argparse.Namespace) -> int:
     config = _config(args)
     registry = default_registry(tuple(args.plugin))
     _check_names(registry, config)
-    paths, cameras = (args.images, args.cameras) if args.images else _packaged_pair()
+    paths, cameras = (args.images, args.cameras) if args.images else packaged_pair()
     with StageConsole(quiet=args.quiet) as console:
         report = Report(on_event=console)
         with collecting(report), report.stage("read photos"):
@@ -108,14 +109,3 @@ def _check_names(registry, config) -> None:
     for kind, choice in choices.items():
         if choice is not None:
             registry.load_class(registry.find(kind, choice.name))
-
-
-def _packaged_pair() -> tuple[list[str], Path]:
-    """The real photo pair that scikit-image ships (Middlebury 2014, Motorcycle), and its published calibration."""
-    import skimage
-
-    import edit3r
-
-    folder = Path(skimage.__file__).parent / "data"
-    cameras = Path(edit3r.__file__).parent / "io" / "motorcycle_cameras.json"
-    return [str(folder / f"motorcycle_{side}.png") for side in ("left", "right")], cameras
