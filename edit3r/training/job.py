@@ -1,0 +1,71 @@
+"""From a training configuration to a job with everything built.
+
+trainer: {name: recolor, steps: 1000}
+reconstructor: {name: edit3r, weights: untrained}
+rasterizer: numba
+train_data: {name: procedural, seed: 1}
+validation_data: {name: procedural, seed: 2, scenes: 64}   # or absent
+losses: {mse: {weight: 1.0}, center: {weight: 0.1, beta: 0.1}}
+out: runs/edit
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from edit3r.config import PartChoice, Settings, make_settings
+from edit3r.errors import SettingsError
+from edit3r.interfaces import Trainer, TrainingJob
+from edit3r.registry import Registry
+
+
+class TrainingConfig(Settings):
+    """The keys of a training configuration file."""
+
+    trainer: PartChoice = Field(PartChoice(name="recolor"), description="the recipe")
+    reconstructor: PartChoice = Field(description="what is trained")
+    rasterizer: PartChoice = Field(PartChoice(name="numba"), description="renders during training")
+    train_data: PartChoice = Field(description="dataset to train on")
+    validation_data: PartChoice | None = Field(None, description="held-out dataset")
+    losses: dict[str, dict[str, Any]] = Field(default_factory=dict, description="name: {weight, settings...}")
+    out: str = Field("runs/train", description="folder for checkpoints, logs and sample sheets")
+
+
+@dataclass(frozen=True)
+class PreparedTraining:
+    """A trainer and its job."""
+
+    trainer: Trainer
+    job: TrainingJob
+
+
+def prepare(values: Mapping[str, Any], registry: Registry, resume: bool = False) -> PreparedTraining:
+    """Build every component that a configuration names."""
+    config = make_settings(TrainingConfig, values, where="training")
+
+    def build(kind: str, choice: PartChoice) -> Any:
+        return registry.build(kind, choice.name, **choice.settings)
+
+    validation = config.validation_data
+    job = TrainingJob(
+        reconstructor=build("reconstructor", config.reconstructor),
+        rasterizer=build("rasterizer", config.rasterizer),
+        train_data=build("dataset", config.train_data),
+        validation_data=None if validation is None else build("dataset", validation),
+        losses={name: _loss(registry, name, given) for name, given in config.losses.items()},
+        out=Path(config.out),
+        resume=resume,
+        config=config.model_dump(mode="json"),
+    )
+    return PreparedTraining(build("trainer", config.trainer), job)
+
+
+def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[float, Any]:
+    settings = dict(given)
+    weight = settings.pop("weight", 1.0)
+    if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
+        raise SettingsError(f"training.losses.{name}.weight: expected a number of at least 0, got {weight!r}.")
+    return float(weight), registry.build("loss", name, **settings)

@@ -1,0 +1,131 @@
+"""Reconstructor `edit3r`: geometry from matching the unedited photos, the edit from a small trained network."""
+
+from dataclasses import replace
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor
+
+from edit3r import config, reporting
+from edit3r.config import PartChoice
+from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.types import Reconstruction, Views
+from edit3r_matched.assembly import AssemblySettings, assemble
+from edit3r_matched.network import MatchedEditNetwork, NetworkInputs, NetworkOutputs, network_grid
+from edit3r_matched.weights import load_network
+
+
+class Edit3rReconstructor(Reconstructor):
+    """Matched pose and depth, repaired; every photo pixel a Gaussian; disagreeing edits drawn to the reference's.
+
+    View 0 is the reference: its edit is kept as it is. Without any edit the colours are the photos' own, exactly.
+    """
+
+    class Settings(config.Settings):
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="reads pose and depth from the photos")
+        geometry: Literal["matching", "network"] = Field(
+            "matching", description="where pose and depth come from; 'network' asks the reconstructor noposplat"
+        )
+        weights: str = Field(
+            "shipped", description="'shipped', 'untrained', or a .safetensors file made by `edit3r train`"
+        )
+        network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
+        fuse_edits: bool = Field(
+            True, description="false: each view keeps its own edited colours (plain reconstruction)"
+        )
+        repair: bool = Field(True, description="false: matched depth and opacity as they are")
+        footprint: float = Field(0.5, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings = settings
+        self.matcher = matcher
+        self._network = load_network(settings.weights)
+
+    @property
+    def network(self) -> MatchedEditNetwork:
+        return self._network
+
+    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+        """Reconstruct; without `source` the edited pictures must agree well enough to be matched themselves.
+
+        Differentiable only while the network is in training mode.
+        """
+        if self.settings.geometry == "network":
+            return self._by_network(views, source)
+        source = views if source is None else source
+        with torch.no_grad():
+            geometry = self.matcher.match(source)
+        reporting.note("edit3r.geometry", "matching")
+        with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
+            return self.from_geometry(views, source, geometry)
+
+    def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
+        """The differentiable part: Gaussians from given geometry; the trainer calls it with geometry of its own."""
+        unit = geometry.depths[:, 0].flatten(1).median(1).values
+        unit_geometry = _rescaled(geometry, 1 / unit)
+        outputs = self._network(self._network_inputs(views, source, unit_geometry))
+        if not self.settings.repair:
+            outputs = _without_repairs(outputs)
+        settings = AssemblySettings(footprint=self.settings.footprint, fuse_edits=self.settings.fuse_edits)
+        reconstruction = assemble(views, source, unit_geometry, outputs, settings)
+        return _keep_registered(_in_unit(reconstruction, unit), geometry)
+
+    def _network_inputs(self, views: Views, source: Views, geometry: MatchedGeometry) -> NetworkInputs:
+        """Everything on the network's grid; depth is averaged as inverse depth."""
+        size = network_grid(source.image_size, self.settings.network_size)
+        return NetworkInputs(
+            photos=_resized(source.images, size),
+            edited=_resized(views.images, size),
+            depths=1 / _resized(1 / geometry.depths[:, :, None], size)[:, :, 0],
+            confidence=_resized(geometry.confidence[:, :, None], size)[:, :, 0],
+            c2w=geometry.c2w,
+            intrinsics=source.intrinsics,
+        )
+
+    def _by_network(self, views: Views, source: Views | None) -> Reconstruction:
+        from edit3r.registry import build
+
+        reporting.note("edit3r.geometry", "network")
+        return build("reconstructor", "noposplat")(views, source)
+
+
+def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:
+    """Area mean when smaller, bilinear when larger."""
+    if tuple(images.shape[-2:]) == size:
+        return images
+    flat = images.flatten(0, 1)
+    if size[0] <= images.shape[-2]:
+        return F.interpolate(flat, size, mode="area").unflatten(0, images.shape[:2])
+    return F.interpolate(flat, size, mode="bilinear", align_corners=False).unflatten(0, images.shape[:2])
+
+
+def _rescaled(geometry: MatchedGeometry, factor: Tensor) -> MatchedGeometry:
+    c2w = geometry.c2w.clone()
+    c2w[..., :3, 3] = c2w[..., :3, 3] * factor[:, None, None]
+    return replace(geometry, c2w=c2w, depths=geometry.depths * factor[:, None, None, None])
+
+
+def _in_unit(reconstruction: Reconstruction, unit: Tensor) -> Reconstruction:
+    """Back to the matcher's unit of length."""
+    gaussians, cameras = reconstruction.gaussians, reconstruction.cameras
+    c2w = cameras.c2w.clone()
+    c2w[..., :3, 3] = c2w[..., :3, 3] * unit[:, None, None]
+    scale = unit[:, None, None]
+    moved = replace(gaussians, means=gaussians.means * scale, scales=gaussians.scales * scale)
+    return Reconstruction(moved, replace(cameras, c2w=c2w))
+
+
+def _keep_registered(reconstruction: Reconstruction, geometry: MatchedGeometry) -> Reconstruction:
+    """Views that could not be placed show nothing: their Gaussians become transparent."""
+    if bool(geometry.registered.all()):
+        return reconstruction
+    gaussians = reconstruction.gaussians
+    shown = geometry.registered[:, gaussians.view_index].to(gaussians.opacities.dtype)
+    return replace(reconstruction, gaussians=replace(gaussians, opacities=gaussians.opacities * shown))
+
+
+def _without_repairs(outputs: NetworkOutputs) -> NetworkOutputs:
+    zero = torch.zeros_like(outputs.depth_correction)
+    return replace(outputs, depth_correction=zero, opacity_correction=zero, scale_correction=zero)

@@ -1,0 +1,98 @@
+"""What a training step edits: which regions, in which views, and what every view should then show.
+
+The truth is always the reference view's edit applied to all views (paper, section 3.3: "one recolored image and
+another original image"); the issue of editors that disagree adds views with an edit of their own.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import Settings
+from edit3r.interfaces import SceneSample
+from edit3r_training.recolouring import recolored, visible_parameters
+
+
+class RegimeShares(Settings):
+    """How often each regime is drawn (normalised to sum to 1)."""
+
+    reference: float = Field(0.4, ge=0, description="only the reference view is recoloured, the paper's set-up")
+    disagreeing: float = Field(0.3, ge=0, description="every view is recoloured differently")
+    agreeing: float = Field(0.15, ge=0, description="all views are recoloured alike")
+    unedited: float = Field(0.15, ge=0, description="nothing is recoloured")
+    whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole picture")
+    mask_jitter: float = Field(0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little")
+
+
+@dataclass(frozen=True)
+class EditedSample:
+    """A sample with its edit: V context and T target views."""
+
+    edited: Float[Tensor, "view 3 height width"]  # what the network is given
+    truth: Float[Tensor, "view 3 height width"]  # what each context view should show
+    target: Float[Tensor, "target 3 height width"]  # what each target view should show
+    regime: str
+
+
+def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> EditedSample:
+    """Draw a regime and edit the sample; without masks only the whole picture can be edited."""
+    names = ("reference", "disagreeing", "agreeing", "unedited")
+    weights = np.array([getattr(shares, name) for name in names])
+    regime = str(rng.choice(names, p=weights / weights.sum()))
+    everything = torch.cat((sample.context, sample.target))
+    views = len(sample.context)
+    if regime == "unedited":
+        return EditedSample(sample.context, sample.context, sample.target, regime)
+    masks = _regions(sample, shares, rng)
+    chosen = [visible_parameters(rng, everything, mask) for mask in masks]
+    truth = recolored(everything, masks, chosen)
+    edited = [_edited_view(sample.context, masks[:, :views], chosen, 0, shares, rng)]
+    for view in range(1, views):
+        own = chosen
+        if regime == "disagreeing":
+            own = [visible_parameters(rng, everything, mask) for mask in masks]
+        if regime == "reference":
+            edited.append(sample.context[view])
+        else:
+            edited.append(_edited_view(sample.context, masks[:, :views], own, view, shares, rng))
+    return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
+
+
+def _regions(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> Tensor:
+    """`[region, view, height, width]` soft masks of the regions to edit, over context and target views."""
+    shape = (len(sample.context) + len(sample.target), *sample.context.shape[-2:])
+    if sample.context_masks is None or rng.random() < shares.whole_picture:
+        return torch.ones(1, *shape)
+    masks = sample.context_masks
+    if sample.target_masks is not None:
+        masks = torch.cat((masks, sample.target_masks), 1)
+    visible = np.flatnonzero(masks[:, 0].mean((1, 2)).numpy() > 0.015)
+    if len(visible) == 0:
+        return torch.ones(1, *shape)
+    count = min(len(visible), int(rng.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
+    return masks[rng.choice(visible, count, replace=False)]
+
+
+def _edited_view(
+    images: Tensor, masks: Tensor, parameters: list, view: int, shares: RegimeShares, rng: np.random.Generator
+) -> Tensor:
+    """One view as a 2D editor would return it: the region's border is never quite right."""
+    own = masks[:, view : view + 1]
+    if rng.random() < shares.mask_jitter:
+        own = _jittered(own, rng)
+    return recolored(images[view : view + 1], own, parameters)[0]
+
+
+def _jittered(masks: Tensor, rng: np.random.Generator) -> Tensor:
+    """Grown or shrunk by a pixel, or with a little leakage into the background."""
+    kind = rng.integers(3)
+    if kind == 2:
+        soft = F.avg_pool2d(masks, 5, stride=1, padding=2)
+        return torch.maximum(masks, 0.5 * soft)
+    sign = 1 if kind == 0 else -1
+    return sign * F.max_pool2d(sign * masks, 3, stride=1, padding=1)

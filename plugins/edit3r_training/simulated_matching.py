@@ -1,0 +1,131 @@
+"""What a matcher would say about a scene whose true geometry is known: its typical errors on the true depth and pose.
+
+Training needs geometry thousands of times a minute, far more often than photos can be matched. Simulated are: parts
+hidden in the other view and patches without texture (filled in from their surroundings, confidence 0), steps of the
+depth hypotheses, foreground that spills over its border, confident outliers, pose noise and an unknown unit.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from edit3r.geometry.cameras import project, unproject
+from edit3r.interfaces import MatchedGeometry, SceneSample
+
+
+@dataclass(frozen=True)
+class SimulatedMatch:
+    """Corrupted geometry and the unit it is in: `depths = true depths * unit` where nothing went wrong."""
+
+    geometry: MatchedGeometry  # batch 1
+    unit: float
+
+
+def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
+    """A plausible matcher's answer for the sample's context views (which must come with depths)."""
+    cameras, true_depths = sample.context_cameras, sample.context_depths
+    unit = float(np.exp(rng.uniform(-1, 1)))
+    severity = rng.uniform(0.3, 1.5)
+    visible = seen_by_partner(true_depths, cameras.c2w[0], cameras.intrinsics[0]).numpy()
+    depths, confidence = [], []
+    for view in range(len(true_depths)):
+        image = sample.context[view].permute(1, 2, 0).numpy()
+        inverse, measured = _corrupted(1 / true_depths[view].numpy(), visible[view], image, rng, severity)
+        depths.append(unit / inverse)
+        confidence.append(measured.astype(np.float32))
+    c2w = cameras.c2w.clone()
+    for view in range(1, len(true_depths)):
+        c2w[0, view] = torch.from_numpy(_noisy_pose(cameras.c2w[0, view].double().numpy(), rng, severity)).float()
+    c2w[:, :, :3, 3] *= unit
+    geometry = MatchedGeometry(
+        c2w=c2w,
+        depths=torch.from_numpy(np.stack(depths)).float()[None],
+        confidence=torch.from_numpy(np.stack(confidence))[None],
+        registered=torch.ones(1, len(true_depths), dtype=torch.bool),
+    )
+    return SimulatedMatch(geometry, unit)
+
+
+def seen_by_partner(
+    depths: Float[Tensor, "view height width"],
+    c2w: Float[Tensor, "view 4 4"],
+    intrinsics: Float[Tensor, "view 3 3"],
+    tolerance: float = 0.03,
+) -> Tensor:
+    """Which pixels' surfaces the partner view sees too (view 0's partner is view 1, everyone else's view 0)."""
+    index = [1] + [0] * (len(depths) - 1)
+    height, width = depths.shape[1:]
+    points = unproject(depths, intrinsics, c2w).reshape(len(depths), -1, 3)
+    places, z = project(points, intrinsics[index], c2w[index])
+    column = (places[..., 0] * width).long()
+    row = (places[..., 1] * height).long()
+    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    flat = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
+    there = depths[index].flatten(1).gather(1, flat)
+    return (inside & (z < there * (1 + tolerance))).reshape(depths.shape)
+
+
+def _corrupted(
+    inverse: NDArray, visible: NDArray, image: NDArray, rng: np.random.Generator, severity: float
+) -> tuple[NDArray, NDArray]:
+    """Inverse depth as measured or filled in, and where it was measured."""
+    true = inverse
+    low, high = np.percentile(true, [2, 98])
+    step = max(high - low, 1e-3) / rng.integers(24, 96)
+    spilled = cv2.dilate(true, np.ones((3, 3)), iterations=int(rng.integers(1, 3)))
+    inverse = np.where(_blobs(rng, true.shape, 0.5), spilled, true)
+    inverse = inverse * (1 + 0.012 * severity * _smooth_noise(rng, true.shape, 6))
+    inverse = inverse + step * severity * (0.3 * rng.normal(size=true.shape) + 0.3 * _smooth_noise(rng, true.shape, 24))
+    outliers = _blobs(rng, true.shape, 0.02 * severity)
+    inverse = np.where(outliers, rng.uniform(low, high), inverse)
+    measured = visible & ~_textureless(image, rng, severity) & ~_blobs(rng, true.shape, 0.05 * severity)
+    measured &= ~(outliers & (rng.random() < 0.5))
+    measured &= ~((np.abs(spilled - true) > 2 * step) & (rng.random(true.shape) < 0.5))
+    if measured.mean() < 0.05:
+        measured = visible
+    filled = _filled(inverse.clip(low * 0.7, high * 1.4), measured, image)
+    return np.where(measured, inverse, filled).clip(low * 0.5, high * 1.6).astype(np.float32), measured
+
+
+def _filled(inverse: NDArray, measured: NDArray, image: NDArray) -> NDArray:
+    """Edge-aware spreading from the measured places (fast global smoother)."""
+    guide = (image * 255).astype(np.uint8)
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, 2000.0, 6.0)
+    weight = measured.astype(np.float32) + 1e-4
+    return smoother.filter((inverse * weight).astype(np.float32)) / np.maximum(smoother.filter(weight), 1e-8)
+
+
+def _textureless(image: NDArray, rng: np.random.Generator, severity: float) -> NDArray:
+    grey = image.mean(2)
+    gradient = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (5, 5))
+    chance = np.exp(-gradient / (0.015 * severity))
+    return _smooth_uniform(rng, grey.shape, 16) < 0.7 * chance
+
+
+def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> NDArray:
+    return _smooth_uniform(rng, shape, 12) < share
+
+
+def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> NDArray:
+    coarse = rng.normal(size=(cells, cells)).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC) * 1.3
+
+
+def _smooth_uniform(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> NDArray:
+    """Smooth random field with values spread about evenly over [0, 1]."""
+    return 1 / (1 + np.exp(-1.7 * _smooth_noise(rng, shape, cells)))
+
+
+def _noisy_pose(c2w: NDArray, rng: np.random.Generator, severity: float) -> NDArray:
+    """Rotation and direction of translation off by some tenths of a degree, now and then by degrees."""
+    spread = np.deg2rad(0.25) * severity * (8 if rng.random() < 0.05 else 1)
+    result = c2w.copy()
+    result[:3, :3] = c2w[:3, :3] @ Rotation.from_rotvec(rng.normal(size=3) * spread).as_matrix()
+    result[:3, 3] = Rotation.from_rotvec(rng.normal(size=3) * 2 * spread).as_matrix() @ c2w[:3, 3]
+    return result
