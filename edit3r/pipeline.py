@@ -14,10 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.config import PartChoice
-from edit3r.errors import InputError, PluginError
+from edit3r.errors import InputError
 from edit3r.interfaces import Editor, Reconstructor
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
+from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
@@ -74,11 +75,12 @@ def run(
                     recon.network.to(device)
         views, masks = _views_for(recon, views, masks)
         request = EditRequest(prompt, seed, masks)
-        with report.stage(f"edit ({_name(editor)})"), torch.no_grad():
+        with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
             edited = _edit(editor, views, request, edit_views)
-        with report.stage(f"reconstruct ({_name(recon)})"), torch.no_grad():
-            reconstruction = recon(edited, source=views)
-            _check_reconstruction(recon, reconstruction)
+        with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
+            with blaming(recon):
+                reconstruction = recon(edited, source=views)
+            check_reconstruction(recon, edited, reconstruction)
             cameras = _cameras(reconstruction, edited)
     return RunResult(views, edited, reconstruction.gaussians, cameras, request, editor, recon, report)
 
@@ -91,11 +93,6 @@ def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts:
     return registry.build(kind, choice.name, parts, **{**choice.settings, **settings.get(kind, {})})
 
 
-def _name(component: Any) -> str:
-    offer = getattr(component, "offer", None)
-    return offer.component.name if offer is not None else type(component).__name__
-
-
 def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tuple[Views, Tensor | None]:
     """Check the view count against what the reconstructor declares; above its maximum take evenly spaced ones."""
     if masks is not None and masks.shape != (*views.images.shape[:2], *views.image_size):
@@ -105,13 +102,13 @@ def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tupl
         )
     if views.count < recon.min_views:
         raise InputError(
-            f"{_name(recon)} needs at least {recon.min_views} photos of the same scene, got {views.count}; "
+            f"{component_name(recon)} needs at least {recon.min_views} photos of the same scene, got {views.count}; "
             f"add photos taken from other places."
         )
     if recon.max_views is None or views.count <= recon.max_views:
         return views, masks
     chosen = torch.linspace(0, views.count - 1, recon.max_views).round().long().tolist()
-    warn(f"{_name(recon)} takes at most {recon.max_views} views; of {views.count} these are used: {chosen}.")
+    warn(f"{component_name(recon)} takes at most {recon.max_views} views; of {views.count} these are used: {chosen}.")
     return views.select(chosen), masks[:, chosen] if masks is not None else None
 
 
@@ -120,8 +117,9 @@ def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -
     count = views.count if edit_views == "all" else 1
     chosen = views.select(range(count))
     asked = replace(request, masks=request.masks[:, :count] if request.masks is not None else None)
-    answer = editor.edit(chosen, asked)
-    _check_edit(editor, chosen, answer)
+    with blaming(editor):
+        answer = editor.edit(chosen, asked)
+    check_edit(editor, chosen, answer)
     if asked.masks is not None:
         spilled = ((answer.images - chosen.images).abs().mean(2) * (asked.masks == 0)).sum()
         outside = (asked.masks == 0).sum().clamp(min=1)
@@ -129,7 +127,7 @@ def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -
         answer = replace(answer, images=composite(chosen.images, answer.images, asked.masks))
     change = (answer.images - chosen.images).abs()
     note("edit.mean_change_per_view", [round(float(c), 5) for c in change.mean((0, 2, 3, 4))])
-    if float(change.mean()) < MIN_VISIBLE_CHANGE and _name(editor) != "none":
+    if float(change.mean()) < MIN_VISIBLE_CHANGE and component_name(editor) != "none":
         warn(f"the edit changed the photos very little (mean {255 * float(change.mean()):.1f} of 255).")
     images = torch.cat((answer.images, views.images[:, count:]), dim=1)
     return replace(views, images=images)
@@ -144,35 +142,6 @@ def composite(
     weight = masks[:, :, None]
     blended = original + weight * (edited - original)
     return torch.where(weight <= 0, original, torch.where(weight >= 1, edited, blended))
-
-
-def _check_edit(editor: Editor, views: Views, answer: Views) -> None:
-    if not isinstance(answer, Views):
-        raise PluginError(f"editor {_name(editor)!r} must return edit3r.Views, got {type(answer).__name__}.")
-    images = answer.images
-    if images.shape != views.images.shape:
-        raise PluginError(
-            f"editor {_name(editor)!r} must keep number and size of the views: gave it {list(views.images.shape)}, "
-            f"got back {list(images.shape)}."
-        )
-    if images.dtype != views.images.dtype:
-        raise PluginError(f"editor {_name(editor)!r} must return {views.images.dtype} pictures, got {images.dtype}.")
-    low, high = float(images.amin()), float(images.amax())
-    if not (low >= 0 and high <= 1):  # also false for NaN
-        raise PluginError(f"editor {_name(editor)!r} must return pictures in [0, 1], got {low:.4g} to {high:.4g}.")
-
-
-def _check_reconstruction(recon: Reconstructor, reconstruction: Reconstruction) -> None:
-    if not isinstance(reconstruction, Reconstruction):
-        kind = type(reconstruction).__name__
-        raise PluginError(f"reconstructor {_name(recon)!r} must return edit3r.Reconstruction, got {kind}.")
-    for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        tensor = getattr(reconstruction.gaussians, name)
-        bad = int((~torch.isfinite(tensor)).sum())
-        if bad:
-            raise PluginError(
-                f"reconstructor {_name(recon)!r} returned {name} with {bad} of {tensor.numel()} values not finite."
-            )
 
 
 def _cameras(reconstruction: Reconstruction, views: Views) -> Cameras:

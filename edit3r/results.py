@@ -16,6 +16,7 @@ from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track
+from edit3r.stage_checks import blaming, check_rendering
 from edit3r.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
@@ -54,8 +55,15 @@ def write(
 
 def render_each(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, text: str) -> Rendering:
     """Render camera by camera, showing progress."""
-    parts = [rasterizer.render(gaussians, cameras.select([i])) for i in track(range(cameras.count), text)]
+    parts = [_render_one(rasterizer, gaussians, cameras.select([i])) for i in track(range(cameras.count), text)]
     return Rendering(*(torch.cat([getattr(p, name) for p in parts], 1) for name in ("images", "alphas", "depths")))
+
+
+def _render_one(rasterizer: Rasterizer, gaussians: Gaussians, camera: Cameras) -> Rendering:
+    with blaming(rasterizer):
+        rendering = rasterizer.render(gaussians, camera)
+    check_rendering(rasterizer, gaussians, camera, rendering)
+    return rendering
 
 
 def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import edit3r
 from edit3r import cli
-from edit3r.errors import Edit3rError, RunError, suggest
+from edit3r.errors import Edit3rError, RunError, is_out_of_memory, suggest
 
 
 class UsageError(Edit3rError):
@@ -85,7 +85,7 @@ def _overview(commands: dict[str, str]) -> str:
 
 def _as_known(error: Exception) -> Edit3rError:
     """A sentence for errors that are not ours."""
-    if isinstance(error, MemoryError) or "out of memory" in str(error).lower() or "can't allocate" in str(error):
+    if is_out_of_memory(error):
         return RunError(
             "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
         )

@@ -1,0 +1,110 @@
+"""What the core holds every component to while it runs, so that a fault is named where it was made.
+
+Called by the pipeline after each stage. A component that raises, or returns another size, dtype or range than its
+interface promises, ends the run with one sentence that names it.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+from edit3r.errors import Edit3rError, PluginError, is_out_of_memory
+from edit3r.interfaces import INTERFACES, Editor, Rasterizer, Reconstructor
+from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+
+
+def component_name(component: Any) -> str:
+    """The name it was asked for by, or its class's for an object that no plugin offers."""
+    offer = getattr(component, "offer", None)
+    return offer.component.name if offer is not None else type(component).__name__
+
+
+@contextmanager
+def blaming(component: Any) -> Iterator[None]:
+    """Name the component in any error of its code that was not meant for the user."""
+    try:
+        yield
+    except Edit3rError:
+        raise
+    except Exception as error:
+        if is_out_of_memory(error):
+            raise
+        raise PluginError(f"{_who(component)} raised {type(error).__name__}: {error}.") from error
+
+
+def check_edit(editor: Editor, views: Views, answer: Views) -> None:
+    """Number, size, dtype and range of the edited views."""
+    _require_type(editor, answer, Views)
+    images = answer.images
+    if images.shape != views.images.shape:
+        raise PluginError(
+            f"{_who(editor)} must keep number and size of the views: gave it {list(views.images.shape)}, "
+            f"got back {list(images.shape)}."
+        )
+    if images.dtype != views.images.dtype:
+        raise PluginError(f"{_who(editor)} must return {views.images.dtype} pictures, got {images.dtype}.")
+    low, high = float(images.amin()), float(images.amax())
+    if not (low >= 0 and high <= 1):  # also false for NaN
+        raise PluginError(f"{_who(editor)} must return pictures in [0, 1], got {low:.4g} to {high:.4g}.")
+
+
+def check_reconstruction(recon: Reconstructor, views: Views, answer: Reconstruction) -> None:
+    """Batch, dtype, finiteness and ranges of the Gaussians, and the number of cameras."""
+    _require_type(recon, answer, Reconstruction)
+    _require_type(recon, answer.gaussians, Gaussians)
+    gaussians, dtype = answer.gaussians, views.images.dtype
+    if gaussians.means.shape[0] != views.images.shape[0]:
+        raise PluginError(
+            f"{_who(recon)} must return one set of Gaussians per scene: gave it {views.images.shape[0]} scenes, "
+            f"got back {gaussians.means.shape[0]}."
+        )
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        tensor = getattr(gaussians, name)
+        if tensor.dtype != dtype:
+            raise PluginError(f"{_who(recon)} must return {dtype} Gaussians, got {name} in {tensor.dtype}.")
+        _require_finite(recon, f"Gaussians with {name}", tensor)
+    if gaussians.count and float(gaussians.scales.amin()) <= 0:
+        raise PluginError(f"{_who(recon)} must return scales above 0, got {float(gaussians.scales.amin()):.4g}.")
+    if gaussians.count and not (float(gaussians.opacities.amin()) >= 0 and float(gaussians.opacities.amax()) <= 1):
+        low, high = float(gaussians.opacities.amin()), float(gaussians.opacities.amax())
+        raise PluginError(f"{_who(recon)} must return opacities in [0, 1], got {low:.4g} to {high:.4g}.")
+    if answer.cameras is not None and answer.cameras.c2w.shape[:2] != views.images.shape[:2]:
+        raise PluginError(
+            f"{_who(recon)} must return one camera per view, {list(views.images.shape[:2])}, "
+            f"got {list(answer.cameras.c2w.shape[:2])}."
+        )
+
+
+def check_rendering(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, answer: Rendering) -> None:
+    """Shapes, dtype and finiteness of a rendering."""
+    _require_type(rasterizer, answer, Rendering)
+    for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
+        tensor = getattr(answer, name)
+        expected = [*cameras.c2w.shape[:2], channels, *cameras.image_size]
+        if list(tensor.shape) != expected:
+            raise PluginError(f"{_who(rasterizer)} must return {name} of shape {expected}, got {list(tensor.shape)}.")
+        if tensor.dtype != gaussians.means.dtype:
+            dtype = gaussians.means.dtype
+            raise PluginError(f"{_who(rasterizer)} must return {name} in the Gaussians' {dtype}, got {tensor.dtype}.")
+        _require_finite(rasterizer, name, tensor)
+
+
+def _who(component: Any) -> str:
+    """'editor 'sepia'', with the plugin's name where there is one of another name."""
+    kind = next((kind for kind, interface in INTERFACES.items() if isinstance(component, interface)), "component")
+    offer = getattr(component, "offer", None)
+    plugin = f" of plugin {offer.plugin!r}" if offer is not None and offer.plugin != offer.component.name else ""
+    return f"{kind} {component_name(component)!r}{plugin}"
+
+
+def _require_type(component: Any, answer: Any, expected: type) -> None:
+    if not isinstance(answer, expected):
+        raise PluginError(f"{_who(component)} must return edit3r.{expected.__name__}, got {type(answer).__name__}.")
+
+
+def _require_finite(component: Any, what: str, tensor: torch.Tensor) -> None:
+    bad = int((~torch.isfinite(tensor)).sum())
+    if bad:
+        raise PluginError(f"{_who(component)} returned {what} with {bad} of {tensor.numel()} values not finite.")
