@@ -119,7 +119,7 @@ def plugins(registry: Registry) -> Iterator[Finding]:
     problems = {offer: check_offer(registry, offer) for offer in offers}
     for offer, problem in problems.items():
         if problem:
-            yield Finding("plugins", f"{offer.kind} {offer.component.name}: {problem}", False)
+            yield Finding("plugins", problem, False)
         elif registry.missing(offer):
             needs = f"{offer.kind} {offer.component.name} needs {', '.join(registry.missing(offer))}"
             yield Finding("plugins", f"{needs}; {install_hint(offer)}", None)

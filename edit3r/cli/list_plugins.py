@@ -85,11 +85,7 @@ def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], rem
         table.add_row(*(row[column] + ("*" if column == "name" and row["missing"] else "") for column in COLUMNS))
     console.print(table, markup=False)
     lines = [f"* {row['kind']} {row['name']} needs {row['missing']}" for row in rows if row["missing"]]
-    lines += [
-        f"problem: {row['kind']} {row['name']} of plugin {row['plugin']}: {row['problem']}"
-        for row in rows
-        if row["problem"]
-    ]
+    lines += [f"problem: {row['problem']}" for row in rows if row["problem"]]
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
         lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")

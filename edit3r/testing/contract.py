@@ -134,7 +134,8 @@ class Contract:
         """The class exists, follows the interface, and every setting has a description."""
         if self.offer is not None:
             problem = check_offer(self.registry, self.offer)
-            self.require(not problem, problem)
+            if problem:
+                raise ContractViolation(problem)
 
     def test_declaration_imports_nothing_heavy(self) -> None:
         """`edit3r --help` and `list-plugins` import every plugin's declaration, so it must be cheap."""
