@@ -127,7 +127,7 @@ def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -
         answer = replace(answer, images=composite(chosen.images, answer.images, asked.masks))
     change = (answer.images - chosen.images).abs()
     note("edit.mean_change_per_view", [round(float(c), 5) for c in change.mean((0, 2, 3, 4))])
-    if float(change.mean()) < MIN_VISIBLE_CHANGE and component_name(editor) != "none":
+    if request.prompt and float(change.mean()) < MIN_VISIBLE_CHANGE:
         warn(f"the edit changed the photos very little (mean {255 * float(change.mean()):.1f} of 255).")
     images = torch.cat((answer.images, views.images[:, count:]), dim=1)
     return replace(views, images=images)

@@ -16,7 +16,7 @@ from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track
-from edit3r.stage_checks import blaming, check_rendering
+from edit3r.stage_checks import blaming, check_rendering, component_name
 from edit3r.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
@@ -84,7 +84,9 @@ def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering,
         save_image(views[2][index], folder.renders / f"{name}.png")
     for index, frame in enumerate(_clipped(frames)):
         save_image(frame, folder.renders / f"path_{index:04d}.png")
-    save_before_after(folder.before_after, *views, names=result.photos.names, prompt=result.request.prompt)
+    subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"
+    title = result.request.prompt or "no prompt"
+    save_before_after(folder.before_after, *views, names=result.photos.names, title=title, subtitle=subtitle)
 
 
 def _manifest(
