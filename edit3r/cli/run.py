@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 HELP = "edit photos of a scene and reconstruct them in 3D"
-DEFAULT_PROMPT = "paint the motorcycle red"
+DEFAULT_PROMPT = "paint the motorcycle blue"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
