@@ -1,5 +1,7 @@
 """What a plugin says about each thing it offers, readable without importing the thing itself."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 KINDS = (
@@ -16,6 +18,9 @@ KINDS = (
     "trainer",
 )
 """Every kind of component; each has one hook in `edit3r.hookspecs`, named by `hook_name`."""
+
+
+NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 
 
 def hook_name(kind: str) -> str:
@@ -42,10 +47,28 @@ class Component:
     citation: str = ""
 
     def __post_init__(self) -> None:
-        if not self.name or not self.name.replace("-", "").replace("_", "").isalnum() or self.name.lower() != self.name:
+        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
             raise ValueError(f"component name {self.name!r} must be lower-case letters, digits and dashes")
-        if self.target.count(":") != 1 or not all(self.target.split(":")):
-            raise ValueError(f"component {self.name!r}: target {self.target!r} must read 'module:Class'")
+        who = f"component {self.name!r}"
+        if not isinstance(self.target, str) or self.target.count(":") != 1 or not all(self.target.split(":")):
+            raise ValueError(f"{who}: target {self.target!r} must read 'module:Class'")
+        for field in ("summary", "extra", "licence", "citation"):
+            if not isinstance(getattr(self, field), str):
+                raise ValueError(f"{who}: {field} must be text, got {getattr(self, field)!r}")
+        for field in ("requires", "parts"):
+            object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
         unknown = [part for part in self.parts if part not in KINDS]
         if unknown:
-            raise ValueError(f"component {self.name!r}: unknown part kind {unknown[0]!r}; kinds are {', '.join(KINDS)}")
+            raise ValueError(f"{who}: unknown part kind {unknown[0]!r}; kinds are {', '.join(KINDS)}")
+        limits = (self.min_views, 1 if self.max_views is None else self.max_views)
+        if not all(isinstance(limit, int) and limit >= 1 for limit in limits):
+            raise ValueError(
+                f"{who}: min_views and max_views must be 1 or more, got {self.min_views}, {self.max_views}"
+            )
+
+
+def _texts(who: str, field: str, value: object) -> tuple[str, ...]:
+    """A tuple of texts from any sequence of them; a lone text is refused, it would be read letter by letter."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f'{who}: {field} must be a tuple of names such as ("name",), got {value!r}')
+    return tuple(value)

@@ -110,11 +110,17 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Deep merge: mappings are merged key by key, anything else in `over` replaces."""
+    """Deep merge: mappings are merged key by key, anything else in `over` replaces.
+
+    Settings over a component given by its name alone keep the name: `editor: recolor`, then `editor: {strength: 1}`.
+    """
     result = dict(base)
     for key, value in over.items():
-        if isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
-            result[key] = merge(result[key], value)
+        before = result.get(key)
+        if isinstance(value, Mapping) and isinstance(before, str):
+            before = {"name": before}
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            result[key] = merge(before, value)
         else:
             result[key] = value
     return result

@@ -49,6 +49,10 @@ class RunError(Edit3rError):
     exit_code = 1
 
 
+class Edit3rDeprecationWarning(FutureWarning):
+    """Something that a plugin uses still works and will be removed; shown by `edit3r list-plugins`."""
+
+
 def suggest(given: str, known: Iterable[str]) -> str:
     """' Did you mean X?' for a near miss, else ''."""
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)

@@ -7,7 +7,8 @@ written for another API version), it becomes one `PluginFailure` with its reason
 import importlib.util
 import sys
 import time
-from collections.abc import Iterable
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -17,7 +18,7 @@ import pluggy
 
 from edit3r import hookspecs
 from edit3r.component import KINDS, Component, hook_name
-from edit3r.errors import InputError, suggest
+from edit3r.errors import Edit3rDeprecationWarning, InputError, suggest
 
 ENTRY_POINT_GROUP = "edit3r"
 
@@ -53,6 +54,7 @@ class LoadedPlugins:
     offers: tuple[Offer, ...]
     failures: tuple[PluginFailure, ...]
     import_seconds: dict[str, float]  # per plugin; shown by `list-plugins --check`
+    deprecations: tuple[str, ...] = ()  # what still works and will not for long, one sentence each
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
@@ -62,29 +64,41 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
     offers: list[Offer] = []
     failures: list[PluginFailure] = []
     seconds: dict[str, float] = {}
+    deprecations: list[str] = []
     for name, version, load in [*_installed(), *_local(local_files)]:
         started = time.perf_counter()
         try:
-            offers += _offers(manager, name, version, load())
-        except (Exception, SystemExit) as error:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", Edit3rDeprecationWarning)
+                offers += _offers(manager, name, version, load())
+            deprecations += [f"plugin {name!r}: {w.message}" for w in caught if _is_deprecation(w)]
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # sys.exit and pytest.skip at module level are no Exceptions
             failures.append(PluginFailure(name, version, _reason(error)))
         seconds[name] = time.perf_counter() - started
-    return LoadedPlugins(tuple(offers), tuple(failures), seconds)
+    return LoadedPlugins(tuple(offers), tuple(failures), seconds, tuple(deprecations))
 
 
-def _installed():
-    """(name, version, loader) of every entry point, in a stable order."""
+def _installed() -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
+    """(name, version, loader) of every entry point, in a stable order.
+
+    Where two packages chose the same entry point name, the second is called by its distribution's name.
+    """
     points = sorted(metadata.entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value))
+    names: set[str] = set()
     seen = set()
     for point in points:
         if (point.name, point.value) in seen:  # an editable install beside its wheel lists a plugin twice
             continue
         seen.add((point.name, point.value))
         version = point.dist.version if point.dist is not None else ""
-        yield point.name, version, point.load
+        name = point.name if point.name not in names or point.dist is None else point.dist.name
+        names.add(name)
+        yield name, version, point.load
 
 
-def _local(files: Iterable[str | Path]):
+def _local(files: Iterable[str | Path]) -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
     for file in files:
         path = Path(file).resolve()
         source = path / "__init__.py" if path.is_dir() else path
@@ -101,8 +115,10 @@ def _import_file(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path, submodule_search_locations=folders)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is not a Python module")
-    if name in sys.modules and getattr(sys.modules[name], "__file__", None) != str(path):
-        raise ImportError(f"a module named {name!r} is already imported; rename {path.name}")
+    if name in sys.modules:
+        if getattr(sys.modules[name], "__file__", None) == str(path):
+            return sys.modules[name]
+        raise ValueError(f"a module named {name!r} is already imported from elsewhere; rename {path.name}")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
@@ -115,17 +131,15 @@ def _import_file(name: str, path: Path) -> ModuleType:
 
 def _offers(manager: pluggy.PluginManager, name: str, version: str, module: ModuleType) -> list[Offer]:
     """Register one plugin and collect what it offers; raises with the reason when anything is off."""
-    api = getattr(module, "EDIT3R_API", hookspecs.API_VERSION)
-    if api != hookspecs.API_VERSION:
-        raise ValueError(
-            f"written for edit3r API {api}, this edit3r has API {hookspecs.API_VERSION}; "
-            f"install a matching version of the plugin or of edit3r"
-        )
+    if manager.is_registered(module):  # a local file that is installed too
+        return []
+    _check_api(getattr(module, "EDIT3R_API", hookspecs.API_VERSION))
     manager.register(module, name)
     try:
         _refuse_unknown_hooks(manager, module)
+        declared_in = getattr(module, "__name__", "")
         offers = [
-            Offer(kind, component, name, version, module.__name__)
+            Offer(kind, component, name, version, declared_in)
             for kind in KINDS
             for component in _ask(manager, module, kind, name)
         ]
@@ -138,12 +152,34 @@ def _offers(manager: pluggy.PluginManager, name: str, version: str, module: Modu
         raise
 
 
+def _check_api(api: object) -> None:
+    """Raise ValueError for an API version this edit3r cannot serve; warn of one it will not serve for long."""
+    now, oldest = hookspecs.API_VERSION, hookspecs.OLDEST_API_VERSION
+    if not isinstance(api, int) or isinstance(api, bool):
+        raise ValueError(f"EDIT3R_API must be a whole number such as {now}, got {api!r}")
+    served = f"API {now}" if oldest == now else f"APIs {oldest} to {now}"
+    if api > now:
+        raise ValueError(f"written for edit3r API {api}, this edit3r has {served}; install a newer edit3r")
+    if api < oldest:
+        raise ValueError(
+            f"written for edit3r API {api}, this edit3r has {served}; install a newer version of the plugin"
+        )
+    if api < now:
+        text = f"written for edit3r API {api}, which will be dropped; the current one is {now}"
+        warnings.warn(text, Edit3rDeprecationWarning, stacklevel=2)
+
+
+def _is_deprecation(warning: warnings.WarningMessage) -> bool:
+    return issubclass(warning.category, Edit3rDeprecationWarning)
+
+
 def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
     known = [hook_name(kind) for kind in KINDS]
     for attribute in dir(module):
         marked = manager.parse_hookimpl_opts(module, attribute) is not None
-        if attribute not in known and (marked or attribute.startswith("register_")):
-            raise ValueError(f"{attribute!r} is not an edit3r hook.{suggest(attribute, known)}")
+        meant = suggest(attribute, known)
+        if attribute not in known and (marked or (attribute.startswith("register_") and meant)):
+            raise ValueError(f"{attribute!r} is not an edit3r hook.{meant}")
         if attribute in known and not marked:
             raise ValueError(f"{attribute} is not marked; put @edit3r.hookimpl above it")
 
@@ -154,6 +190,8 @@ def _ask(manager: pluggy.PluginManager, module: ModuleType, kind: str, name: str
     others = [plugin for plugin in manager.get_plugins() if plugin is not module]
     answers = manager.subset_hook_caller(hook, others)()
     listed = [(answer,) if isinstance(answer, Component) else answer for answer in answers]
+    if not all(isinstance(answer, Iterable) for answer in listed):
+        raise TypeError(f"{hook} returned {type(listed[0]).__name__}, expected a list of edit3r.Component")
     components = [component for answer in listed for component in answer]
     for component in components:
         if not isinstance(component, Component):
@@ -169,4 +207,7 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, SystemExit):
         return f"called sys.exit({error.code!r}) while loading"
     text = " ".join(str(error).split())
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        advice = f"import {error.name!r} in the component's module and list it in requires"
+        return f"ModuleNotFoundError: {text}; a declaration imports only edit3r, {advice}"
     return text if isinstance(error, ValueError | TypeError) and text else f"{type(error).__name__}: {text}"

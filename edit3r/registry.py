@@ -16,7 +16,14 @@ from typing import Any
 
 from edit3r.component import KINDS
 from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.errors import MissingDependencyError, PluginError, UnknownComponentError, suggest
+from edit3r.errors import (
+    Edit3rError,
+    MissingDependencyError,
+    PluginError,
+    UnknownComponentError,
+    is_out_of_memory,
+    suggest,
+)
 from edit3r.plugins import LoadedPlugins, Offer, PluginFailure, load_plugins
 
 
@@ -52,7 +59,7 @@ class Registry:
             return found[0]
         if found:
             ways = " or ".join(repr(offer.qualified_name) for offer in found)
-            raise UnknownComponentError(f"{kind} {name!r} is offered by two plugins; ask for {ways}.")
+            raise UnknownComponentError(f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}.")
         known = [offer.component.name for offer in offers]
         failed = "".join(f" Plugin {f.plugin!r} did not load: {f.reason}." for f in self.failures)
         listed = ", ".join(dict.fromkeys(known)) or "none"
@@ -92,29 +99,37 @@ class Registry:
         `parts` fills parts with objects already built, or with names or `PartChoice`s that override the settings'.
         The result carries what it was built from as `.settings`, `.offer` and `.parts`.
         """
-        return self._build(kind, name, settings, dict(parts or {}), built={})
+        return self._build(kind, name, settings, dict(parts or {}), built={}, where=kind)
 
-    def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any]) -> Any:
+    def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any], where: str) -> Any:
+        """`where` is the key of this component in a configuration, such as 'reconstructor.backbone'."""
         offer = self.find(kind, name)
         cls = self.load_class(offer)
         settings_class = self.settings_class(offer)
         values = _with_default_names(settings_class, offer.component.parts, values)
-        settings = make_settings(settings_class, values, where=kind)
+        settings = make_settings(settings_class, values, where)
         siblings = dict(built)
         parts: dict[str, Any] = {}
         for part in offer.component.parts:
-            parts[part] = siblings[part] = self._part(offer, settings, part, given, siblings)
+            parts[part] = siblings[part] = self._part(offer, settings, part, given, siblings, f"{where}.{part}")
         try:
             component = cls(settings, **parts)
-        except TypeError as error:
+        except Edit3rError:
+            raise
+        except Exception as error:
+            if is_out_of_memory(error):
+                raise
+            call = ", ".join(["settings", *(f"{part}=..." for part in parts)])
             raise PluginError(
-                f"{kind} {offer.component.name!r}: {cls.__name__} could not be constructed as "
-                f"{cls.__name__}(settings{''.join(f', {p}=...' for p in parts)}) ({error})."
+                f"{kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be constructed as "
+                f"{cls.__name__}({call}) ({type(error).__name__}: {error})."
             ) from error
         component.settings, component.offer, component.parts = settings, offer, parts
         return component
 
-    def _part(self, offer: Offer, settings: Settings, part: str, given: dict, siblings: dict) -> Any:
+    def _part(
+        self, offer: Offer, settings: Settings, part: str, given: dict, siblings: dict[str, Any], where: str
+    ) -> Any:
         choice = given.get(part, siblings.get(part, getattr(settings, part, None)))
         if choice is None:
             raise PluginError(
@@ -124,7 +139,7 @@ class Registry:
             choice = PartChoice.model_validate(choice)
         if not isinstance(choice, PartChoice):
             return choice
-        return self._build(part, choice.name, dict(choice.settings), given, siblings)
+        return self._build(part, choice.name, dict(choice.settings), given, siblings, where)
 
 
 def _with_default_names(cls: type[Settings], parts: Iterable[str], values: dict[str, Any]) -> dict[str, Any]:
@@ -152,7 +167,7 @@ def install_hint(offer: Offer) -> str:
 def _installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
-    except (ImportError, ValueError):
+    except Exception:  # looking for a.b imports a, which may be broken in its own way
         return False
 
 

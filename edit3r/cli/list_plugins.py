@@ -35,10 +35,11 @@ def main(args: argparse.Namespace) -> int:
     ]
     slow = _slow_imports(registry) if args.check else []
     if args.json:
-        content = {"components": rows, "failures": failures, "clashes": clashes, "slow": slow}
+        remarks = {"clashes": clashes, "slow": slow, "deprecations": list(registry.plugins.deprecations)}
+        content = {"components": rows, "failures": failures, **remarks}
         print(json.dumps(content, indent=2))
     else:
-        _print_table(rows, failures, [*clashes, *slow])
+        _print_table(rows, failures, [*clashes, *slow, *registry.plugins.deprecations])
     broken = failures or clashes or any(problems.values())
     return 1 if args.strict and broken else 0
 

@@ -16,6 +16,7 @@ import torch
 
 from edit3r.checks import check_offer
 from edit3r.errors import Edit3rError
+from edit3r.hookspecs import API_VERSION
 from edit3r.plugins import Offer
 from edit3r.registry import Registry, default_registry, install_hint
 
@@ -136,6 +137,13 @@ class Contract:
             problem = check_offer(self.registry, self.offer)
             if problem:
                 raise ContractViolation(problem)
+
+    def test_declaration_states_the_api_version(self) -> None:
+        """So that a future edit3r can say what to update instead of failing somewhere inside."""
+        module = sys.modules.get(self.offer.module) if self.offer is not None else None
+        if module is not None:
+            stated = hasattr(module, "EDIT3R_API")
+            self.require(stated, f"{self.offer.module} does not state EDIT3R_API; add `EDIT3R_API = {API_VERSION}`.")
 
     def test_declaration_imports_nothing_heavy(self) -> None:
         """`edit3r --help` and `list-plugins` import every plugin's declaration, so it must be cheap."""

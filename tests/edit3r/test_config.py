@@ -1,0 +1,96 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edit3r.config import PartChoice, find_config, merge, parse_assignments, read_yaml
+from edit3r.errors import InputError, SettingsError
+
+
+def test_assignments_nest_by_dots_and_values_are_yaml():
+    read = parse_assignments(["editor.strength=0.5", "editor.on=true", "a.b.c=[1, 2]", "name=plain text", "seed = 3"])
+    assert read == {"editor": {"strength": 0.5, "on": True}, "a": {"b": {"c": [1, 2]}}, "name": "plain text", "seed": 3}
+
+
+def test_text_that_is_no_yaml_stays_text():
+    assert parse_assignments(["editor.command=run: {in"]) == {"editor": {"command": "run: {in"}}
+
+
+@pytest.mark.parametrize("wrong", ["editor.strength", "=3", "editor..x=1", ".a=1", ""])
+def test_a_wrong_assignment_shows_a_right_one(wrong):
+    with pytest.raises(SettingsError, match="expected KEY=VALUE, for example --set"):
+        parse_assignments([wrong])
+
+
+def test_later_layers_replace_leaves_and_keep_the_rest():
+    assert merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 5}}) == {"a": {"x": 1, "y": 5}, "b": 3}
+
+
+def test_settings_after_a_name_keep_the_name():
+    assert parse_assignments(["editor=sepia", "editor.strength=1"]) == {"editor": {"name": "sepia", "strength": 1}}
+
+
+def test_a_name_after_settings_replaces_them_they_were_another_component_s():
+    assert parse_assignments(["editor.strength=1", "editor=sepia"]) == {"editor": "sepia"}
+
+
+trees = st.recursive(st.integers(), lambda inner: st.dictionaries(st.sampled_from("abc"), inner), max_leaves=8)
+
+
+@given(st.dictionaries(st.sampled_from("abc"), trees), st.dictionaries(st.sampled_from("abc"), trees))
+def test_merging_changes_neither_input_and_is_idempotent(base, over):
+    before = repr(base), repr(over)
+    merged = merge(base, over)
+    assert (repr(base), repr(over)) == before
+    assert merge(merged, over) == merged
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "vit",
+        {"name": "vit"},
+    ],
+)
+def test_a_part_may_be_given_by_name(given):
+    assert PartChoice.model_validate(given) == PartChoice(name="vit")
+
+
+def test_a_part_s_settings_stand_beside_its_name():
+    assert PartChoice.model_validate({"name": "vit", "width": 8}).settings == {"width": 8}
+
+
+@pytest.mark.parametrize(
+    "text, sentence",
+    [
+        ("a: [1", "not valid YAML"),
+        ("- 1\n- 2", "expected a mapping of settings at the top, got list"),
+        ("just text", "got str"),
+    ],
+)
+def test_a_configuration_file_that_cannot_be_used_is_named(tmp_path, text, sentence):
+    file = tmp_path / "c.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"c\.yaml: ") as error:
+        read_yaml(file)
+    assert sentence in str(error.value)
+
+
+def test_a_binary_configuration_is_the_user_s_error_too(tmp_path):
+    file = tmp_path / "c.yaml"
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not valid YAML"):
+        read_yaml(file)
+
+
+def test_an_empty_file_is_an_empty_mapping(tmp_path):
+    file = tmp_path / "c.yaml"
+    file.write_text("# nothing yet\n")
+    assert read_yaml(file) == {}
+
+
+def test_a_file_given_by_path_is_found_and_an_unknown_name_is_not(tmp_path):
+    file = tmp_path / "c.yaml"
+    file.write_text("seed: 1")
+    assert find_config(str(file)) == file
+    with pytest.raises(InputError, match="neither a file nor a shipped configuration"):
+        find_config("surely-not-there")
