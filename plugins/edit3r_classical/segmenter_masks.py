@@ -1,0 +1,96 @@
+"""Outlines that follow the picture: graph cut, small parts and holes, soft edges."""
+
+import cv2
+import numpy as np
+
+SMALLEST_PART = 0.03  # share of an object under which a separate piece of it is dropped
+SMALLEST_HOLE = 0.01  # share under which a hole is filled
+EDGE_REACH = 0.012  # how far a soft edge may reach [longer sides of the picture]
+EDGE_EPSILON = 3e-4  # colour variance under which the guided filter smooths
+MIN_SAMPLES = 16  # pixels either side needs for a colour model
+
+
+def snapped(image: np.ndarray, mask: np.ndarray, shrink: float, grow: float, rounds: int = 3) -> np.ndarray:
+    """The mask moved to colour boundaries by graph cut (grabCut, Rother et al. 2004).
+
+    `image` is uint8 RGB; the answer keeps the mask's core (eroded by `shrink`) and stays within its surroundings
+    (dilated by `grow`), both in units of the square root of its area. Deterministic.
+    """
+    if not mask.any():
+        return mask
+    size = np.sqrt(mask.sum())
+    shrink, grow = max(1.0, shrink * size), max(1.0, grow * size)
+    window = _around(mask, 2 * grow + 8)  # enough of what surrounds it for a colour model, and no more to compute
+    part = mask[window]
+    outwards, inwards = distance_to(part), distance_to(~part)
+    trimap = np.full(part.shape, cv2.GC_BGD, np.uint8)
+    trimap[outwards <= grow] = cv2.GC_PR_BGD
+    trimap[part] = cv2.GC_PR_FGD
+    trimap[inwards > min(shrink, inwards.max() / 2)] = cv2.GC_FGD
+    result = np.zeros_like(mask)
+    result[window] = tidied(graph_cut(np.ascontiguousarray(image[window]), trimap, rounds), part)
+    return result
+
+
+def graph_cut(image: np.ndarray, trimap: np.ndarray, rounds: int = 3) -> np.ndarray:
+    """grabCut from a trimap of cv2's GC_ values; the trimap itself where a side is too small for a colour model."""
+    foreground = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
+    if min(foreground.sum(), (~foreground).sum()) < MIN_SAMPLES:
+        return foreground
+    labels = trimap.copy()
+    cv2.setRNGSeed(0)  # its colour models start from k-means
+    cv2.grabCut(image, labels, None, np.zeros((1, 65)), np.zeros((1, 65)), rounds, cv2.GC_INIT_WITH_MASK)
+    return (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+
+
+def tidied(mask: np.ndarray, seed: np.ndarray) -> np.ndarray:
+    """Without crumbs, without pieces that miss `seed`, and with small holes filled."""
+    total = mask.sum()
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    touched = np.bincount(labels[seed & mask], minlength=count) > 0
+    kept = touched & (stats[:, cv2.CC_STAT_AREA] > SMALLEST_PART * total)
+    kept[0] = False
+    result = kept[labels]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~result).astype(np.uint8), connectivity=4)
+    holes = stats[:, cv2.CC_STAT_AREA] < SMALLEST_HOLE * total
+    holes[0] = False
+    return result | holes[labels]
+
+
+def softened(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Soft mask float32 `[H, W]` in [0, 1] at the size of `image` (float RGB), from a bool mask of any size.
+
+    Guided filter (He et al. 2013): the soft edge follows the picture's own. It overshoots, so it is clipped.
+    """
+    height, width = image.shape[:2]
+    enlarged = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    soft = np.zeros((height, width), np.float32)
+    if not (enlarged > 0).any():
+        return soft
+    radius = max(1, round(EDGE_REACH * max(height, width)))
+    window = _around(enlarged > 0, 2 * radius)
+    part = np.ascontiguousarray(image[window], dtype=np.float32)
+    filtered = cv2.ximgproc.guidedFilter(part, np.ascontiguousarray(enlarged[window]), radius, EDGE_EPSILON)
+    near = distance_to(enlarged[window] > 0) <= radius
+    # The filter leaves a veil inside and outside; a steeper ramp clears it and keeps the edge soft.
+    soft[window] = np.where(near, np.clip((filtered - 0.5) * 1.5 + 0.5, 0, 1), 0)
+    return soft
+
+
+def distance_to(mask: np.ndarray) -> np.ndarray:
+    """Distance [pixels] of every pixel to the nearest one of a bool mask; 0 on it, huge where it is empty."""
+    return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+
+
+def _around(mask: np.ndarray, margin: float) -> tuple[slice, slice]:
+    """The window of a non-empty mask's box, `margin` pixels wider on each side as far as the picture goes."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    margin = int(np.ceil(margin))
+    top, left = max(0, rows[0] - margin), max(0, columns[0] - margin)
+    return slice(top, rows[-1] + margin + 1), slice(left, columns[-1] + margin + 1)
+
+
+def overlap(one: np.ndarray, other: np.ndarray) -> float:
+    """Intersection over union of two bool masks; 0 when both are empty."""
+    union = (one | other).sum()
+    return float((one & other).sum() / union) if union else 0.0

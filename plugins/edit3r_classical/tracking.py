@@ -1,0 +1,129 @@
+"""Follow objects from the first view through the others, by dense flow where views are close, else by features.
+
+View by view, from the nearest earlier view the object was seen in: dense inverse-search flow with a forward-backward
+check carries the mask; where flow breaks down, SIFT matches on the object give an affine map. The outline is then
+snapped to the colours of the new view. An object whose match is too thin or looks different is reported lost.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edit3r_classical.segmenter_masks import overlap, snapped, softened
+from edit3r_classical.tracking_features import warp_by_features
+from edit3r_classical.tracking_flow import Flow, flow_between, warp_by_flow
+
+MIN_CONSISTENT = 0.5  # share of the object's pixels that flow must carry there and back
+MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
+MIN_KEPT = 0.2  # share of its area in the source view under which an object is lost (it left the picture)
+SNAP_BAND = 0.04  # how far the outline may move when it is snapped [square roots of the area]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Objects in all views."""
+
+    soft_masks: np.ndarray  # float32 [V, R, H, W] in [0, 1], zero where lost
+    present: np.ndarray  # bool [V, R]
+
+
+@dataclass(frozen=True)
+class _View:
+    """A view at tracking size."""
+
+    pixels: np.ndarray  # uint8 RGB [h, w, 3]
+    grey: np.ndarray  # uint8 [h, w]
+
+
+def follow(pictures: list[np.ndarray], masks: np.ndarray, size: int) -> Followed:
+    """Follow `masks` `[R, H, W]` on the first of `pictures` (float RGB `[H, W, 3]`, one size) through all of them."""
+    views = [_view(picture, size) for picture in pictures]
+    height, width = views[0].grey.shape
+    first = [cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5 for mask in masks.astype(np.float32)]
+    found: list[list[np.ndarray | None]] = [[mask if mask.any() else None for mask in first]]
+    for index in range(1, len(views)):
+        tracker = _Step(views, found, index)
+        found.append([tracker.find(number) for number in range(len(masks))])
+    soft = np.zeros((len(views), len(masks), *pictures[0].shape[:2]), np.float32)
+    for index, row in enumerate(found):
+        for number, mask in enumerate(row):
+            if mask is not None:
+                soft[index, number] = masks[number] if index == 0 else softened(pictures[index], mask)
+    return Followed(soft, np.array([[mask is not None for mask in row] for row in found]).reshape(len(views), -1))
+
+
+class _Step:
+    """The search in one view; flow to each earlier view is computed once for all objects."""
+
+    def __init__(self, views: list[_View], found: list[list[np.ndarray | None]], index: int) -> None:
+        self.views, self.found, self.index = views, found, index
+        self.flows: dict[int, Flow] = {}
+
+    def find(self, number: int) -> np.ndarray | None:
+        """Mask of object `number` in this view, None when it is lost."""
+        if self.found[0][number] is None:
+            return None
+        sources = self._sources(number)
+        for way in (self._by_flow, self._by_features):
+            for source in sources:
+                mask = way(source, number)
+                if mask is not None and self._is_same(mask, source, number):
+                    return mask
+        return None
+
+    def _sources(self, number: int) -> list[int]:
+        """The last view the object was seen in, then the first view."""
+        last = max(index for index, row in enumerate(self.found) if row[number] is not None)
+        return [last, 0] if last else [0]
+
+    def _by_flow(self, source: int, number: int) -> np.ndarray | None:
+        if source not in self.flows:
+            self.flows[source] = flow_between(self.views[source].grey, self.views[self.index].grey)
+        warped, consistent = warp_by_flow(self.found[source][number], self.flows[source])
+        return self._snapped(warped) if consistent >= MIN_CONSISTENT else None
+
+    def _by_features(self, source: int, number: int) -> np.ndarray | None:
+        mask = self.found[source][number]
+        warped = warp_by_features(self.views[source].grey, self.views[self.index].grey, mask)
+        return self._snapped(warped, 3 * SNAP_BAND) if warped is not None else None
+
+    def _snapped(self, mask: np.ndarray, band: float = SNAP_BAND) -> np.ndarray | None:
+        """The outline on the colours of this view; as carried where graph cut would change the object itself."""
+        if not mask.any():
+            return None
+        moved = snapped(self.views[self.index].pixels, mask, band, band, rounds=2)
+        return moved if overlap(moved, mask) > 0.7 else mask
+
+    def _is_same(self, mask: np.ndarray, source: int, number: int) -> bool:
+        before = self.found[source][number]
+        if mask.sum() < MIN_KEPT * before.sum():
+            return False
+        references = ((source, before), (0, self.found[0][number]))
+        likeness = [
+            _likeness(self.views[view].pixels, seen, self.views[self.index].pixels, mask) for view, seen in references
+        ]
+        return max(likeness) >= MIN_LIKENESS
+
+
+def _view(picture: np.ndarray, size: int) -> _View:
+    height, width = picture.shape[:2]
+    factor = min(1.0, size / max(height, width))
+    shape = max(1, round(width * factor)), max(1, round(height * factor))
+    small = cv2.resize(picture, shape, interpolation=cv2.INTER_AREA) if factor < 1 else picture
+    pixels = np.round(np.clip(small, 0, 1) * 255).astype(np.uint8)
+    return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
+
+
+def _likeness(one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray) -> float:
+    """Overlap in [0, 1] of the colour histograms of two masked regions, tolerant of slight changes of light."""
+    first, second = _histogram(one, one_mask), _histogram(other, other_mask)
+    return float(np.sqrt(first * second).sum())
+
+
+def _histogram(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    lab = cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)
+    counts = cv2.calcHist([lab], [0, 1, 2], mask.astype(np.uint8), [6, 16, 16], [0, 256, 0, 256, 0, 256])
+    smooth = cv2.GaussianBlur(counts.reshape(6, -1), (1, 3), 0.7).reshape(6, 16, 16)
+    smooth = np.stack([cv2.GaussianBlur(plane, (3, 3), 0.7) for plane in smooth])
+    return smooth / max(smooth.sum(), 1e-9)
