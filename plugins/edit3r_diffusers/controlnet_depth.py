@@ -15,6 +15,7 @@ from torch import Tensor
 from edit3r.config import PartChoice
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor, Matcher
+from edit3r.io.pretrained import load_pretrained, pick_device, quiet
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import blending, depth, inversion, loading, pictures
 from edit3r_diffusers.cross_view import look_across_views
@@ -54,13 +55,15 @@ class ControlNetDepthEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            with loading.quiet():
+            with quiet():
                 from diffusers import ControlNetModel, DDIMScheduler, StableDiffusionControlNetImg2ImgPipeline
 
             chosen = self.settings
-            device = loading.pick_device(chosen.device, photos_on)
+            device = pick_device(chosen.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(chosen.dtype, device, torch.float16)
-            controlnet = loading.pretrained(ControlNetModel, chosen.controlnet, chosen, dtype, key="controlnet")
+            controlnet = load_pretrained(
+                ControlNetModel, loading.part_weights(chosen.controlnet, "controlnet", chosen), dtype=dtype
+            )
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
             pipeline = loading.load(StableDiffusionControlNetImg2ImgPipeline, chosen, device, dtype, **parts)
             # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
@@ -90,7 +93,7 @@ class ControlNetDepthEditor(Editor):
         if not self.settings.depth_model:
             return depth.matched_disparity(self.matcher, views)
         if self._depth_model is None:
-            device = loading.pick_device(self.settings.device, views.images.device)
+            device = pick_device(self.settings.device, views.images.device, "editor.device")
             self._depth_model = depth.load_predictor(self.settings.depth_model, self.settings, device)
         return depth.predicted_disparity(self._depth_model, views.images[0].to(self._depth_model.device))
 

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.interfaces import Matcher
+from edit3r.io.pretrained import load_pretrained, quiet
 from edit3r.reporting import warn
 from edit3r.types import Views
-from edit3r_diffusers import loading
+from edit3r_diffusers.loading import part_weights
 from edit3r_diffusers.settings import DiffusionSettings
 
 FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
@@ -48,9 +49,11 @@ def predicted_disparity(model: Any, images: Float[Tensor, "view 3 height width"]
 
 def load_predictor(model: str, settings: DiffusionSettings, device: torch.device) -> Any:
     """A depth network of transformers by id or folder, in float32."""
-    with loading.quiet():
+    with quiet():
         from transformers import AutoModelForDepthEstimation
-    network = loading.pretrained(AutoModelForDepthEstimation, model, settings, torch.float32, key="depth_model")
+    network = load_pretrained(
+        AutoModelForDepthEstimation, part_weights(model, "depth_model", settings), dtype=torch.float32
+    )
     return network.to(device).eval()
 
 

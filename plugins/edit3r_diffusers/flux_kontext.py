@@ -9,6 +9,7 @@ from torch import Tensor
 
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
+from edit3r.io.pretrained import pick_device, quiet
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import blending, loading, pictures
 from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
@@ -51,10 +52,10 @@ class FluxKontextEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            with loading.quiet():
+            with quiet():
                 from diffusers import FluxKontextInpaintPipeline
 
-            device = loading.pick_device(self.settings.device, photos_on)
+            device = pick_device(self.settings.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(self.settings.dtype, device, torch.bfloat16)
             self._pipeline = loading.load(FluxKontextInpaintPipeline, self.settings, device, dtype)
         return self._pipeline

@@ -6,6 +6,7 @@ from edit3r_diffusers import loading
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.io import pretrained
 
 ASK = edit3r.EditRequest("paint it red")
 
@@ -27,7 +28,8 @@ def test_a_missing_folder_and_a_folder_of_something_else_are_told_apart(two_view
 
 
 def test_a_gated_model_names_the_login_command():
-    error = loading._loading_error(OSError("Access to model x/y is gated"), object, "x/y", "model")
+    weights = pretrained.Weights("x/y", "editor.model")
+    error = pretrained.loading_error(OSError("Access to model x/y is gated"), object, weights)
     assert "hf auth login" in str(error) and isinstance(error, MissingDependencyError)
 
 

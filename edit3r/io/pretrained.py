@@ -1,0 +1,115 @@
+"""Weights in the layout of `save_pretrained`, and where they run: for every plugin that loads a foreign network.
+
+Nothing here imports a foreign library; the plugin brings the class. Whatever goes wrong is one sentence that names
+the setting and the way out.
+"""
+
+import importlib
+import importlib.util
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
+
+LIBRARIES = ("diffusers", "transformers")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Which weights to load, and under which setting the user names them."""
+
+    model: str  # id on the Hugging Face hub, or a folder
+    key: str  # the setting, such as 'editor.model'
+    revision: str = ""  # branch, tag or commit; '': the newest
+    variant: str = ""  # such as 'fp16'; '': the full-precision files
+    local_files_only: bool = False  # never download
+
+
+def load_pretrained(cls: type, weights: Weights, **given: Any) -> Any:
+    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else MissingDependencyError."""
+    _check_folder(weights)
+    chosen = {"revision": weights.revision, "variant": weights.variant}
+    given.update({name: value for name, value in chosen.items() if value})
+    model = str(Path(weights.model).expanduser())
+    with quiet():
+        try:
+            return cls.from_pretrained(model, local_files_only=weights.local_files_only, **given)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+            raise loading_error(error, cls, weights) from error
+
+
+def _check_folder(weights: Weights) -> None:
+    """Something that can only be meant as a folder must be one."""
+    model = weights.model
+    looks_local = model.startswith(("/", "~", ".")) or model.count("/") > 1 or "\\" in model
+    if looks_local and not Path(model).expanduser().is_dir():
+        raise InputError(f"{weights.key}: no folder {model!r}; give one written by save_pretrained, or a model id.")
+
+
+def loading_error(error: Exception, cls: type, weights: Weights) -> Edit3rError:
+    """The sentence for what `from_pretrained` raised."""
+    reason = " ".join(str(error).split())[:300].rstrip(".")
+    model, key = weights.model, weights.key
+    if "gated" in f"{type(error).__name__} {reason}".lower():
+        return MissingDependencyError(
+            f"{key}: {model!r} is gated; accept its licence on its model page and log in with: hf auth login"
+        )
+    if Path(model).expanduser().is_dir():
+        return InputError(f"{key}: {model!r} does not hold a {cls.__name__} ({reason}).")
+    return MissingDependencyError(
+        f"{key}: {model!r} is not on this machine and could not be downloaded ({reason}); fetch it where there is a "
+        f"network with `hf download {model}`, or give a folder with --set {key}=FOLDER."
+    )
+
+
+def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
+    """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is not there."""
+    if name == "auto":
+        return photos_on
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0].rstrip(".")
+        raise SettingsError(
+            f"{key}: {name!r} cannot be used on this machine ({reason}); use --set {key}=cpu."
+        ) from None
+    return device
+
+
+@contextmanager
+def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
+    """Turn running out of memory while `doing` something into a sentence with `advice`."""
+    try:
+        yield
+    except RuntimeError as error:  # torch.OutOfMemoryError is one; a CPU raises the plain class
+        text = str(error).lower()
+        if "out of memory" not in text and "not enough memory" not in text and "can't allocate memory" not in text:
+            raise
+        raise RunError(f"out of memory while {doing}; {advice}.") from error
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Hold back the libraries' own loading bars and warnings (about torchvision, and failures we tell better)."""
+    installed = [name for name in LIBRARIES if importlib.util.find_spec(name)]
+    loggers = [logging.getLogger(name) for name in installed]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    bars = [importlib.import_module(f"{name}.utils.logging") for name in installed]
+    for bar in bars:
+        bar.disable_progress_bar()
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels):
+            logger.setLevel(level)
+        for bar in bars:
+            bar.enable_progress_bar()
