@@ -31,11 +31,11 @@ def require_valid_gaussians(contract: Contract, gaussians: Gaussians, batch: int
 
 
 def require_same_gaussians(contract: Contract, what: str, first: Gaussians, second: Gaussians, fix: str, atol: float):
-    """Every field agrees, relative to its own size."""
+    """Every field agrees, relative to its largest value."""
     contract.require(
         first.count == second.count, f"{what}: {first.count} against {second.count} Gaussians per scene; {fix}."
     )
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         a, b = getattr(first, name), getattr(second, name)
-        size = max(1.0, torch.nan_to_num(b).abs().max().item())
+        size = max(1e-8, torch.nan_to_num(b).abs().max().item())
         contract.require_equal(f"{what}, Gaussians.{name}", a / size, b / size, fix, atol)

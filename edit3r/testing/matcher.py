@@ -44,11 +44,9 @@ class MatcherContract(Contract):
         self.require(
             angle < self.max_angle, f"the rotation is off by {math.degrees(angle):.1f} of {limit:.1f} degrees."
         )
-        ratio = geometry.depths[0, 0].cpu() / scene.depths[0, 0]
-        spread = (ratio / ratio.median() - 1).abs().median().item()
-        self.require(
-            spread < 0.15, f"depths are off by {100 * spread:.0f} % up to scale; return camera z, not distance."
-        )
+        error, flat = (_depth_error(d, scene.depths[0, 0]) for d in (geometry.depths[0, 0].cpu(), torch.ones(1)))
+        fix = "return camera z in the unit of the poses, not distance or disparity"
+        self.require(error < 0.5 * flat, f"depths are off by {error:.0%}, a flat wall would be by {flat:.0%}; {fix}.")
 
     def test_photos_without_texture_raise_a_matching_error(self) -> None:
         views = photograph(2, self.image_size).views.to(self.device)
@@ -67,3 +65,9 @@ class MatcherContract(Contract):
         found = type(geometry).__name__
         self.require(isinstance(geometry, MatchedGeometry), f"match() returned a {found}; return MatchedGeometry.")
         return geometry
+
+
+def _depth_error(depths: torch.Tensor, true: torch.Tensor) -> float:
+    """Mean relative error after the best common scale; an outlier counts as at most 100 %."""
+    ratio = depths / true
+    return (ratio / ratio.median() - 1).abs().clamp(max=1).mean().item()

@@ -1,5 +1,7 @@
 """Contracts of the two halves of a reconstruction network: backbone and head."""
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor, nn
 
@@ -69,7 +71,7 @@ class BackboneContract(Contract):
         views = self._views(2)
         images = views.images.clone().requires_grad_()
         features = self.call("forward()", self.subject, images, views.intrinsics)
-        sum(level.square().mean() for level in features.levels).backward()
+        backward(self, features.levels)
         require_finite_gradients(self, {"images": images, **dict(self.subject.named_parameters())})
         self.subject.zero_grad()
 
@@ -137,7 +139,7 @@ class HeadContract(Contract):
         levels = tuple(level.clone().requires_grad_() for level in features.levels)
         gaussians = self.call("forward()", self.subject, Features(levels, features.grid), views.images)
         fields = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.harmonics)
-        sum(field.square().mean() for field in fields).backward()
+        backward(self, fields)
         named = {f"levels[{i}]": level for i, level in enumerate(levels)}
         require_finite_gradients(self, {**named, **dict(self.subject.named_parameters())})
         self.subject.zero_grad()
@@ -153,10 +155,16 @@ class HeadContract(Contract):
         return photograph(count, (rows * size, columns * size)).views.to(self.device)
 
 
+def backward(contract: Contract, outputs: Iterable[Tensor]) -> None:
+    """Backward pass from the mean square of every output."""
+    total = sum(output.float().square().mean() for output in outputs)
+    contract.require(total.requires_grad, "no gradient arrives; do not detach, and do not compute under no_grad.")
+    total.backward()
+
+
 def require_finite_gradients(contract: Contract, tensors: dict[str, Tensor]) -> None:
     """No gradient is NaN or infinite, and at least one is not zero."""
     gradients = {name: tensor.grad for name, tensor in tensors.items() if tensor.grad is not None}
-    contract.require(gradients, "no gradient arrives anywhere; do not detach, and do not compute under no_grad.")
     broken = [name for name, gradient in gradients.items() if not torch.isfinite(gradient).all()]
     fix = "look for sqrt, norm or division at 0"
     contract.require(not broken, f"the gradient of {', '.join(broken[:3])} is not finite; {fix}.")
