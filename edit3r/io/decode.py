@@ -1,6 +1,7 @@
 """One picture file to upright 8-bit sRGB pixels, whatever the format, or one sentence why not."""
 
 import contextlib
+import io
 import math
 import warnings
 from collections.abc import Iterator
@@ -29,6 +30,7 @@ class Picture:
     pixels: Image.Image  # mode RGB, upright, sRGB
     focal: float | None  # [pixels of `pixels`], same in x and y; None: EXIF does not say
     focal_source: str  # such as "EXIF 35 mm equivalent (26 mm)"; "" when focal is None
+    transparent: bool = False  # some of it was see-through and now shows white
 
 
 def decode(path: str | Path) -> Picture:
@@ -36,15 +38,14 @@ def decode(path: str | Path) -> Picture:
     to 8, the first frame of several. Raises InputError, or MissingDependencyError for HEIC without the extra."""
     path = Path(path)
     _check_is_file(path)
-    with warnings.catch_warnings(), _opened(path) as image:
-        warnings.simplefilter("ignore")  # Pillow's own remarks; what matters is raised or said below
+    with _opened(path) as image:
         if image.width * image.height > MAX_PIXELS:
             raise InputError(_too_large(path, f"{image.width}x{image.height}"))
         focal, source = _exif_focal(image, path)
         try:
             image.load()
             pixels = _to_srgb(image, path)
-            return Picture(_upright(image, pixels, path), focal, source)
+            return Picture(_upright(image, pixels, path), focal, source, _is_transparent(image))
         except InputError:
             raise
         except Exception as error:  # damaged files make Pillow's decoders raise almost anything
@@ -60,8 +61,7 @@ def picture_size(path: str | Path) -> tuple[int, int]:
     """(height, width) of the upright picture from its header, without decoding the pixels."""
     path = Path(path)
     _check_is_file(path)
-    with warnings.catch_warnings(), _opened(path) as image:
-        warnings.simplefilter("ignore")
+    with _opened(path) as image:
         turned = _orientation(image, path) in (5, 6, 7, 8)
         return (image.width, image.height) if turned else (image.height, image.width)
 
@@ -79,11 +79,17 @@ def _check_is_file(path: Path) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    heic = _is_heic(path)
-    if heic:
+    if _is_heic(path):
         _register_heic(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own remarks; what matters is raised or said by the callers
+        with _open(path) as image:
+            yield image
+
+
+def _open(path: Path) -> Image.Image:
     try:
-        image = Image.open(path)
+        return Image.open(path)
     except Image.DecompressionBombError:
         raise InputError(_too_large(path, "far too many pixels")) from None
     except UnidentifiedImageError:
@@ -92,8 +98,6 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise InputError(f"{path}: no permission to read it.") from None
     except Exception as error:  # a damaged header, see decode
         raise InputError(f"{path}: the picture is damaged ({_reason(error)}); copy it again.") from None
-    with image:
-        yield image
 
 
 def _too_large(path: Path, found: str) -> str:
@@ -133,15 +137,20 @@ def _to_srgb(image: Image.Image, path: Path) -> Image.Image:
         warn(f"{path}: holds {image.n_frames} pictures; the first is used.")
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
         return _from_high_depth(image, path)
-    if image.mode in ("LA", "La", "PA", "RGBa") or "transparency" in image.info:
+    if image.has_transparency_data:
         image = image.convert("RGBA")
-    if image.mode == "RGBA":
         alpha = image.getchannel("A")
         opaque = _through_profile(image.convert("RGB"), image.info.get("icc_profile"), path)
         white = Image.new("RGB", image.size, "white")
         white.paste(opaque, mask=alpha)
         return white
     return _through_profile(image, image.info.get("icc_profile"), path)
+
+
+def _is_transparent(image: Image.Image) -> bool:
+    if not image.has_transparency_data or image.mode.startswith("I"):
+        return False
+    return image.convert("RGBA").getchannel("A").getextrema()[0] < 255
 
 
 def _from_high_depth(image: Image.Image, path: Path) -> Image.Image:
@@ -155,12 +164,14 @@ def _from_high_depth(image: Image.Image, path: Path) -> Image.Image:
 
 
 def _through_profile(image: Image.Image, profile: bytes | None, path: Path) -> Image.Image:
-    if not profile or image.mode not in ("RGB", "CMYK", "L"):
+    if image.mode not in ("RGB", "CMYK", "L"):
+        image = image.convert("RGB")
+    if not profile:
         return image.convert("RGB")
     try:
-        import io
-
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if image.mode == "RGB" and "sRGB" in ImageCms.getProfileDescription(source):
+            return image  # as most cameras say; converting would cost time and round twice
         return ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode="RGB")
     except (ImageCms.PyCMSError, OSError, ValueError):
         warn(f"{path}: its colour profile cannot be used; colours are taken as sRGB.")

@@ -61,20 +61,24 @@ def common_size(sizes: Sequence[tuple[int, int]], longest: int | None) -> tuple[
     aspect = math.exp(statistics.median(math.log(width / height) for height, width in sizes))
     offered = [_longer_side(size, aspect) for size in sizes]
     longer = statistics.median_low(offered)
-    longer = max(1, round(longer if longest is None else min(longer, longest)))
-    shorter = max(1, round(longer * min(aspect, 1 / aspect)))
-    return (shorter, longer) if aspect >= 1 else (longer, shorter)
+    return _in_shape(aspect, max(1, round(longer if longest is None else min(longer, longest))))
 
 
 def frame_for(size: tuple[int, int], target: tuple[int, int]) -> Frame:
-    """The largest centred part of a photo with the target's shape; all of it if that costs less than a pixel."""
+    """The largest centred part of a photo with the target's shape; all of it where only rounding tells them apart."""
     height, width = size
-    scale = max(target[0] / height, target[1] / width)
-    used_height, used_width = target[0] / scale, target[1] / scale
-    if max(height - used_height, width - used_width) * scale < 1:
+    if _in_shape(width / height, max(target)) == target:
         return Frame(size, (0.0, 0.0, float(width), float(height)), target)
+    scale = max(target[0] / height, target[1] / width)
+    used_height, used_width = min(height, target[0] / scale), min(width, target[1] / scale)
     left, top = (width - used_width) / 2, (height - used_height) / 2
     return Frame(size, (left, top, left + used_width, top + used_height), target)
+
+
+def _in_shape(aspect: float, longer: int) -> tuple[int, int]:
+    """(height, width) of `longer` pixels and the shorter side that `aspect` (width / height) gives."""
+    shorter = max(1, round(longer * min(aspect, 1 / aspect)))
+    return (shorter, longer) if aspect >= 1 else (longer, shorter)
 
 
 def _longer_side(size: tuple[int, int], aspect: float) -> float:

@@ -11,7 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.io.decode import read_image
+from edit3r.io.decode import decode
 from edit3r.io.framing import Frame
 from edit3r.io.intrinsics import SHAPE_TOLERANCE
 from edit3r.reporting import warn
@@ -33,7 +33,10 @@ def load_masks(paths: Sequence[str | Path], photos: "LoadedPhotos") -> Float[Ten
 
 
 def _load(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
-    picture = _stretched(read_image(path).convert("L"), path)
+    decoded = decode(path)
+    if decoded.transparent:  # a hole may mean black to one program and white to another
+        raise InputError(f"{path}: this mask has transparent parts; expected black (keep) and white (may change).")
+    picture = _stretched(decoded.pixels.convert("L"), path)
     height, width = frame.source
     if picture.size != frame.target[::-1]:
         if abs(picture.width / picture.height * height / width - 1) > SHAPE_TOLERANCE:

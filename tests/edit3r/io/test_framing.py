@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from edit3r.io.framing import Frame, common_size, frame_for
+
+sizes = st.tuples(st.integers(1, 6000), st.integers(1, 6000))
+
+
+@given(st.lists(sizes, min_size=1, max_size=6), st.sampled_from([None, 1, 256, 512]))
+def test_every_photo_covers_the_common_size(photos, longest):
+    target = common_size(photos, longest)
+    assert min(target) >= 1 and (longest is None or max(target) <= longest)
+    for size in photos:
+        left, top, right, bottom = frame_for(size, target).box
+        assert 0 <= left < right <= size[1] + 1e-9 and 0 <= top < bottom <= size[0] + 1e-9
+        assert left == pytest.approx(size[1] - right, abs=1e-6) and top == pytest.approx(size[0] - bottom, abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [(384, 512), (500, 741), (1, 1), (1, 1000), (3024, 4032)])
+def test_photos_of_one_size_lose_nothing(size):
+    assert common_size([size] * 3, None) == size
+    frame = frame_for(size, common_size([size] * 3, 512))
+    assert frame.cropped == 0
+
+
+def test_the_shape_of_most_photos_wins_and_two_different_ones_meet_in_the_middle():
+    assert common_size([(300, 400), (300, 400), (400, 300)], None) == (300, 400)
+    assert common_size([(300, 400), (400, 300)], None) == (300, 300)
+
+
+def test_a_huge_photo_among_small_ones_is_reduced_and_a_tiny_one_is_enlarged():
+    assert common_size([(300, 400), (3000, 4000), (300, 400)], 512) == (300, 400)
+    assert frame_for((30, 40), (300, 400)).scale == 10
+
+
+@given(sizes, sizes)
+@settings(deadline=None)
+def test_intrinsics_follow_the_crop_exactly(size, target):
+    """A ray through a pixel of the original passes through the same spot of the crop."""
+    frame = frame_for(size, target)
+    intrinsics = torch.tensor([[0.9, 0.01, 0.52], [0, 1.1, 0.47], [0, 0, 1]], dtype=torch.float64)
+    followed = frame.follow(intrinsics)
+    point = torch.tensor([0.1, -0.2, 1.0], dtype=torch.float64)
+    x, y = (intrinsics @ point)[:2] * torch.tensor([size[1], size[0]])
+    left, top, right, bottom = frame.box
+    expected = torch.stack(((x - left) / (right - left), (y - top) / (bottom - top)))
+    torch.testing.assert_close((followed @ point)[:2], expected)
+
+
+def test_the_cut_shows_what_the_box_says():
+    """A linear ramp stays the ramp that the box predicts, at every pixel centre."""
+    ramp = np.tile(np.arange(200, dtype=np.uint8), (100, 1))
+    frame = Frame((100, 200), (50.0, 0.0, 150.0, 100.0), (25, 25))
+    cut = np.asarray(frame.cut(Image.fromarray(ramp)))
+    np.testing.assert_allclose(cut[12], 50 + (np.arange(25) + 0.5) * 4 - 0.5, atol=0.51)
+
+
+def test_a_cut_that_changes_nothing_returns_the_very_pixels():
+    noise = np.random.default_rng(0).integers(0, 255, (7, 9, 3), dtype=np.uint8)
+    assert (np.asarray(frame_for((7, 9), (7, 9)).cut(Image.fromarray(noise))) == noise).all()
+
+
+def test_reducing_averages_instead_of_skipping():
+    stripes = np.zeros((64, 64), np.uint8)
+    stripes[:, ::2] = 255
+    cut = np.asarray(frame_for((64, 64), (8, 8)).cut(Image.fromarray(stripes)))
+    assert np.abs(cut.astype(int) - 127).max() < 12
