@@ -1,5 +1,8 @@
 """Dense prediction trunk (DPT): four levels of tokens to one feature map at half the picture's resolution."""
 
+from collections.abc import Callable
+
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -35,10 +38,11 @@ class ResidualUnit(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(width, width, 3, padding=1)
+        self.act = nn.ReLU()
         self.conv2 = nn.Conv2d(width, width, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "batch width h w"]) -> Float[Tensor, "batch width h w"]:
-        return x + self.conv2(F.relu(self.conv1(F.relu(x))))
+        return x + self.conv2(self.act(self.conv1(F.relu(x))))
 
 
 class Fusion(nn.Module):
@@ -65,6 +69,35 @@ class Fusion(nn.Module):
 def double(x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch channel 2h 2w"]:
     """Bilinear upsampling by 2 that keeps the corner pixels in place (`align_corners`)."""
     return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
+
+
+def double_rows(x: Float[Tensor, "batch channel h w"], start: int, stop: int) -> Float[Tensor, "batch channel row 2w"]:
+    """Rows `start` to `stop` (exclusive) of `double(x)`, without computing the others."""
+    height = x.shape[2]
+    at = torch.arange(start, stop, device=x.device) * ((height - 1) / (2 * height - 1))
+    low = at.long().clamp(max=max(height - 2, 0))
+    high = (low + 1).clamp(max=height - 1)
+    share = (at - low).to(x.dtype)[:, None]
+    rows = torch.lerp(x[:, :, low], x[:, :, high], share)
+    return F.interpolate(rows, size=(stop - start, 2 * x.shape[3]), mode="bilinear", align_corners=True)
+
+
+def in_strips(
+    height: int, rows: int, compute: Callable[[int, int], Float[Tensor, "batch channel row width"]], halo: int = 1
+) -> Float[Tensor, "batch channel height width"]:
+    """Join `compute(start, stop)` over strips of at most `rows` rows; each is computed `halo` rows wider, then cut.
+
+    Large maps never exist as a whole, and a strip stays in the cache from one layer to the next.
+    """
+    if rows >= height:
+        return compute(0, height)
+    strips = []
+    for start in range(0, height, rows):
+        stop = min(start + rows, height)
+        above = max(start - halo, 0)
+        strip = compute(above, min(stop + halo, height))
+        strips.append(strip[:, :, start - above : stop - above])
+    return torch.cat(strips, 2)
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:

@@ -4,13 +4,12 @@ import torch
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
-from torch.nn.functional import relu
 
 from edit3r.config import Settings
 from edit3r.errors import SettingsError
 from edit3r.interfaces import Backbone, GaussianHead
 from edit3r.types import Features, Gaussians
-from edit3r_noposplat.dpt import DptTrunk, double
+from edit3r_noposplat.dpt import DptTrunk, double_rows, in_strips
 from edit3r_noposplat.gaussians import assemble, attribute_channels
 from edit3r_noposplat.initialise import construct
 from edit3r_noposplat.roles import ROLES, assign_roles
@@ -39,6 +38,11 @@ class DptGaussianHead(GaussianHead):
         )
         scale_factor: float = Field(0.001, gt=0, description="of softplus(raw scale) [scene units]")
         max_scale: float = Field(0.3, gt=0, description="largest standard deviation [scene units]")
+        strip_rows: int = Field(
+            32,
+            ge=1,
+            description="picture rows computed at a time in the last layers; fewer need less memory, results are equal",
+        )
         seed: int | None = Field(
             0, description="of the initial weights; none leaves them empty (no memory), to be filled from a checkpoint"
         )
@@ -102,13 +106,20 @@ class CentrePredictor(nn.Module):
 
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
+        self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, settings.feature_width)
         self.conv1 = nn.Conv2d(settings.feature_width, settings.point_width, 3, padding=1)
         self.conv2 = nn.Conv2d(settings.point_width, settings.point_width, 3, padding=1)
+        self.act = nn.ReLU()
         self.out = nn.Conv2d(settings.point_width, 3, 1)
 
     def forward(self, maps: list[Tensor]) -> Float[Tensor, "batch 3 height width"]:
-        return self.out(relu(self.conv2(double(self.conv1(self.trunk(maps))))))
+        half = self.conv1(self.trunk(maps))
+
+        def strip(start: int, stop: int) -> Tensor:
+            return self.out(self.act(self.conv2(double_rows(half, start, stop))))
+
+        return in_strips(2 * half.shape[2], self.strip_rows, strip)
 
 
 class AttributePredictor(nn.Module):
@@ -117,17 +128,31 @@ class AttributePredictor(nn.Module):
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
         width = settings.feature_width
+        self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
         self.shortcut = nn.Conv2d(3, width, 7, padding=3)
         self.conv = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.act = nn.ReLU()
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
     def forward(
         self, maps: list[Tensor], pixels: Float[Tensor, "batch 3 height width"]
     ) -> Float[Tensor, "batch channel height width"]:
-        seen = relu(self.shortcut(pixels.to(self.shortcut.weight.dtype)))
-        return self.out(relu(self.conv(double(self.trunk(maps)) + seen)))
+        half = self.trunk(maps)
+        pixels = pixels.to(half.dtype)
+
+        def strip(start: int, stop: int) -> Tensor:
+            seen = _rows_of(self.shortcut, pixels, start, stop, halo=3)
+            return self.out(self.act(self.conv(double_rows(half, start, stop) + self.act(seen))))
+
+        return in_strips(2 * half.shape[2], self.strip_rows, strip)
 
 
 def _on_grid(tokens: Float[Tensor, "token channel"], grid: tuple[int, int]) -> Float[Tensor, "1 channel rows columns"]:
     return tokens.T.unflatten(1, grid)[None]
+
+
+def _rows_of(conv: nn.Module, pixels: Tensor, start: int, stop: int, halo: int) -> Tensor:
+    """Rows `start` to `stop` of `conv(pixels)`, the convolution reaching `halo` rows to either side."""
+    above = max(start - halo, 0)
+    return conv(pixels[:, :, above : stop + halo])[:, :, start - above : stop - above]

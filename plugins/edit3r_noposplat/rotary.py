@@ -13,16 +13,16 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Rotation:
-    """Cosines and sines for one sequence of tokens, laid out to broadcast over [batch, token, head, axis, pair]."""
+    """Tables for one sequence of tokens, laid out to broadcast over [batch, token, head, axis, half, pair]."""
 
-    cos: Float[Tensor, "token 1 2 pair"]
-    sin: Float[Tensor, "token 1 2 pair"]
+    cos: Float[Tensor, "token 1 2 1 pair"]
+    sin: Float[Tensor, "token 1 2 2 pair"]  # negative for the first half of each axis
 
     def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
         """Turn queries or keys; dtype of `x` is kept."""
-        first, second = x.unflatten(-1, (2, 2, self.cos.shape[-1])).unbind(-2)
+        halves = x.unflatten(-1, (2, 2, self.cos.shape[-1]))
         cos, sin = self.cos.to(x.dtype), self.sin.to(x.dtype)
-        return torch.stack((first * cos - second * sin, second * cos + first * sin), -2).flatten(-3)
+        return torch.addcmul(halves * cos, halves.flip(-2), sin).flatten(-3)
 
 
 def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
@@ -40,5 +40,6 @@ def make_rotation(
     """Tables for tokens at `positions`; computed in float64, kept in float32."""
     pairs = head_width // 4
     frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
-    angles = positions.double()[:, None, :, None] * frequencies
-    return Rotation(angles.cos().float().to(device), angles.sin().float().to(device))
+    angles = positions.double()[:, None, :, None, None] * frequencies
+    sin = torch.cat((-angles.sin(), angles.sin()), -2)
+    return Rotation(angles.cos().float().to(device), sin.float().to(device))
