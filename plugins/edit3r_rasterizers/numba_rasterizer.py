@@ -16,7 +16,7 @@ from edit3r_rasterizers.checks import check_cameras, check_finite, resolve_backg
 from edit3r_rasterizers.projection import project
 from edit3r_rasterizers.projection_backward import project_backward
 from edit3r_rasterizers.raster_backward import BACKWARD_SCRATCH, differentiate_tiles
-from edit3r_rasterizers.raster_forward import SCRATCH, shade_tiles
+from edit3r_rasterizers.raster_forward import FORWARD_SCRATCH, shade_tiles
 from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings
 from edit3r_rasterizers.threads import even_bounds, run_slices, thread_count
@@ -194,12 +194,12 @@ def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.
         frame.grid.columns,
         frame.offsets,
         frame.entries,
-        frame.records,
+        frame.records.reshape(-1),
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
         background,
-        lambda: aligned_empty((SCRATCH,)),
+        lambda: aligned_empty((FORWARD_SCRATCH,)),
         image,
         alpha[0],
         depth[0],
@@ -210,9 +210,9 @@ def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.
 def _differentiate(
     settings: NumbaSettings, threads: int, scene: _Scene, frame: _Frame, pictures: list, by_pictures: list, totals: list
 ) -> None:
-    image, alpha, depth = pictures
+    image, _, depth = pictures
     by_image, by_alpha, by_depth = by_pictures
-    sums = np.empty((len(frame.entries), SUMS), np.float32)
+    sums = aligned_empty((len(frame.entries) * SUMS,))
     run_slices(
         differentiate_tiles,
         _tile_bounds(frame, threads),
@@ -220,13 +220,12 @@ def _differentiate(
         frame.grid.columns,
         frame.offsets,
         frame.entries,
-        frame.records,
+        frame.records.reshape(-1),
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
         lambda: aligned_empty((BACKWARD_SCRATCH,)),
         image,
-        alpha[0],
         depth[0],
         frame.transmittances,
         by_image,

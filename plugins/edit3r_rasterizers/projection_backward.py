@@ -1,4 +1,4 @@
-"""From a splat's sums over its pixels to gradients of the Gaussian it came from, in float64."""
+"""From a splat's sums over its pixels to gradients of the Gaussian it came from, eight at a time, in float64."""
 
 import math
 
@@ -6,26 +6,31 @@ import numpy as np
 from numba import njit
 
 from edit3r_rasterizers.projection import (
-    _HALF_LOG2E_ROOT,
+    GROUP,
+    INPUTS,
+    OPACITY,
+    SCALE,
+    UNIT,
+    U,
     camera_position,
     conditional_form,
     image_rows,
-    rotation,
+    offset_from_camera,
+    rotation_matrix,
+    stage,
+    staged_row,
+    unit_quats,
 )
 from edit3r_rasterizers.records import (
-    BLUE,
     CENTRE,
     FOCAL_X,
     FOCAL_Y,
-    GREEN,
     HIGH_X,
     HIGH_Y,
     LOW_X,
     LOW_Y,
     RED,
-    SUM_BLUE,
     SUM_DEPTH,
-    SUM_GREEN,
     SUM_RED,
     SUM_V,
     SUM_VS,
@@ -37,8 +42,12 @@ from edit3r_rasterizers.records import (
 )
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
+from edit3r_rasterizers.simd import select
+from edit3r_rasterizers.simd_memory import store
 
-_UNIT = 1.0 / _HALF_LOG2E_ROOT  # from the records' base-2 units to standard deviations
+_PER_UNIT = 1.0 / UNIT
+_MEAN, _SCALE, _QUAT, _OPACITY, _GRADIENTS = U(0), U(3), U(6), U(10), U(11)
+"""Rows of the staged gradients, one lane per Gaussian."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -66,101 +75,152 @@ def project_backward(
 
     `positions[places[i, 0] : places[i, 1]]` are the rows of `sums` that belong to Gaussian i.
     """
-    count = harmonics.shape[1]
-    basis, weights, total = np.empty(25), np.empty(25), np.empty(SUMS)
-    for i in range(np.uint64(first), np.uint64(last)):
-        if places[i, 0] == places[i, 1]:
-            continue
-        total[:] = 0
-        for place in range(np.uint64(places[i, 0]), np.uint64(places[i, 1])):
-            row = np.uint64(positions[place])
-            for k in range(np.uint64(SUMS)):
-                total[k] += np.float64(sums[row, k])
-        dx = np.float64(means[i, 0]) - camera[CENTRE]
-        dy = np.float64(means[i, 1]) - camera[CENTRE + 1]
-        dz = np.float64(means[i, 2]) - camera[CENTRE + 2]
-        s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        qa, qb = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-        qc, qd = np.float64(quats[i, 2]), np.float64(quats[i, 3])
-        x, y, z = camera_position(camera, dx, dy, dz)
-        u, v = x / z, y / z
-        r0, r1, r2, r3, r4, r5, r6, r7, r8, inverse = rotation(qa, qb, qc, qd)
-        j0, j1, j2, k0, k1, k2 = image_rows(camera, u, v, z)
-        # Rows of the 2D factor before scaling (J R), and after.
-        m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
-        m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
-        m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
-        a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
-        slope, narrowness, flatness, _, _ = conditional_form(a0, a1, a2, b0, b1, b2, eps2d)
+    staged, totals = np.empty(INPUTS * GROUP), np.zeros(U(SUMS) * GROUP)
+    gradients, group = np.empty(_GRADIENTS * GROUP), np.empty(GROUP, np.uint64)
+    basis, weights = np.empty(25), np.empty(25)
+    found = U(0)
+    for i in range(U(first), U(last)):
+        if places[i, U(0)] < places[i, U(1)]:
+            group[found] = i
+            stage(staged, found, i, means, scales, quats, opacities)
+            _add_up(totals, found, places[i, U(0)], places[i, U(1)], positions, sums)
+            found += U(1)
+        if found == GROUP or (i + U(1) == U(last) and found > U(0)):
+            for lane in range(found, GROUP):  # lanes of a short group hold some finite Gaussian, and are not read
+                stage(staged, lane, group[U(0)], means, scales, quats, opacities)
+            _differentiate_group(staged, totals, gradients, camera, eps2d)
+            for lane in range(found):
+                k = group[lane]
+                for axis in range(U(3)):
+                    mean_gradients[k, axis] += gradients[(_MEAN + axis) * GROUP + lane]
+                    scale_gradients[k, axis] += gradients[(_SCALE + axis) * GROUP + lane]
+                for axis in range(U(4)):
+                    quat_gradients[k, axis] += gradients[(_QUAT + axis) * GROUP + lane]
+                opacity_gradients[k] += gradients[_OPACITY * GROUP + lane]
+                _differentiate_colour(
+                    k,
+                    lane,
+                    totals,
+                    records,
+                    means,
+                    camera,
+                    harmonics,
+                    basis,
+                    weights,
+                    mean_gradients,
+                    harmonic_gradients,
+                )
+            found = U(0)
 
-        # d loss / d rows: with whitened rows p, q it is W^T M [p; q], M the second moments of the whitened offsets.
-        vs, vt = total[SUM_VS] * _UNIT, total[SUM_VT] * _UNIT
-        ss, st, tt = total[SUM_VSS] * _UNIT**2, total[SUM_VST] * _UNIT**2, total[SUM_VTT] * _UNIT**2
-        p0, p1, p2 = narrowness * (a0 - slope * b0), narrowness * (a1 - slope * b1), narrowness * (a2 - slope * b2)
-        q0, q1, q2 = flatness * b0, flatness * b1, flatness * b2
-        c0 = narrowness * (ss * p0 + st * q0)
-        c1 = narrowness * (ss * p1 + st * q1)
-        c2 = narrowness * (ss * p2 + st * q2)
-        d0 = flatness * (st * p0 + tt * q0) - slope * c0
-        d1 = flatness * (st * p1 + tt * q1) - slope * c1
-        d2 = flatness * (st * p2 + tt * q2) - slope * c2
-        scale_gradients[i, 0] += c0 * m0 + d0 * n0
-        scale_gradients[i, 1] += c1 * m1 + d1 * n1
-        scale_gradients[i, 2] += c2 * m2 + d2 * n2
-        c0, c1, c2, d0, d1, d2 = c0 * s0, c1 * s1, c2 * s2, d0 * s0, d1 * s1, d2 * s2
 
-        if inverse > 0.0:
-            g0, g1, g2 = j0 * c0 + k0 * d0, j0 * c1 + k0 * d1, j0 * c2 + k0 * d2  # by the rotation matrix
-            g3, g4, g5 = j1 * c0 + k1 * d0, j1 * c1 + k1 * d1, j1 * c2 + k1 * d2
-            g6, g7, g8 = j2 * c0 + k2 * d0, j2 * c1 + k2 * d1, j2 * c2 + k2 * d2
-            a, b, c, d = qa * inverse, qb * inverse, qc * inverse, qd * inverse
-            ga = 2.0 * (d * (g3 - g1) + c * (g2 - g6) + b * (g7 - g5))
-            gb = 2.0 * (c * (g1 + g3) + d * (g2 + g6) + a * (g7 - g5) - 2.0 * b * (g4 + g8))
-            gc = 2.0 * (b * (g1 + g3) + d * (g5 + g7) + a * (g2 - g6) - 2.0 * c * (g0 + g8))
-            gd = 2.0 * (b * (g2 + g6) + c * (g5 + g7) + a * (g3 - g1) - 2.0 * d * (g0 + g4))
-            along = ga * a + gb * b + gc * c + gd * d
-            quat_gradients[i, 0] += (ga - along * a) * inverse
-            quat_gradients[i, 1] += (gb - along * b) * inverse
-            quat_gradients[i, 2] += (gc - along * c) * inverse
-            quat_gradients[i, 3] += (gd - along * d) * inverse
+@njit(error_model="numpy")
+def _add_up(totals, lane, start, end, positions, sums):
+    """Sum a splat's rows of `sums`, in the order of its tiles, into one lane."""
+    for k in range(U(SUMS)):
+        totals[k * GROUP + lane] = 0.0
+    for place in range(U(start), U(end)):
+        row = U(positions[place]) * U(SUMS)
+        for k in range(U(SUMS)):
+            totals[k * GROUP + lane] += np.float64(sums[row + k])
 
-        # By the Jacobian's rows in camera axes, then by the camera position.
-        f0 = c0 * r0 + c1 * r1 + c2 * r2
-        f1 = c0 * r3 + c1 * r4 + c2 * r5
-        f2 = c0 * r6 + c1 * r7 + c2 * r8
-        h0 = d0 * r0 + d1 * r1 + d2 * r2
-        h1 = d0 * r3 + d1 * r4 + d2 * r5
-        h2 = d0 * r6 + d1 * r7 + d2 * r8
-        scale_x, scale_y = camera[FOCAL_X] / z, camera[FOCAL_Y] / z
-        by_x = narrowness * vs
-        by_y = flatness * vt - slope * by_x
-        by_u, by_v = camera[FOCAL_X] * by_x, camera[FOCAL_Y] * by_y
-        forward_f = camera[2] * f0 + camera[5] * f1 + camera[8] * f2
-        forward_h = camera[2] * h0 + camera[5] * h1 + camera[8] * h2
-        if camera[LOW_X] <= u <= camera[HIGH_X]:
-            by_u -= scale_x * forward_f
-        if camera[LOW_Y] <= v <= camera[HIGH_Y]:
-            by_v -= scale_y * forward_h
-        gx, gy = by_u / z, by_v / z
-        gz = -(by_u * u + by_v * v) / z + total[SUM_DEPTH]
-        gz -= (j0 * f0 + j1 * f1 + j2 * f2 + k0 * h0 + k1 * h1 + k2 * h2) / z
 
-        opacity_gradients[i] += total[SUM_V] / np.float64(opacities[i])
-        record = records[i]
-        by_red = total[SUM_RED] if 0.0 < record[RED] < MAX_COLOUR else 0.0
-        by_green = total[SUM_GREEN] if 0.0 < record[GREEN] < MAX_COLOUR else 0.0
-        by_blue = total[SUM_BLUE] if 0.0 < record[BLUE] < MAX_COLOUR else 0.0
-        shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-        ex, ey, ez = dx * shorten, dy * shorten, dz * shorten
-        evaluate_basis(ex, ey, ez, count, basis)
-        for k in range(np.uint64(count)):
-            harmonic_gradients[i, k, 0] += basis[k] * by_red
-            harmonic_gradients[i, k, 1] += basis[k] * by_green
-            harmonic_gradients[i, k, 2] += basis[k] * by_blue
-            weights[k] = by_red * np.float64(harmonics[i, k, 0]) + by_green * np.float64(harmonics[i, k, 1])
-            weights[k] += by_blue * np.float64(harmonics[i, k, 2])
-        wx, wy, wz = basis_gradient(ex, ey, ez, weights, count)
-        along = wx * ex + wy * ey + wz * ez
-        mean_gradients[i, 0] += camera[0] * gx + camera[1] * gy + camera[2] * gz + (wx - along * ex) * shorten
-        mean_gradients[i, 1] += camera[3] * gx + camera[4] * gy + camera[5] * gz + (wy - along * ey) * shorten
-        mean_gradients[i, 2] += camera[6] * gx + camera[7] * gy + camera[8] * gz + (wz - along * ez) * shorten
+@njit(error_model="numpy")
+def _differentiate_group(staged, totals, gradients, camera, eps2d):
+    """Gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
+    dx, dy, dz = offset_from_camera(staged, camera)
+    x, y, z = camera_position(camera, dx, dy, dz)
+    per_z = 1.0 / z
+    u, v = x * per_z, y * per_z
+    a, b, c, d, inverse = unit_quats(staged)
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation_matrix(a, b, c, d)
+    j0, j1, j2, k0, k1, k2 = image_rows(camera, u, v, per_z)
+    s0, s1, s2 = staged_row(staged, SCALE), staged_row(staged, SCALE + U(1)), staged_row(staged, SCALE + U(2))
+    # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
+    m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
+    m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
+    m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
+    a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
+    slope, narrowness, flatness, _, _ = conditional_form(a0, a1, a2, b0, b1, b2, eps2d)
+
+    # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
+    ss = staged_row(totals, U(SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
+    st = staged_row(totals, U(SUM_VST)) * (_PER_UNIT * _PER_UNIT)
+    tt = staged_row(totals, U(SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
+    p0, p1, p2 = narrowness * (a0 - slope * b0), narrowness * (a1 - slope * b1), narrowness * (a2 - slope * b2)
+    q0, q1, q2 = flatness * b0, flatness * b1, flatness * b2
+    f0, f1, f2 = narrowness * (ss * p0 + st * q0), narrowness * (ss * p1 + st * q1), narrowness * (ss * p2 + st * q2)
+    g0 = flatness * (st * p0 + tt * q0) - slope * f0
+    g1 = flatness * (st * p1 + tt * q1) - slope * f1
+    g2 = flatness * (st * p2 + tt * q2) - slope * f2
+    store(gradients, _SCALE * GROUP, f0 * m0 + g0 * n0)
+    store(gradients, (_SCALE + U(1)) * GROUP, f1 * m1 + g1 * n1)
+    store(gradients, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
+    f0, f1, f2, g0, g1, g2 = f0 * s0, f1 * s1, f2 * s2, g0 * s0, g1 * s1, g2 * s2
+
+    h0, h1, h2 = j0 * f0 + k0 * g0, j0 * f1 + k0 * g1, j0 * f2 + k0 * g2  # by the rotation matrix
+    h3, h4, h5 = j1 * f0 + k1 * g0, j1 * f1 + k1 * g1, j1 * f2 + k1 * g2
+    h6, h7, h8 = j2 * f0 + k2 * g0, j2 * f1 + k2 * g1, j2 * f2 + k2 * g2
+    _store_quat_gradients(gradients, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8)
+
+    # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
+    f0, f1, f2 = f0 * r0 + f1 * r1 + f2 * r2, f0 * r3 + f1 * r4 + f2 * r5, f0 * r6 + f1 * r7 + f2 * r8
+    g0, g1, g2 = g0 * r0 + g1 * r1 + g2 * r2, g0 * r3 + g1 * r4 + g2 * r5, g0 * r6 + g1 * r7 + g2 * r8
+    by_x = narrowness * staged_row(totals, U(SUM_VS)) * _PER_UNIT
+    by_y = flatness * staged_row(totals, U(SUM_VT)) * _PER_UNIT - slope * by_x
+    by_u, by_v = by_x * camera[FOCAL_X], by_y * camera[FOCAL_Y]
+    inside_x = (u >= camera[LOW_X]) & (u <= camera[HIGH_X])
+    inside_y = (v >= camera[LOW_Y]) & (v <= camera[HIGH_Y])
+    along_f, along_g = (
+        f0 * camera[2] + f1 * camera[5] + f2 * camera[8],
+        g0 * camera[2] + g1 * camera[5] + g2 * camera[8],
+    )
+    tilt_u = by_u - select(inside_x, along_f * per_z * camera[FOCAL_X], 0.0)
+    tilt_v = by_v - select(inside_y, along_g * per_z * camera[FOCAL_Y], 0.0)
+    jacobian = j0 * f0 + j1 * f1 + j2 * f2 + k0 * g0 + k1 * g1 + k2 * g2
+    gx, gy = tilt_u * per_z, tilt_v * per_z
+    gz = staged_row(totals, U(SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
+    for axis in range(U(3)):
+        world = gx * camera[U(3) * axis] + gy * camera[U(3) * axis + U(1)] + gz * camera[U(3) * axis + U(2)]
+        store(gradients, (_MEAN + axis) * GROUP, world)
+    store(gradients, _OPACITY * GROUP, staged_row(totals, U(SUM_V)) / staged_row(staged, OPACITY))
+
+
+@njit(error_model="numpy")
+def _store_quat_gradients(gradients, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
+    """Chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
+    ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
+    gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
+    gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
+    gd = 2.0 * (b * (h2 + h6) + c * (h5 + h7) + a * (h3 - h1) - 2.0 * d * (h0 + h4))
+    along = ga * a + gb * b + gc * c + gd * d
+    store(gradients, _QUAT * GROUP, (ga - along * a) * inverse)
+    store(gradients, (_QUAT + U(1)) * GROUP, (gb - along * b) * inverse)
+    store(gradients, (_QUAT + U(2)) * GROUP, (gc - along * c) * inverse)
+    store(gradients, (_QUAT + U(3)) * GROUP, (gd - along * d) * inverse)
+
+
+@njit(error_model="numpy")
+def _differentiate_colour(
+    i, lane, totals, records, means, camera, harmonics, basis, weights, mean_gradients, harmonic_gradients
+):
+    """Add the colour's share: to the harmonics, and through the direction seen to the mean."""
+    count = U(harmonics.shape[1])
+    dx = np.float64(means[i, U(0)]) - camera[CENTRE]
+    dy = np.float64(means[i, U(1)]) - camera[CENTRE + 1]
+    dz = np.float64(means[i, U(2)]) - camera[CENTRE + 2]
+    shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    x, y, z = dx * shorten, dy * shorten, dz * shorten
+    evaluate_basis(x, y, z, count, basis)
+    weights[:count] = 0.0
+    for channel in range(U(3)):
+        colour = records[i, U(RED) + channel]
+        by_colour = totals[(U(SUM_RED) + channel) * GROUP + lane] if 0.0 < colour < MAX_COLOUR else 0.0
+        for k in range(count):
+            harmonic_gradients[i, k, channel] += basis[k] * by_colour
+            weights[k] += by_colour * np.float64(harmonics[i, k, channel])
+    if count > U(1):
+        gx, gy, gz = basis_gradient(x, y, z, weights, count)
+        along = gx * x + gy * y + gz * z
+        mean_gradients[i, U(0)] += (gx - along * x) * shorten
+        mean_gradients[i, U(1)] += (gy - along * y) * shorten
+        mean_gradients[i, U(2)] += (gz - along * z) * shorten

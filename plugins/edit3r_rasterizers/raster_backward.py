@@ -8,54 +8,45 @@ over the pixels are written to its own place and added up per splat afterwards: 
 import numpy as np
 from numba import njit
 
-from edit3r_rasterizers.raster_forward import (
-    BLOCKS,
-    LANES,
-    LOWEST_EXPONENT,
-    F,
-    U,
-    live_blocks,
-    open_tile,
-    touched_blocks,
-)
 from edit3r_rasterizers.records import (
     BLOCK,
     BLUE,
     DEPTH,
-    FLATNESS,
     GREEN,
-    LEAN,
     LOG_OPACITY,
-    NARROWNESS,
-    REACH,
+    RECORD,
     RED,
-    SLOPE,
     SUMS,
     TILE,
-    X_REST,
-    Y_REST,
-    X,
-    Y,
 )
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
-from edit3r_rasterizers.simd import (
-    broadcast,
-    exp2,
-    lane_columns,
-    lane_rows,
-    load,
-    lowest_bit,
-    maximum,
-    minimum,
-    negative_magnitude,
-    select,
-    store,
-    store_sums,
+from edit3r_rasterizers.simd import broadcast, flag_negative, lowest_bit, maximum, minimum, select
+from edit3r_rasterizers.simd_math import exp2
+from edit3r_rasterizers.simd_memory import load, load_block, store, store_sums
+from edit3r_rasterizers.tiles import (
+    ACROSS,
+    BATCH,
+    BLOCKS,
+    FIRST_FREE,
+    LANES,
+    LATTICE_X,
+    LATTICE_Y,
+    LOWEST_EXPONENT,
+    TRANSMITTANCE,
+    F,
+    U,
+    find_touched,
+    line_up,
+    live_blocks,
+    open_tile,
 )
 
-STRIDE = U(6) * LANES  # planes: transmittance, gradients by red, green, blue and weighted depth, rest
+# Planes: gradients by red, green, blue and by weighted depth; what later splats and the background still contribute.
+_RED, _GREEN, _BLUE, _DEPTH = FIRST_FREE, FIRST_FREE + LANES, FIRST_FREE + U(2) * LANES, FIRST_FREE + U(3) * LANES
+_REST = FIRST_FREE + U(4) * LANES
+STRIDE = FIRST_FREE + U(5) * LANES
 BACKWARD_SCRATCH = int(BLOCKS * STRIDE)
-_RECHECK = U(16)
+"""Floats of scratch memory that `differentiate_tiles` needs."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -71,7 +62,6 @@ def differentiate_tiles(
     min_transmittance,
     scratch,
     images,
-    alphas,
     depths,
     transmittances,
     image_gradients,
@@ -80,105 +70,113 @@ def differentiate_tiles(
     sums,
 ):
     """Fill `sums[e]` (see `records`) for every entry of the tiles [first_tile, last_tile)."""
-    height, width = alphas.shape
+    height, width = depths.shape
     zero = broadcast(F(0))
-    threshold = F(np.log2(min_alpha))
-    limit, least = broadcast(F(max_alpha)), F(min_transmittance)
+    threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
+    touched = np.empty(BATCH, np.uint64)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
         live = open_tile(scratch, STRIDE, min(TILE, width - tile_x), min(TILE, height - tile_y))
-        _read_tile(
-            scratch, tile_x, tile_y, images, alphas, depths, transmittances,
-            image_gradients, alpha_gradients, depth_gradients,
-        )  # fmt: skip
-        for entry in range(U(offsets[tile]), U(offsets[tile + 1])):
-            if (entry & (_RECHECK - U(1))) == U(0):
-                live = live & live_blocks(scratch, STRIDE)
-                if live == U(0):
-                    sums[entry : U(offsets[tile + 1])] = F(0)
-                    break
-            record = records[U(entries[entry])]
-            x, y = (record[X] - F(tile_x)) + record[X_REST], (record[Y] - F(tile_y)) + record[Y_REST]
-            slope, narrowness, flatness = record[SLOPE], record[NARROWNESS], record[FLATNESS]
-            todo = live & touched_blocks(x, y, slope, record[LEAN], narrowness, flatness, record[REACH])
-            log_opacity = broadcast(record[LOG_OPACITY])
-            red, green, blue, depth = record[RED], record[GREEN], record[BLUE], record[DEPTH]
-            lanes_across = (lane_columns() - lane_rows() * slope) * narrowness
-            lanes_down = lane_rows() * flatness
-            sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = zero, zero, zero, zero, zero, zero
-            sum_red, sum_green, sum_blue, sum_depth = zero, zero, zero, zero
-            while todo != U(0):
-                block = lowest_bit(todo)
-                todo &= todo - U(1)
-                dx, dy = F((block & U(3)) * U(BLOCK)) + (F(0.5) - x), F((block >> U(2)) * U(BLOCK)) + (F(0.5) - y)
-                across, down = lanes_across + narrowness * (dx - slope * dy), lanes_down + flatness * dy
-                exponent = maximum(log_opacity - across * across - down * down, LOWEST_EXPONENT)
-                full_alpha = exp2(exponent)
-                alpha = minimum(full_alpha, limit)
-                place = block * STRIDE
-                before = load(scratch, place)
-                weight = alpha * before
-                after = before - weight
-                covered = exponent >= threshold
-                shown = covered & (after > least)
-                weight = select(shown, weight, zero)
-                store(scratch, place, select(shown, after, select(covered, negative_magnitude(before), before)))
-                by_red, by_green = load(scratch, place + LANES), load(scratch, place + U(2) * LANES)
-                by_blue, by_depth = load(scratch, place + U(3) * LANES), load(scratch, place + U(4) * LANES)
-                sum_red += weight * by_red
-                sum_green += weight * by_green
-                sum_blue += weight * by_blue
-                sum_depth += weight * by_depth
-                value = by_red * red + by_green * green + by_blue * blue + by_depth * depth
-                rest = load(scratch, place + U(5) * LANES) - weight * value
-                store(scratch, place + U(5) * LANES, rest)
-                by_alpha = before * value - rest / (F(1) - alpha)
-                v = select(shown & (full_alpha <= limit), alpha * by_alpha, zero)
-                vs, vt = v * across, v * down
-                sum_v += v
-                sum_vs += vs
-                sum_vt += vt
-                sum_vss += vs * across
-                sum_vst += vs * down
-                sum_vtt += vt * down
-            store_sums(
-                sums,
-                entry * U(SUMS),
-                (sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt, sum_red, sum_green, sum_blue, sum_depth),
-            )
+        for block in range(BLOCKS):
+            x, y = U(tile_x) + (block % ACROSS) * U(BLOCK), U(tile_y) + (block // ACROSS) * U(BLOCK)
+            place = block * STRIDE
+            _read_block(scratch, place, x, y, images, depths, transmittances)
+            _set_gradients(scratch, place, x, y, image_gradients, alpha_gradients, depth_gradients)
+        first, end = U(offsets[tile]), U(offsets[tile + 1])
+        while first < end and live != U(0):
+            last = min(first + BATCH, end)
+            find_touched(first, last, entries, records, tile_x, tile_y, touched)
+            for entry in range(first, last):
+                todo = live & touched[entry - first]
+                start = U(entries[entry]) * U(RECORD)
+                narrowness, slant, shift_x, flatness, shift_y = line_up(records, start, tile_x, tile_y)
+                log_opacity = records[start + U(LOG_OPACITY)]
+                red, green = records[start + U(RED)], records[start + U(GREEN)]
+                blue, depth = records[start + U(BLUE)], records[start + U(DEPTH)]
+                sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = zero, zero, zero, zero, zero, zero
+                sum_red, sum_green, sum_blue, sum_depth = zero, zero, zero, zero
+                while todo != U(0):
+                    place = lowest_bit(todo) * STRIDE
+                    todo &= todo - U(1)
+                    lattice_y = load(scratch, place + LATTICE_Y)
+                    across = load(scratch, place + LATTICE_X) * narrowness + (broadcast(shift_x) - lattice_y * slant)
+                    down = lattice_y * flatness + shift_y
+                    exponent = maximum((broadcast(log_opacity) - across * across) - down * down, LOWEST_EXPONENT)
+                    full_alpha = exp2(exponent)
+                    alpha = minimum(full_alpha, limit)
+                    before = load(scratch, place + TRANSMITTANCE)
+                    weight = alpha * before
+                    after = before - weight
+                    covered = exponent >= threshold
+                    shown = covered & (after > least)
+                    weight = select(shown, weight, zero)
+                    store(scratch, place + TRANSMITTANCE, select(shown, after, flag_negative(covered, before)))
+                    by_red, by_green = load(scratch, place + _RED), load(scratch, place + _GREEN)
+                    by_blue, by_depth = load(scratch, place + _BLUE), load(scratch, place + _DEPTH)
+                    sum_red += weight * by_red
+                    sum_green += weight * by_green
+                    sum_blue += weight * by_blue
+                    sum_depth += weight * by_depth
+                    value = by_red * red + by_green * green + by_blue * blue + by_depth * depth
+                    rest = load(scratch, place + _REST) - weight * value
+                    store(scratch, place + _REST, rest)
+                    by_alpha = before * value - rest / (broadcast(F(1)) - alpha)
+                    v = select(shown & (full_alpha <= limit), alpha * by_alpha, zero)
+                    vs, vt = v * across, v * down
+                    sum_v += v
+                    sum_vs += vs
+                    sum_vt += vt
+                    sum_vss += vs * across
+                    sum_vst += vs * down
+                    sum_vtt += vt * down
+                store_sums(
+                    sums,
+                    entry * U(SUMS),
+                    (sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt, sum_red, sum_green, sum_blue, sum_depth),
+                )
+            live &= live_blocks(scratch, STRIDE)
+            first = last
+        for place in range(first * U(SUMS), end * U(SUMS)):
+            sums[place] = F(0)
 
 
 @njit(error_model="numpy")
-def _read_tile(
-    scratch,
-    tile_x,
-    tile_y,
-    images,
-    alphas,
-    depths,
-    transmittances,
-    image_gradients,
-    alpha_gradients,
-    depth_gradients,
-):
-    """Set the gradient planes and `rest` of a tile from the pictures and their gradients."""
-    height, width = alphas.shape
-    for place in range(U(BACKWARD_SCRATCH)):
-        if place % STRIDE >= LANES:
-            scratch[place] = F(0)
-    for y in range(U(tile_y), U(min(tile_y + TILE, height))):
-        for x in range(U(tile_x), U(min(tile_x + TILE, width))):
-            row, column = y - U(tile_y), x - U(tile_x)
-            block = (row // U(BLOCK)) * U(TILE // BLOCK) + column // U(BLOCK)
-            place = block * STRIDE + (row % U(BLOCK)) * U(BLOCK) + column % U(BLOCK)
-            rest = F(0)
-            for channel in range(U(3)):
-                gradient = image_gradients[channel, y, x]
-                scratch[place + (channel + U(1)) * LANES] = gradient
-                rest += gradient * images[channel, y, x]
-            alpha, by_depth = alphas[y, x], depth_gradients[y, x]
-            scratch[place + U(4) * LANES] = by_depth / max(alpha, F(MIN_TOTAL_ALPHA))
-            rest -= transmittances[y, x] * alpha_gradients[y, x]
-            if alpha > F(MIN_TOTAL_ALPHA):
-                rest += by_depth * depths[y, x] / alpha
-            scratch[place + U(5) * LANES] = rest
+def _read_block(scratch, place, x, y, images, depths, transmittances):
+    """Put a block of the forward pass's pictures where `_set_gradients` replaces them by gradients."""
+    _copy_block(scratch, place + _RED, x, y, images[0])
+    _copy_block(scratch, place + _GREEN, x, y, images[1])
+    _copy_block(scratch, place + _BLUE, x, y, images[2])
+    _copy_block(scratch, place + _DEPTH, x, y, depths)
+    _copy_block(scratch, place + _REST, x, y, transmittances)
+
+
+@njit(error_model="numpy")
+def _set_gradients(scratch, place, x, y, image_gradients, alpha_gradients, depth_gradients):
+    """Replace colour, depth and transmittance by their gradients and `rest`."""
+    left = load(scratch, place + _REST)
+    alpha = broadcast(F(1)) - left
+    red, green, blue = load(scratch, place + _RED), load(scratch, place + _GREEN), load(scratch, place + _BLUE)
+    depth = load(scratch, place + _DEPTH)
+    _copy_block(scratch, place + _RED, x, y, image_gradients[0])
+    _copy_block(scratch, place + _GREEN, x, y, image_gradients[1])
+    _copy_block(scratch, place + _BLUE, x, y, image_gradients[2])
+    _copy_block(scratch, place + _DEPTH, x, y, depth_gradients)
+    _copy_block(scratch, place + _REST, x, y, alpha_gradients)
+    by_depth = load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA))
+    rest = red * load(scratch, place + _RED) + green * load(scratch, place + _GREEN)
+    rest = rest + blue * load(scratch, place + _BLUE) + depth * by_depth
+    store(scratch, place + _DEPTH, by_depth)
+    store(scratch, place + _REST, rest - left * load(scratch, place + _REST))
+
+
+@njit(error_model="numpy")
+def _copy_block(scratch, place, x, y, picture):
+    """Copy a block of a picture to the scratch buffer, zero where it lies outside."""
+    height, width = U(picture.shape[0]), U(picture.shape[1])
+    if x + U(BLOCK) <= width and y + U(BLOCK) <= height:
+        store(scratch, place, load_block(picture, y * width + x, width))
+        return
+    store(scratch, place, broadcast(F(0)))
+    for row in range(y, min(y + U(BLOCK), height)):
+        for column in range(x, min(x + U(BLOCK), width)):
+            scratch[place + (row - y) * U(BLOCK) + (column - x)] = picture[row, column]

@@ -18,6 +18,7 @@ SLOPE, NARROWNESS, FLATNESS, LOG_OPACITY = 4, 5, 6, 7
 RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
 REACH = 12  # the sum of the two squares above which alpha < min_alpha
 LEAN = 13  # d_y of the highest alpha on a column, per d_x
+SLOPE_REST = 14  # what float32 left out of SLOPE; a long needle's end is far from its mean
 RECORD = 16
 
 # Columns of a camera, float64: the world axes' images first (rotation of c2w, row-major), then the rest.

@@ -1,287 +1,219 @@
-"""Sixteen float32 lanes as a value inside numba kernels, so that the inner loops are vector code by construction.
+"""Vectors as values inside numba kernels, so that the hot loops are vector code by construction.
 
-`Lanes` and `Mask` exist only inside compiled functions: `+ - * /`, comparisons, `&` and the functions below map to
-LLVM vector instructions, which LLVM splits into what the processor has (one AVX-512 register, two of AVX2, four of SSE
-or NEON). A scalar operand must be float32 and is broadcast. Products and sums may fuse, nothing else is reordered, so
-results do not depend on threads.
+`FLOATS` is sixteen float32 lanes, `DOUBLES` eight float64 lanes; both are 512 bits, which LLVM splits into what the
+processor has (one AVX-512 register, two of AVX2, four of SSE or NEON). They exist only inside compiled functions, where
+`+ - * /`, comparisons, `&` and the functions below map to LLVM vector instructions; a scalar operand must be of the
+lanes' type and is broadcast. Products and sums may fuse, nothing else is reordered: results depend on no thread.
 
 numba's on-disk cache watches a kernel's own file only: after a change here, delete the `__pycache__` folder.
 """
 
 import operator
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel.models import PrimitiveModel
 from numba.extending import intrinsic, lower_builtin, register_model, type_callable
 
-WIDTH = 16
-"""Number of lanes."""
-
-_FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_FLOATS, _INTS = ir.VectorType(_FLOAT, WIDTH), ir.VectorType(_INT, WIDTH)
-_BOOLS = ir.VectorType(ir.IntType(1), WIDTH)
+INT32, INT64 = ir.IntType(32), ir.IntType(64)
 _CONTRACT = ("contract",)
 
 
-class _LanesType(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name="float32x16")
+class VectorType(types.Type):
+    """The numba type of a vector; `scalar` is a float type, or boolean for a mask."""
+
+    def __init__(self, scalar: types.Type, width: int, element: ir.Type, integer: ir.Type | None = None) -> None:
+        self.scalar, self.width = scalar, width
+        self.ir = ir.VectorType(element, width)
+        self.bits = ir.VectorType(integer, width) if integer else None  # the lanes taken as integers
+        super().__init__(name=f"{scalar}x{width}")
 
 
-class _MaskType(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name="boolx16")
-
-
-LANES, MASK = _LanesType(), _MaskType()
-
-
-@register_model(_LanesType)
-class _LanesModel(PrimitiveModel):
+@register_model(VectorType)
+class _VectorModel(PrimitiveModel):
     def __init__(self, manager, numba_type) -> None:
-        super().__init__(manager, numba_type, _FLOATS)
+        super().__init__(manager, numba_type, numba_type.ir)
 
 
-@register_model(_MaskType)
-class _MaskModel(PrimitiveModel):
-    def __init__(self, manager, numba_type) -> None:
-        super().__init__(manager, numba_type, _BOOLS)
+FLOATS = VectorType(types.float32, 16, ir.FloatType(), INT32)
+DOUBLES = VectorType(types.float64, 8, ir.DoubleType(), INT64)
+MASKS = {kind: VectorType(types.boolean, kind.width, ir.IntType(1)) for kind in (FLOATS, DOUBLES)}
+_OPERAND_PAIRS = {
+    pair: kind for kind in (FLOATS, DOUBLES) for pair in ((kind, kind), (kind, kind.scalar), (kind.scalar, kind))
+}
+"""Types of the two operands, and the vector type they make."""
 
 
-def _splat(builder, scalar, lanes=_FLOATS):
-    single = builder.insert_element(ir.Constant(lanes, ir.Undefined), scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(single, ir.Constant(lanes, ir.Undefined), ir.Constant(_INTS, [0] * WIDTH))
+def constant(kind: VectorType, values) -> ir.Constant:
+    """A vector constant; a single number fills all lanes."""
+    return ir.Constant(kind.ir, list(values) if hasattr(values, "__len__") else [values] * kind.width)
 
 
-def _widened(builder, signature, values):
-    """The operands with float32 scalars broadcast."""
-    return [value if kind is LANES else _splat(builder, value) for kind, value in zip(signature.args, values)]
+def bit_constant(kind: VectorType, value: int) -> ir.Constant:
+    """Integer lanes of one value, in the layout of `kind`."""
+    return ir.Constant(kind.bits, [value] * kind.width)
 
 
-def _constant(values, kind=_FLOATS):
-    return ir.Constant(kind, [float(np.float32(v)) if kind is _FLOATS else int(v) for v in values])
+def splat(builder, kind: VectorType, scalar):
+    """All lanes equal to `scalar`."""
+    undefined = ir.Constant(kind.ir, ir.Undefined)
+    single = builder.insert_element(undefined, scalar, ir.Constant(INT32, 0))
+    return builder.shuffle_vector(single, undefined, ir.Constant(ir.VectorType(INT32, kind.width), [0] * kind.width))
 
 
-_OPERAND_PAIRS = ((LANES, LANES), (LANES, types.float32), (types.float32, LANES))
+def _widened(builder, kind: VectorType, arguments, values):
+    """The operands with scalars broadcast."""
+    return [value if given is kind else splat(builder, kind, value) for given, value in zip(arguments, values)]
 
 
-def _define_operator(function, result, emit) -> None:
-    """Teach numba one binary operator on lanes."""
+def _define_operator(function, emit, compares: bool = False) -> None:
+    """Teach numba a binary operator on vectors."""
 
     @type_callable(function)
     def typing(context):
         def typer(a, b):
-            return result if (a, b) in _OPERAND_PAIRS else None
+            kind = _OPERAND_PAIRS.get((a, b))
+            return MASKS[kind] if compares and kind else kind
 
         return typer
 
     def lower(context, builder, signature, values):
-        return emit(builder, *_widened(builder, signature, values))
+        kind = _OPERAND_PAIRS[signature.args]
+        return emit(builder, *_widened(builder, kind, signature.args, values))
 
     for pair in _OPERAND_PAIRS:
         lower_builtin(function, *pair)(lower)
 
 
-for _function, _instruction in (
-    (operator.add, ir.IRBuilder.fadd),
-    (operator.iadd, ir.IRBuilder.fadd),
-    (operator.sub, ir.IRBuilder.fsub),
-    (operator.isub, ir.IRBuilder.fsub),
-    (operator.mul, ir.IRBuilder.fmul),
-    (operator.truediv, ir.IRBuilder.fdiv),
+for _functions, _instruction in (
+    ((operator.add, operator.iadd), ir.IRBuilder.fadd),
+    ((operator.sub, operator.isub), ir.IRBuilder.fsub),
+    ((operator.mul, operator.imul), ir.IRBuilder.fmul),
+    ((operator.truediv, operator.itruediv), ir.IRBuilder.fdiv),
 ):
-    _define_operator(_function, LANES, lambda b, x, y, emit=_instruction: emit(b, x, y, flags=_CONTRACT))
-_define_operator(operator.gt, MASK, lambda b, x, y: b.fcmp_ordered(">", x, y))
-_define_operator(operator.ge, MASK, lambda b, x, y: b.fcmp_ordered(">=", x, y))
-_define_operator(operator.le, MASK, lambda b, x, y: b.fcmp_ordered("<=", x, y))
+    for _function in _functions:
+        _define_operator(_function, lambda b, x, y, emit=_instruction: emit(b, x, y, flags=_CONTRACT))
+for _function, _sign in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
+    _define_operator(_function, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), compares=True)
 
 
 @type_callable(operator.and_)
 def _type_and(context):
-    def typer(a, b):
-        return MASK if (a, b) == (MASK, MASK) else None
-
-    return typer
+    return lambda a, b: a if a is b and a in MASKS.values() else None
 
 
-@lower_builtin(operator.and_, MASK, MASK)
-def _lower_and(context, builder, signature, values):
-    return builder.and_(*values)
+for _mask in MASKS.values():
+    lower_builtin(operator.and_, _mask, _mask)(lambda context, builder, signature, values: builder.and_(*values))
 
 
-@intrinsic
-def broadcast(typing, scalar):
-    """All lanes equal to a float32."""
-    return LANES(types.float32), lambda c, builder, s, args: _splat(builder, args[0])
+def _pick(sign: str, typing, a, b):
+    """Signature and code of a lane-wise minimum or maximum."""
+    kind = _OPERAND_PAIRS[a, b]
+
+    def emit(context, builder, signature, values):
+        x, y = _widened(builder, kind, signature.args, values)
+        return builder.select(builder.fcmp_ordered(sign, x, y), x, y)
+
+    return kind(a, b), emit
 
 
 @intrinsic
 def minimum(typing, a, b):
     """Lane-wise minimum."""
-
-    def emit(context, builder, signature, args):
-        a, b = _widened(builder, signature, args)
-        return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-
-    return LANES(a, b), emit
+    return _pick("<", typing, a, b)
 
 
 @intrinsic
 def maximum(typing, a, b):
     """Lane-wise maximum."""
-
-    def emit(context, builder, signature, args):
-        a, b = _widened(builder, signature, args)
-        return builder.select(builder.fcmp_ordered(">", a, b), a, b)
-
-    return LANES(a, b), emit
+    return _pick(">", typing, a, b)
 
 
 @intrinsic
 def select(typing, mask, a, b):
     """`a` where the mask holds, else `b`."""
+    kind = _OPERAND_PAIRS[a, b]
 
-    def emit(context, builder, signature, args):
-        a, b = _widened(builder, types.void(*signature.args[1:]), args[1:])
-        return builder.select(args[0], a, b)
+    def emit(context, builder, signature, values):
+        return builder.select(values[0], *_widened(builder, kind, signature.args[1:], values[1:]))
 
-    return LANES(MASK, a, b), emit
+    return kind(mask, a, b), emit
 
 
 @intrinsic
-def negative_magnitude(typing, a):
-    """-|a|."""
+def broadcast(typing, scalar):
+    """All lanes equal to a float32 (sixteen of them) or a float64 (eight)."""
+    kind = {types.float32: FLOATS, types.float64: DOUBLES}[scalar]
+    return kind(scalar), lambda context, builder, signature, values: splat(builder, kind, values[0])
 
-    def emit(context, builder, signature, args):
-        bits = builder.or_(builder.bitcast(args[0], _INTS), _constant([-(2**31)] * WIDTH, _INTS))
-        return builder.bitcast(bits, _FLOATS)
 
-    return LANES(LANES), emit
+@intrinsic
+def flag_negative(typing, mask, a):
+    """`a`, with the sign bit set where the mask holds.
+
+    Bit arithmetic, because a `select` between a new value and the one in memory becomes a masked store, for which a
+    load that follows soon has to wait.
+    """
+
+    def emit(context, builder, signature, values):
+        sign = builder.shl(builder.zext(values[0], a.bits), bit_constant(a, 31))
+        return builder.bitcast(builder.or_(builder.bitcast(values[1], a.bits), sign), a.ir)
+
+    return a(mask, a), emit
+
+
+@intrinsic
+def magnitude(typing, a):
+    """|a| of float32 lanes."""
+
+    def emit(context, builder, signature, values):
+        bits = builder.and_(builder.bitcast(values[0], a.bits), bit_constant(a, 2**31 - 1))
+        return builder.bitcast(bits, a.ir)
+
+    return a(a), emit
 
 
 @intrinsic
 def mask_bits(typing, mask):
     """The mask as an integer, lane 0 in bit 0."""
 
-    def emit(context, builder, signature, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), ir.IntType(64))
+    def emit(context, builder, signature, values):
+        return builder.zext(builder.bitcast(values[0], ir.IntType(mask.width)), INT64)
 
-    return types.uint64(MASK), emit
+    return types.uint64(mask), emit
 
 
 @intrinsic
 def lowest_bit(typing, bits):
     """Index of the lowest set bit of a non-zero uint64."""
 
-    def emit(context, builder, signature, args):
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+    def emit(context, builder, signature, values):
+        return builder.cttz(values[0], ir.Constant(ir.IntType(1), 1))
 
     return types.uint64(types.uint64), emit
 
 
 @intrinsic
 def lane_columns(typing):
-    """0 1 2 3 0 1 2 3 ...: column of each lane in a 4x4 block."""
-    return LANES(), lambda c, builder, s, args: _constant([lane % 4 for lane in range(WIDTH)])
+    """0 1 2 3 0 1 2 3 ...: column of each float32 lane in a 4x4 block."""
+    return FLOATS(), lambda context, builder, s, v: constant(FLOATS, [float(lane % 4) for lane in range(16)])
 
 
 @intrinsic
 def lane_rows(typing):
-    """0 0 0 0 1 1 1 1 ...: row of each lane in a 4x4 block."""
-    return LANES(), lambda c, builder, s, args: _constant([lane // 4 for lane in range(WIDTH)])
-
-
-def _lane_pointer(context, builder, array_type, array, offset):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
+    """0 0 0 0 1 1 1 1 ...: row of each float32 lane in a 4x4 block."""
+    return FLOATS(), lambda context, builder, s, v: constant(FLOATS, [float(lane // 4) for lane in range(16)])
 
 
 @intrinsic
-def load(typing, array, offset):
-    """Sixteen consecutive values of a contiguous float32 array from flat index `offset`, unchecked."""
+def square_root(typing, a):
+    """Lane-wise square root."""
+    suffix = {FLOATS: "v16f32", DOUBLES: "v8f64"}[a]
 
-    def emit(context, builder, signature, args):
-        return builder.load(_lane_pointer(context, builder, signature.args[0], *args), align=4)
+    def emit(context, builder, signature, values):
+        kind = ir.FunctionType(a.ir, [a.ir])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.{suffix}")
+        return builder.call(function, values)
 
-    return LANES(array, types.uint64), emit
-
-
-@intrinsic
-def store(typing, array, offset, value):
-    """Write sixteen consecutive values of a contiguous float32 array from flat index `offset`, unchecked."""
-
-    def emit(context, builder, signature, args):
-        builder.store(args[2], _lane_pointer(context, builder, signature.args[0], *args[:2]), align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, types.uint64, LANES), emit
-
-
-def _exp2_coefficients(degree: int = 5) -> np.ndarray:
-    """Polynomial for 2^f on [-1/2, 1/2], relative error 1e-7, lowest power first."""
-    nodes = 0.5 * np.cos(np.pi * (np.arange(256) + 0.5) / 256)
-    return np.polynomial.polynomial.polyfit(nodes, 2.0**nodes, degree, w=2.0**-nodes)
-
-
-_EXP2 = _exp2_coefficients()
-_ROUNDER = 1.5 * 2**23  # adding it leaves the nearest integer in the low bits of the mantissa
-
-
-@intrinsic
-def exp2(typing, a):
-    """2^a for a in [-120, 120], relative error 2e-7."""
-
-    def emit(context, builder, signature, args):
-        rounder = _constant([_ROUNDER] * WIDTH)
-        shifted = builder.fadd(args[0], rounder)
-        fraction = builder.fsub(args[0], builder.fsub(shifted, rounder))
-        result = _constant([_EXP2[-1]] * WIDTH)
-        for coefficient in _EXP2[-2::-1]:
-            product = builder.fmul(result, fraction, flags=_CONTRACT)
-            result = builder.fadd(product, _constant([coefficient] * WIDTH), flags=_CONTRACT)
-        exponent = builder.shl(builder.bitcast(shifted, _INTS), _constant([23] * WIDTH, _INTS))
-        return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), _FLOATS)
-
-    return LANES(LANES), emit
-
-
-def _fold(builder, first, second, group):
-    """One step of a transposed sum: groups of 2 * `group` lanes become groups of `group`, those of `first` first."""
-    starts = [lane for lane in range(2 * WIDTH) if lane % (2 * group) < group]
-    low = builder.shuffle_vector(first, second, _constant(starts, _INTS))
-    high = builder.shuffle_vector(first, second, _constant([lane + group for lane in starts], _INTS))
-    return builder.fadd(low, high)
-
-
-def _store_first(context, builder, array_type, array, offset, lanes, count) -> None:
-    """Write the first `count` lanes, in pieces whose lengths are powers of two."""
-    data = context.make_array(array_type)(context, builder, array).data
-    done = 0
-    while done < count:
-        length = 1 << ((count - done).bit_length() - 1)
-        index = ir.Constant(ir.VectorType(_INT, length), list(range(done, done + length)))
-        piece = builder.shuffle_vector(lanes, lanes, index)
-        pointer = builder.gep(data, [builder.add(offset, ir.Constant(offset.type, done))])
-        builder.store(piece, builder.bitcast(pointer, piece.type.as_pointer()), align=4)
-        done += length
-
-
-@intrinsic
-def store_sums(typing, array, offset, vectors):
-    """Write the lane sums of a tuple of up to 16 vectors to consecutive places of a contiguous float32 array."""
-    count = len(vectors)
-
-    def emit(context, builder, signature, args):
-        level = list(cgutils.unpack_tuple(builder, args[2], count))
-        group = WIDTH // 2
-        while group:
-            level += [_constant([0] * WIDTH)] * (len(level) % 2)
-            level = [_fold(builder, a, b, group) for a, b in zip(level[::2], level[1::2])]
-            group //= 2
-        _store_first(context, builder, signature.args[0], *args[:2], level[0], count)
-        return context.get_dummy_value()
-
-    return types.void(array, types.uint64, vectors), emit
+    return a(a), emit

@@ -1,0 +1,134 @@
+"""Moving vectors between registers and contiguous arrays; offsets are flat element indices and are not checked."""
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from edit3r_rasterizers.simd import DOUBLES, FLOATS, INT32, INT64, constant
+
+_KINDS = {types.float32: FLOATS, types.float64: DOUBLES}
+_PARTS = 4  # a 4x4 block is four rows of four
+
+
+def _pointer(context, builder, array_type, array, offset, target):
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [offset]), target.as_pointer())
+
+
+def _align(kind) -> int:
+    return kind.scalar.bitwidth // 8
+
+
+@intrinsic
+def load(typing, array, offset):
+    """A vector of consecutive values: sixteen of a float32 array, eight of a float64 array."""
+    kind = _KINDS[array.dtype]
+
+    def emit(context, builder, signature, values):
+        return builder.load(_pointer(context, builder, array, *values, kind.ir), align=_align(kind))
+
+    return kind(array, types.uint64), emit
+
+
+@intrinsic
+def store(typing, array, offset, value):
+    """Write a vector to consecutive places."""
+    kind = _KINDS[array.dtype]
+
+    def emit(context, builder, signature, values):
+        builder.store(values[2], _pointer(context, builder, array, *values[:2], kind.ir), align=_align(kind))
+        return context.get_dummy_value()
+
+    return types.void(array, types.uint64, kind), emit
+
+
+@intrinsic
+def load_block(typing, array, offset, stride):
+    """A 4x4 block of a float32 picture: four rows of four from flat index `offset`, `stride` apart."""
+    quarter = ir.VectorType(ir.FloatType(), _PARTS)
+
+    def emit(context, builder, signature, values):
+        data, offset, stride = values
+        rows = []
+        for row in range(_PARTS):
+            place = builder.add(offset, builder.mul(stride, ir.Constant(INT64, row)))
+            rows.append(builder.load(_pointer(context, builder, array, data, place, quarter), align=4))
+        halves = [_join(builder, rows[0], rows[1]), _join(builder, rows[2], rows[3])]
+        return _join(builder, *halves)
+
+    return FLOATS(array, types.uint64, types.uint64), emit
+
+
+@intrinsic
+def store_block(typing, array, offset, stride, value):
+    """Write a 4x4 block of a float32 picture; see `load_block`."""
+
+    def emit(context, builder, signature, values):
+        data, offset, stride, lanes = values
+        for row in range(_PARTS):
+            place = builder.add(offset, builder.mul(stride, ir.Constant(INT64, row)))
+            piece = _part(builder, lanes, row * _PARTS, _PARTS)
+            builder.store(piece, _pointer(context, builder, array, data, place, piece.type), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.uint64, types.uint64, FLOATS), emit
+
+
+@intrinsic
+def store_sums(typing, array, offset, vectors):
+    """Write the lane sums of a tuple of up to 16 float32 vectors to consecutive places."""
+    count = len(vectors)
+
+    def emit(context, builder, signature, values):
+        level = list(cgutils.unpack_tuple(builder, values[2], count))
+        group = FLOATS.width // 2
+        while group:
+            level += [constant(FLOATS, 0.0)] * (len(level) % 2)
+            level = [_fold(builder, a, b, group) for a, b in zip(level[::2], level[1::2])]
+            group //= 2
+        done = 0
+        while done < count:  # in pieces whose lengths are powers of two
+            length = 1 << ((count - done).bit_length() - 1)
+            piece = _part(builder, level[0], done, length)
+            place = builder.add(values[1], ir.Constant(INT64, done))
+            builder.store(piece, _pointer(context, builder, array, values[0], place, piece.type), align=4)
+            done += length
+        return context.get_dummy_value()
+
+    return types.void(array, types.uint64, vectors), emit
+
+
+@intrinsic
+def prefetch(typing, array, offset):
+    """Ask for the cache line of an element ahead of its use; never faults."""
+
+    def emit(context, builder, signature, values):
+        line = _pointer(context, builder, array, *values, ir.IntType(8))
+        kind = ir.FunctionType(ir.VoidType(), [line.type, INT32, INT32, INT32])
+        hint = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        builder.call(hint, [line, ir.Constant(INT32, 0), ir.Constant(INT32, 3), ir.Constant(INT32, 1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.uint64), emit
+
+
+def _indices(values) -> ir.Constant:
+    values = list(values)
+    return ir.Constant(ir.VectorType(INT32, len(values)), values)
+
+
+def _join(builder, first, second):
+    return builder.shuffle_vector(first, second, _indices(range(2 * first.type.count)))
+
+
+def _part(builder, lanes, start: int, length: int):
+    return builder.shuffle_vector(lanes, lanes, _indices(range(start, start + length)))
+
+
+def _fold(builder, first, second, group: int):
+    """One step of a transposed sum: groups of 2 * `group` lanes become groups of `group`, those of `first` first."""
+    starts = [lane for lane in range(2 * FLOATS.width) if lane % (2 * group) < group]
+    low = builder.shuffle_vector(first, second, _indices(starts))
+    high = builder.shuffle_vector(first, second, _indices(lane + group for lane in starts))
+    return builder.fadd(low, high)
