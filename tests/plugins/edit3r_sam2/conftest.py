@@ -1,0 +1,135 @@
+"""Tiny random SAM2 and Grounding DINO of the real architectures, saved to disk and loaded the way users load theirs."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+import edit3r
+
+pytest.importorskip("transformers")
+
+SIDE = 128  # pixels of the tiny SAM2's square input
+WORDS = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", ".", "?", "the", "a", "bike", "door", "chair"]
+
+
+@pytest.fixture(scope="session")
+def sam2_folder(tmp_path_factory) -> Path:
+    from transformers import Sam2VideoModel
+
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("sam2")
+    Sam2VideoModel(tiny_sam2_config()).save_pretrained(folder)
+    return folder
+
+
+def tiny_sam2_config():
+    """Every width the memory modules tie together is 128; the memory itself is hard-wired to 64."""
+    from transformers import Sam2HieraDetConfig, Sam2VideoConfig, Sam2VisionConfig
+
+    hiera = Sam2HieraDetConfig(
+        hidden_size=12,
+        image_size=[SIDE, SIDE],
+        blocks_per_stage=[1, 1, 2, 1],
+        embed_dim_per_stage=[12, 24, 48, 96],
+        num_attention_heads_per_stage=[1, 2, 4, 8],
+        window_size_per_stage=[8, 4, 4, 4],
+        global_attention_blocks=[3],
+    )
+    vision = Sam2VisionConfig(
+        backbone_config=hiera.to_dict(),
+        backbone_channel_list=[96, 48, 24, 12],
+        backbone_feature_sizes=[[32, 32], [16, 16], [8, 8]],
+        fpn_hidden_size=128,
+    )
+    return Sam2VideoConfig(
+        vision_config=vision.to_dict(),
+        prompt_encoder_config={"hidden_size": 128, "image_size": SIDE},
+        mask_decoder_config={"hidden_size": 128, "mlp_dim": 64, "num_attention_heads": 2, "iou_head_hidden_dim": 32},
+        image_size=SIDE,
+        memory_attention_hidden_size=128,
+        memory_attention_num_layers=1,
+        memory_attention_feed_forward_hidden_size=64,
+        memory_attention_rope_feat_sizes=[8, 8],
+        memory_encoder_hidden_size=128,
+        mask_downsampler_embed_dim=128,
+        memory_fuser_num_layers=1,
+        memory_fuser_embed_dim=128,
+        memory_fuser_intermediate_dim=64,
+        initializer_range=0.15,  # logits of a few units, as a trained network's; the usual 0.02 gives thousandths
+    )
+
+
+@pytest.fixture(scope="session")
+def dino_folder(tmp_path_factory) -> Path:
+    from transformers import (
+        BertTokenizer,
+        GroundingDinoConfig,
+        GroundingDinoForObjectDetection,
+        GroundingDinoImageProcessorPil,
+        GroundingDinoProcessor,
+    )
+
+    folder = tmp_path_factory.mktemp("dino")
+    (folder / "vocab.txt").write_text("\n".join(WORDS) + "\n")
+    config = GroundingDinoConfig(
+        backbone_config={
+            "model_type": "swin",
+            "image_size": 64,
+            "embed_dim": 16,
+            "depths": [1, 1, 1, 1],
+            "num_heads": [1, 1, 2, 2],
+            "window_size": 4,
+            "out_indices": [2, 3, 4],
+        },
+        text_config={
+            "model_type": "bert",
+            "vocab_size": len(WORDS),
+            "hidden_size": 32,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "intermediate_size": 32,
+        },
+        d_model=32,
+        encoder_layers=1,
+        decoder_layers=2,  # one breaks the weight tying
+        encoder_attention_heads=2,
+        decoder_attention_heads=2,
+        encoder_ffn_dim=32,
+        decoder_ffn_dim=32,
+        num_queries=8,
+        max_text_len=16,
+    )
+    torch.manual_seed(0)
+    GroundingDinoForObjectDetection(config).save_pretrained(folder)
+    images = GroundingDinoImageProcessorPil(size={"shortest_edge": 64, "longest_edge": 96})
+    GroundingDinoProcessor(images, BertTokenizer(str(folder / "vocab.txt"))).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def build_sam2(sam2_folder, dino_folder):
+    """The segmenter with its real detector, both tiny; quality bounds off, since random masks are poor."""
+
+    def build(parts=None, **settings):
+        settings = {
+            "model": str(sam2_folder),
+            "local_files_only": True,
+            "points_per_side": 4,
+            "min_predicted_iou": 0.0,
+            "min_stability": 0.0,
+            **settings,
+        }
+        if parts is None:
+            settings.setdefault("detector", {"model": str(dino_folder), "box_threshold": 0.0})
+        return edit3r.build("segmenter", "sam2", parts, **settings)
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def photo() -> torch.Tensor:
+    """60 x 80: a bright disc on a dark slope."""
+    y, x = torch.meshgrid(torch.linspace(0, 1, 60), torch.linspace(0, 1, 80), indexing="ij")
+    disc = ((x - 0.3) ** 2 + (y - 0.5) ** 2 < 0.04).float()
+    return torch.stack((0.2 * x + 0.7 * disc, 0.2 * y, 0.1 + 0.5 * disc)).clamp(0, 1)
