@@ -126,10 +126,10 @@ def _read_view_runs(header: PlyHeader) -> np.ndarray:
 
 
 def _from_table(table: np.ndarray, header: PlyHeader) -> Gaussians:
-    rest = [name for name in header.names if name.startswith("f_rest_")]
-    degree = _degree(len(rest), header.path)
+    degree = _degree(header)
+    rest = (degree + 1) ** 2 - 1  # coefficients per colour above degree 0
     dc = _columns(table, ("f_dc_0", "f_dc_1", "f_dc_2"))[:, None]
-    higher = _columns(table, [f"f_rest_{i}" for i in range(len(rest))]).reshape(header.count, 3, -1).transpose(0, 2, 1)
+    higher = _columns(table, [f"f_rest_{i}" for i in range(3 * rest)]).reshape(header.count, 3, rest)
     with np.errstate(over="ignore", invalid="ignore"):
         quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
         columns = {
@@ -137,24 +137,27 @@ def _from_table(table: np.ndarray, header: PlyHeader) -> Gaussians:
             "scales": np.exp(_columns(table, ("scale_0", "scale_1", "scale_2"))),
             "quats": quats / np.maximum(np.linalg.norm(quats, axis=-1, keepdims=True), 1e-12),
             "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
-            "harmonics": np.concatenate((dc, higher), 1) if degree else dc,
+            "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
         }
         # Through float32 first: what is finite in double may not be afterwards.
         tensors = {name: torch.from_numpy(values.astype(np.float32)) for name, values in columns.items()}
     finite = torch.ones(header.count, dtype=torch.bool)
     for values in tensors.values():
-        finite &= torch.isfinite(values).reshape(header.count, -1).all(1)
+        finite &= torch.isfinite(values[:, None].flatten(1)).all(1)
     if not finite.all():
         warn(f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite and left out.")
     view_index = torch.from_numpy(_read_view_runs(header))[finite]
     return Gaussians(**{name: values[finite][None] for name, values in tensors.items()}, view_index=view_index)
 
 
-def _degree(rest: int, path: Path) -> int:
+def _degree(header: PlyHeader) -> int:
+    rest = {name for name in header.names if name.startswith("f_rest_")}
     for degree in range(MAX_DEGREE + 1):
-        if rest == 3 * ((degree + 1) ** 2 - 1):
+        if rest == {f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))}:
             return degree
-    raise InputError(f"{path}: {rest} f_rest properties; expected 0, 9, 24, 45 or 72 (harmonics of degree 0 to 4).")
+    raise InputError(
+        f"{header.path}: {len(rest)} f_rest properties; expected 0, 9, 24, 45 or 72 in a row (degree 0 to 4)."
+    )
 
 
 def _columns(table: np.ndarray, names: Sequence[str]) -> np.ndarray:

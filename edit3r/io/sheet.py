@@ -1,5 +1,6 @@
 """The before/after sheet: per view the photo, its 2D edit and the 3D result, with captions and the prompt."""
 
+import bisect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -139,10 +140,8 @@ def _shorten(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:
     """The text, cut with an ellipsis to fit `room` pixels; empty when nothing readable fits."""
     if font.getlength(text) <= room:
         return text
-    for end in range(len(text) - 1, 2, -1):
-        if font.getlength(text[:end] + "…") <= room:
-            return text[:end] + "…"
-    return ""
+    end = bisect.bisect(range(len(text)), room, key=lambda end: font.getlength(text[:end] + "…")) - 1
+    return text[:end] + "…" if end > 2 else ""
 
 
 def _wrap(text: str, font: ImageFont.FreeTypeFont, room: int) -> list[str]:

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from edit3r.io.sheet import draw_before_after, save_before_after
+
+
+def flat(views, size, colour):
+    return torch.tensor(colour)[None, :, None, None].expand(views, 3, *size).clone()
+
+
+def drawn(views, size, **texts):
+    """A sheet whose photos are red, edits green and results blue."""
+    colours = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
+    return draw_before_after(*(flat(views, size, colour) for colour in colours), **texts)
+
+
+def share(sheet, colour):
+    return (np.asarray(sheet) == np.array(colour)).all(-1).mean()
+
+
+@pytest.mark.parametrize("views", [1, 2, 3, 5, 8])
+@pytest.mark.parametrize("size", [(256, 256), (512, 288), (200, 500)])
+def test_every_view_shows_photo_edit_and_result_at_one_size(views, size):
+    sheet = drawn(views, size, title="a prompt", subtitle="editor none")
+    shares = [share(sheet, colour) for colour in ([255, 0, 0], [0, 255, 0], [0, 0, 255])]
+    assert shares[0] == shares[1] == shares[2] > 0.12
+    assert max(sheet.size) < 2900
+
+
+def test_pictures_keep_their_shape():
+    sheet = np.asarray(drawn(1, (100, 300)))
+    red = (sheet == [255, 0, 0]).all(-1)
+    assert red.any(0).sum() == pytest.approx(3 * red.any(1).sum(), abs=2)
+
+
+@pytest.mark.parametrize("title", ["", "word " * 400, "x" * 2000, "größer, 更红, 🎨", "two\nlines"])
+def test_any_prompt_fits(title):
+    sheet = drawn(2, (64, 64), title=title, names=["a very long photo name " * 20, ""])
+    assert share(sheet, [255, 0, 0]) > 0.05 and sheet.height < 2000
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 1000), (900, 2)])
+def test_extreme_shapes_are_drawn(size):
+    assert drawn(2, size).width > 100
+
+
+def test_mismatched_counts_are_an_error():
+    with pytest.raises(ValueError, match="as many edits and results as photos"):
+        draw_before_after(flat(2, (4, 4), [0.0] * 3), flat(1, (4, 4), [0.0] * 3), flat(2, (4, 4), [0.0] * 3))
+
+
+def test_sheet_is_saved_as_a_picture(tmp_path):
+    pictures = flat(2, (32, 48), [0.5, 0.5, 0.5])
+    save_before_after(tmp_path / "sheet.png", pictures, pictures, pictures, title="grey")
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.mode == "RGB"
