@@ -13,7 +13,7 @@ from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_matched.guided_upsampling import guided_upsample
 from edit3r_matched.local_colour import blur, change_of
 from edit3r_matched.network import NetworkOutputs
-from edit3r_matched.warping import Correspondence, correspond, pull
+from edit3r_matched.warping import Correspondence, correspond, partners, pull
 
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
@@ -80,7 +80,8 @@ def _opacity_logits(geometry: MatchedGeometry, matches: Correspondence, settings
     """Honest start: less for filled-in points, next to nothing for those that float in front of the partner's."""
     filled = geometry.confidence < 0.5
     opacity = torch.where(filled, settings.filled_opacity, settings.opacity)
-    floating = filled & (matches.depth_ratio < -0.05)
+    seen = pull(geometry.confidence[:, partners(filled.shape[1]), None], matches.places, mode="nearest")[:, :, 0]
+    floating = filled & (matches.depth_ratio < -0.03) & (seen > 0.5)
     return torch.logit(torch.where(floating, settings.floating_opacity, opacity))
 
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from edit3r.geometry.cameras import pixel_grid
 from edit3r_matched.local_colour import CHANNELS
 
-HEADS = 4
+HEADS = 2
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class EditTransport(nn.Module):
         self.temperature = nn.Parameter(torch.full((HEADS,), 1.5))
         nn.init.zeros_(self.reach.weight)
         with torch.no_grad():
-            self.reach.bias.copy_(torch.tensor([1.0, -0.5, -2.0, -4.5]))
+            self.reach.bias.copy_(torch.tensor([0.5, -3.0]))
 
     def forward(
         self,

@@ -31,8 +31,7 @@ class SourceEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.stem = nn.Conv2d(self.INPUTS, 24, 3, padding=1)
-        self.down2 = nn.Conv2d(24, width, 4, stride=2, padding=1)
+        self.stem = nn.Conv2d(self.INPUTS * STRIDE**2, width, 3, padding=1)
         self.blocks2 = nn.Sequential(ResidualBlock(width))
         self.down4 = nn.Conv2d(width, 2 * width, 4, stride=2, padding=1)
         self.blocks4 = nn.Sequential(ResidualBlock(2 * width), ResidualBlock(2 * width))
@@ -43,7 +42,7 @@ class SourceEncoder(nn.Module):
         self.up4 = nn.Conv2d(3 * width, 2 * width, 1)
         self.out4 = nn.Sequential(ResidualBlock(2 * width))
         self.up2 = nn.Conv2d(2 * width, width, 1)
-        self.out2 = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
+        self.out2 = nn.Sequential(ResidualBlock(width))
         self.corrections = zero_conv(width, 3 * STRIDE**2)
 
     def forward(
@@ -54,8 +53,8 @@ class SourceEncoder(nn.Module):
         matches: Correspondence,
     ) -> SourceFeatures:
         """Photos in [0, 1]; depths with median about 1; height and width multiples of 8."""
-        x = F.silu(self.stem(self._inputs(photos, depths, confidence, matches).flatten(0, 1)))
-        x2 = self.blocks2(self.down2(x))
+        x = F.pixel_unshuffle(self._inputs(photos, depths, confidence, matches).flatten(0, 1), STRIDE)
+        x2 = self.blocks2(self.stem(x))
         x4 = self.blocks4(self.down4(x2))
         x8 = self.blocks8(self.down8(x4))
         x4 = self.out4(x4 + upsample_to(self.up4(x8), x4))

