@@ -44,6 +44,19 @@ def load_pretrained(cls: type, weights: Weights, **given: Any) -> Any:
             raise loading_error(error, cls, weights) from error
 
 
+def identity(weights: Weights) -> dict[str, str]:
+    """What to note in a run's manifest: model, revision asked for, and for a downloaded one the commit it is at."""
+    told = {"model": weights.model, "revision": weights.revision or "newest"}
+    if not Path(weights.model).expanduser().is_dir() and importlib.util.find_spec("huggingface_hub"):
+        from huggingface_hub import try_to_load_from_cache
+
+        for file in ("model_index.json", "config.json"):
+            found = try_to_load_from_cache(weights.model, file, revision=weights.revision or None)
+            if isinstance(found, str):
+                return {**told, "commit": Path(found).parent.name}
+    return told
+
+
 def _check_folder(weights: Weights) -> None:
     """Something that can only be meant as a folder must be one."""
     model = weights.model

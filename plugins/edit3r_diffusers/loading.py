@@ -28,7 +28,7 @@ def load(pipeline_class: type, settings: DiffusionSettings, device: torch.device
     pipeline = pretrained.load_pretrained(pipeline_class, weights, dtype=dtype, **parts)
     pipeline.set_progress_bar_config(disable=True)
     _place(pipeline, settings, device)
-    note("editor.weights", {"model": settings.model, "revision": settings.revision or "newest", "dtype": str(dtype)})
+    note("editor.weights", {**pretrained.identity(weights), "dtype": str(dtype)})
     return pipeline
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.config import Settings
 from edit3r.errors import PromptError
 from edit3r.interfaces import Detection, Detector
-from edit3r.io.pretrained import Weights, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import Weights, identity, load_pretrained, out_of_memory_told, pick_device, quiet
 from edit3r.reporting import note
 
 
@@ -58,7 +58,7 @@ class GroundingDinoDetector(Detector):
             model = load_pretrained(GroundingDinoForObjectDetection, weights, dtype=torch.float32)
             device = pick_device(chosen.device, photos_on, "detector.device")
             self._loaded = model.to(device).eval(), load_pretrained(GroundingDinoProcessor, weights)
-            note("detector.weights", {"model": chosen.model, "revision": chosen.revision or "newest"})
+            note("detector.weights", identity(weights))
         return self._loaded
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.config import PartChoice, Settings
 from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Detector, Proposal, Segmenter, Tracks
-from edit3r.io.pretrained import Weights, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import Weights, identity, load_pretrained, out_of_memory_told, pick_device, quiet
 from edit3r.reporting import note
 from edit3r_sam2 import candidates
 from edit3r_sam2.automatic import find_candidates
@@ -129,7 +129,7 @@ class Sam2Segmenter(Segmenter):
             model = load_pretrained(getattr(transformers, name), weights, dtype=torch.float32)
             with self._memory("loading SAM2"):
                 self._models[name] = model.to(pick_device(chosen.device, photos_on, "segmenter.device")).eval()
-            note("segmenter.weights", {"model": chosen.model, "revision": chosen.revision or "newest"})
+            note("segmenter.weights", identity(weights))
         return self._models[name]
 
     def _memory(self, doing: str):
