@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,16 +10,15 @@ from pathlib import Path
 from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from edit3r.errors import InputError, MissingDependencyError
+from edit3r.io.exif import exif_focal, orientation
 from edit3r.reporting import warn
 
 MAX_PIXELS = 1 << 27
 """Largest picture that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
 
-FULL_FRAME_DIAGONAL = math.hypot(36, 24)  # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal
 READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
-_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, um
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ def decode(path: str | Path) -> Picture:
     with _opened(path) as image:
         if image.width * image.height > MAX_PIXELS:
             raise InputError(_too_large(path, f"{image.width}x{image.height}"))
-        focal, source = _exif_focal(image, path)
+        focal, source = exif_focal(image, path)
         try:
             image.load()
             pixels = _to_srgb(image, path)
@@ -62,7 +60,7 @@ def picture_size(path: str | Path) -> tuple[int, int]:
     path = Path(path)
     _check_is_file(path)
     with _opened(path) as image:
-        turned = _orientation(image, path) in (5, 6, 7, 8)
+        turned = orientation(image, path) in (5, 6, 7, 8)
         return (image.width, image.height) if turned else (image.height, image.width)
 
 
@@ -178,53 +176,12 @@ def _through_profile(image: Image.Image, profile: bytes | None, path: Path) -> I
         return image.convert("RGB")
 
 
-def _orientation(image: Image.Image, path: Path) -> int:
-    try:
-        return int(image.getexif().get(ExifTags.Base.Orientation, 1))
-    except Exception:  # EXIF is a foreign format inside a foreign format
-        warn(f"{path}: its EXIF data cannot be read; the picture is taken as upright.")
-        return 1
-
-
 def _upright(image: Image.Image, pixels: Image.Image, path: Path) -> Image.Image:
-    orientation = _orientation(image, path)
-    if orientation not in range(2, 9):
+    turn = orientation(image, path)
+    if turn not in range(2, 9):
         return pixels
     exif = Image.Exif()
-    exif[ExifTags.Base.Orientation] = orientation
+    exif[ExifTags.Base.Orientation] = turn
     tagged = pixels.copy()
     tagged.info["exif"] = exif.tobytes()
     return ImageOps.exif_transpose(tagged)
-
-
-def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
-    """Focal length [pixels] from the 35 mm equivalent, else from focal length and sensor resolution."""
-    try:
-        tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-        equivalent = _positive(tags.get(ExifTags.Base.FocalLengthIn35mmFilm))
-        millimetres = _positive(tags.get(ExifTags.Base.FocalLength))
-        density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
-        unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
-        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
-    except Exception:  # see _orientation
-        return None, ""
-    focal, source = None, ""
-    if equivalent:
-        focal = equivalent * math.hypot(*image.size) / FULL_FRAME_DIAGONAL
-        source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
-    elif millimetres and density and unit:
-        focal = millimetres * density / unit * image.width / recorded
-        source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
-    if focal is not None and not 0.1 < focal / max(image.size) < 50:
-        warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
-        return None, ""
-    return focal, source
-
-
-def _positive(value: object) -> float | None:
-    """An EXIF number if it is one and says something (0, 0/0 and text do not)."""
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
