@@ -20,6 +20,7 @@ from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.wording import confine
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
 
@@ -58,7 +59,9 @@ def run(
     `editor`, `recon` and `segmenter` are names, `PartChoice`s or built objects; `settings` holds settings by kind
     (`{"editor": {...}, "reconstructor": {...}}`) for those given by name. `masks` in [0, 1] say where pixels may
     change: outside (exactly 0) they stay bit-equal whatever the editor does. With `edit_views="first"` only view 0 is
-    edited and the reconstructor carries the edit to the others. Same inputs and seed, same result.
+    edited and the reconstructor carries the edit to the others. A `segmenter` is a part of editors that use one; for
+    others, without masks, it finds what the prompt is about and confines the edit there. Same inputs and seed, same
+    result.
     """
     registry = registry or default_registry()
     settings = settings or {}
@@ -75,6 +78,9 @@ def run(
                     recon.network.to(device)
         views, masks = _views_for(recon, views, masks)
         request = EditRequest(prompt, seed, masks)
+        if masks is None and segmenter is not None and not takes_part(editor, "segmenter"):
+            with report.stage("find what to edit"), torch.no_grad():
+                request = confine(request, views, _built(registry, "segmenter", segmenter, settings, {}))
         with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
             edited = _edit(editor, views, request, edit_views)
         with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
@@ -91,6 +97,12 @@ def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts:
         return choice
     choice = PartChoice.model_validate(choice) if isinstance(choice, str) else choice
     return registry.build(kind, choice.name, parts, **{**choice.settings, **settings.get(kind, {})})
+
+
+def takes_part(component: Any, kind: str) -> bool:
+    """Whether a built component was declared with a part of that kind."""
+    offer = getattr(component, "offer", None)
+    return offer is not None and kind in offer.component.parts
 
 
 def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tuple[Views, Tensor | None]:

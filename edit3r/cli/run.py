@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--editor", metavar="NAME", help="2D editor (default recolor); see edit3r list-plugins --kind editor")
     add("--recon", metavar="NAME", help="reconstructor (default edit3r)")
     add("--rasterizer", metavar="NAME", help="rasterizer (default auto)")
-    add("--segmenter", metavar="NAME", help="segmenter for editors that use one")
+    add("--segmenter", metavar="NAME", help="finds what the prompt is about, if it reads words")
     add("--mask", nargs="+", action="extend", default=[], metavar="FILE", help="one mask per photo; white may change")
     add("--edit-views", choices=("all", "first"), help="edit all photos or the first only (default all)")
     add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")

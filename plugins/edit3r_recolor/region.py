@@ -19,7 +19,7 @@ class Region:
     """Soft masks of one region in every view of a scene, and how it was found."""
 
     masks: Float[Tensor, "view height width"]  # in [0, 1]
-    source: str  # "masks", "point", "box", "everything", "most salient object" or "background"
+    source: str  # "masks", "point", "box", "everything", "named object", "most salient object" or "background"
 
 
 def choose_region(
@@ -38,10 +38,20 @@ def choose_region(
         return Region(_follow(images, first, segmenter), "point" if point is not None else "box")
     if wish.scope == "everything":
         return Region(torch.ones_like(images[:, 0]), "everything")
-    masks = _follow(images, _most_salient(images[0], wish, segmenter), segmenter)
+    looked_up = _looked_up(images[0], wish, segmenter)
+    masks = _follow(images, looked_up or _most_salient(images[0], wish, segmenter), segmenter)
     if wish.scope == "background":
         return Region(1 - masks, "background")
-    return Region(masks, "most salient object")
+    return Region(masks, "most salient object" if looked_up is None else "named object")
+
+
+def _looked_up(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> Proposal | None:
+    """What the segmenter's prompt or the wish names; None where it reads no words, or nothing is named."""
+    named = getattr(segmenter.settings, "prompt", "") or " ".join(wish.subject)
+    found = segmenter.segment_text(image, named) if named else None
+    if found is not None and not found:
+        raise InputError(f"{named!r} was not found on the first view; use other words, or mark it with --mask.")
+    return found[0] if found else None
 
 
 def _most_salient(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> Proposal:

@@ -1,0 +1,61 @@
+"""Words to masks to edits, by the command a user types, on tiny random weights."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from edit3r.cli.main import main
+
+FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
+CHEAP = ["--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch", "--frames", "2", "--fov", "60", "--quiet"]
+
+
+@pytest.fixture
+def photos(tmp_path, photo) -> list[str]:
+    pixels = (photo * 255).round().byte().permute(1, 2, 0).numpy()
+    for name, picture in (("a", pixels), ("b", np.roll(pixels, 2, axis=1))):
+        Image.fromarray(picture).save(tmp_path / f"{name}.png")
+    return [str(tmp_path / "a.png"), str(tmp_path / "b.png")]
+
+
+@pytest.fixture
+def sam2(sam2_folder, dino_folder) -> list[str]:
+    settings = [f"model={sam2_folder}", "local_files_only=true", f"detector.model={dino_folder}"]
+    settings += ["detector.box_threshold=0.0", "detector.local_files_only=true"]
+    return ["--segmenter", "sam2", *(word for setting in settings for word in ("--set", f"segmenter.{setting}"))]
+
+
+def run(photos, out: Path, *flags: str) -> dict:
+    assert main(["run", *photos, *CHEAP, "--out", str(out), *flags]) == 0
+    return json.loads((out / "run.json").read_text())
+
+
+def found_in(manifest: dict, key: str):
+    """The value of a note wherever the manifest keeps it."""
+    if key in manifest:
+        return manifest[key]
+    inside = (found_in(value, key) for value in manifest.values() if isinstance(value, dict))
+    return next((value for value in inside if value is not None), None)
+
+
+def test_recolor_finds_what_the_prompt_names(photos, sam2, tmp_path):
+    manifest = run(photos, tmp_path / "out", "--prompt", "paint the bike red", "--editor", "recolor", *sam2)
+    assert found_in(manifest, "editor.region") == "named object"
+
+
+@pytest.mark.parametrize("prompt", ["paint the bike red", "make it winter"])
+def test_an_editor_without_a_segmenter_is_confined_to_what_is_named(photos, sam2, tmp_path, prompt):
+    words = ["--set", "segmenter.prompt=the door"] if "winter" in prompt else []
+    command = ["--editor", "mock-diffusion", "--prompt", prompt]
+    manifest = run(photos, tmp_path / "out", *command, *sam2, *words)
+    assert found_in(manifest, "edit.confined_to") == ("the door" if words else "the bike")
+
+
+def test_words_that_nothing_matches_are_told(photos, sam2, tmp_path):
+    nothing = ["--set", "segmenter.detector.box_threshold=1.0"]
+    command = ["--editor", "mock-diffusion", "--prompt", "paint the bike red"]
+    manifest = run(photos, tmp_path / "out", *command, *sam2, *nothing)
+    assert any("'the bike' was not found" in warning for warning in manifest["warnings"])
