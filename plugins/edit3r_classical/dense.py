@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from edit3r import reporting
@@ -10,6 +11,7 @@ from edit3r_classical.camera import Picture
 from edit3r_classical.consistency import cross_check, without_speckles
 from edit3r_classical.depth_map import RawDepth, inverse_depth_range, sweep_depth
 from edit3r_classical.filling import fill
+from edit3r_classical.free_space import push_back
 from edit3r_classical.plane_sweep import Neighbour
 from edit3r_classical.registration import Registration
 
@@ -32,14 +34,33 @@ def dense_depth(
 ) -> list[ViewDepth | None]:
     """Depth of each view from its best `neighbours`; None for a view that was not placed."""
     partners = [registration.partners(view)[:neighbours] for view in range(len(pictures))]
+    raw = raw_depths(pictures, registration, partners, planes)
+    return checked_depths(pictures, registration, partners, raw)
+
+
+def raw_depths(
+    pictures: Sequence[Picture], registration: Registration, partners: Sequence[Sequence[int]], planes: int
+) -> dict[int, RawDepth]:
+    """Unchecked depth of each placed view from its `partners`."""
     placed = [view for view in range(len(pictures)) if registration.registered[view]]
-    raw: dict[int, RawDepth] = {}
+    raw = {}
     for view in reporting.track(placed, "measuring depth"):
         depths = np.concatenate([registration.shared_depths(view, other) for other in partners[view]])
         around = _neighbours(pictures, registration, view, partners[view])
         raw[view] = sweep_depth(pictures[view], around, inverse_depth_range(depths), planes)
+    return raw
+
+
+def checked_depths(
+    pictures: Sequence[Picture],
+    registration: Registration,
+    partners: Sequence[Sequence[int]],
+    raw: dict[int, RawDepth],
+) -> list[ViewDepth | None]:
+    """Keep what at least one partner confirms and fill the rest from it; None for a view without raw depth."""
+    measured = {view: _measured(pictures, registration, view, partners[view], raw) for view in raw}
     return [
-        _checked(pictures, registration, view, partners[view], raw) if view in raw else None
+        _completed(pictures, registration, view, partners[view], raw, measured) if view in raw else None
         for view in range(len(pictures))
     ]
 
@@ -50,16 +71,29 @@ def _neighbours(
     return [Neighbour(pictures[other], registration.relative(view, other)) for other in others]
 
 
-def _checked(
+def _measured(
     pictures: Sequence[Picture], registration: Registration, view: int, others: Sequence[int], raw: dict[int, RawDepth]
-) -> ViewDepth:
-    """Keep what at least one neighbour confirms and fill the rest from it."""
-    own = raw[view]
+) -> np.ndarray:
+    """Pixels whose depth at least one other view confirms."""
     around = _neighbours(pictures, registration, view, others)
-    checks = [
-        cross_check(own.inverse, pictures[view], neighbour, raw[other], _TOLERANCE)
+    agrees = [
+        cross_check(raw[view].inverse, pictures[view], neighbour, raw[other], _TOLERANCE).agrees
         for other, neighbour in zip(others, around)
     ]
-    measured = without_speckles(np.any([check.agrees for check in checks], axis=0), own)
-    inverse = fill(own.inverse, measured, own.step, pictures[view].image)
-    return ViewDepth(np.clip(inverse, own.inverse.min(), own.inverse.max()), measured, own.step)
+    return without_speckles(np.any(agrees, axis=0), raw[view])
+
+
+def _completed(
+    pictures: Sequence[Picture],
+    registration: Registration,
+    view: int,
+    others: Sequence[int],
+    raw: dict[int, RawDepth],
+    measured: dict[int, np.ndarray],
+) -> ViewDepth:
+    """Spread what was measured over the rest, then push back what would hide a neighbour's surface."""
+    own, sure = raw[view], measured[view]
+    inverse = fill(own.inverse, sure, own.step, pictures[view].image)
+    for other, neighbour in zip(others, _neighbours(pictures, registration, view, others)):
+        inverse = push_back(inverse, sure, own, pictures[view], neighbour, raw[other], measured[other])
+    return ViewDepth(np.where(sure, inverse, cv2.medianBlur(inverse, 5)), sure, own.step)

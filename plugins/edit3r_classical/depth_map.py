@@ -17,7 +17,8 @@ class RawDepth:
     """Inverse depth of every pixel before anything is checked."""
 
     inverse: np.ndarray  # [height, width] 1 / camera z, float32
-    step: float  # inverse depth between two planes of the sweep
+    farthest: float  # inverse depth of the farthest plane of the sweep
+    step: float  # inverse depth between two planes
 
 
 def inverse_depth_range(depths: np.ndarray) -> tuple[float, float]:
@@ -35,6 +36,6 @@ def sweep_depth(
 ) -> RawDepth:
     """Depth of `reference` from all `neighbours` together, with at most `planes` hypotheses."""
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
-    total = aggregate(matching_cost(reference, neighbours, inverse_depths), reference.grey)
-    step = inverse_depths[1] - inverse_depths[0]
-    return RawDepth((inverse_depths[0] + best_plane(total) * step).astype(np.float32), float(step))
+    position = best_plane(aggregate(matching_cost(reference, neighbours, inverse_depths), reference.grey))
+    first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
+    return RawDepth((first + position * step).astype(np.float32), first, step)

@@ -9,7 +9,9 @@ __all__ = ["fill", "upsample"]
 _REACH = 2000.0  # smoothness weight: a gap of some fifty pixels is bridged
 _TOUCH = 15.0  # for smoothing what was measured
 _COLOUR = 6.0  # 8-bit colour difference at which the smoothness falls to 1/e
-_TRUST_IN_GUESSES = 1e-4
+_TOUCH_COLOUR = 8.0
+_TRUST_IN_GUESSES = 1e-6  # of unconfirmed depths where confirmed ones are far away
+_TRUST_NEARBY = 1e-4
 _SAME_COLOUR = 0.1  # colour distance at which a small pixel's say falls to 1/e
 _SAME_SURFACE = 0.04  # relative difference in inverse depth within which two pixels lie on one surface
 
@@ -17,13 +19,14 @@ _SAME_SURFACE = 0.04  # relative difference in inverse depth within which two pi
 def fill(inverse: np.ndarray, measured: np.ndarray, step: float, image: np.ndarray) -> np.ndarray:
     """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, spread from there elsewhere.
 
-    Fast global smoothing (Min et al. 2014): flat colour carries depth, edges stop it.
+    Fast global smoothing (Min et al. 2014): flat colour carries depth, edges stop it. `step` is how far apart two
+    hypotheses were: smoothing by more would blur a depth edge.
     """
     guide = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     median = cv2.medianBlur(inverse, 3)
     weight = measured.astype(np.float32)
     spread = _weighted_smooth(median, weight + np.float32(_TRUST_IN_GUESSES), guide, _REACH, _COLOUR)
-    smooth = _weighted_smooth(median, weight + np.float32(_TRUST_IN_GUESSES), guide, _TOUCH, 8.0)
+    smooth = _weighted_smooth(median, weight + np.float32(_TRUST_NEARBY), guide, _TOUCH, _TOUCH_COLOUR)
     touched = np.where(np.abs(smooth - median) < step, 0.5 * (smooth + median), median)
     return np.where(measured, touched, spread).astype(np.float32)
 

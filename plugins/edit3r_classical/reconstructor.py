@@ -22,8 +22,8 @@ class ClassicalReconstructor(Reconstructor):
     class Settings(config.Settings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
         footprint: float = Field(0.5, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
-        opacity: float = Field(0.95, gt=0, le=1, description="opacity where two views measured the depth")
-        guessed_opacity: float = Field(0.9, ge=0, le=1, description="opacity where the depth was filled in")
+        opacity: float = Field(0.7, gt=0, le=1, description="opacity where two views measured the depth")
+        guessed_opacity: float = Field(0.6, ge=0, le=1, description="opacity where the depth was filled in")
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
