@@ -11,6 +11,7 @@ sizes = st.tuples(st.integers(1, 6000), st.integers(1, 6000))
 
 
 @given(st.lists(sizes, min_size=1, max_size=6), st.sampled_from([None, 1, 256, 512]))
+@settings(deadline=None)
 def test_every_photo_covers_the_common_size(photos, longest):
     target = common_size(photos, longest)
     assert min(target) >= 1 and (longest is None or max(target) <= longest)
