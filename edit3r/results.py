@@ -10,12 +10,12 @@ from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.images import LoadedPhotos, save_image
 from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, write_manifest
-from edit3r.io.ply import save_ply
+from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
-from edit3r.reporting import collecting, note, track
+from edit3r.reporting import collecting, note, track, warn
 from edit3r.stage_checks import blaming, check_rendering, component_name
 from edit3r.types import Cameras, Gaussians, Rendering
 
@@ -45,11 +45,12 @@ def write(
             note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
         with report.stage("write files"):
             _write_pictures(folder, result, rendered, frames)
-            save_ply(folder.scene, result.gaussians, comment_lines=[f"prompt: {_one_line(config.prompt)}"])
+            _write_scene(folder, result)
             names = [f"inputs/{name}.png" for name in result.photos.names]
             write_cameras(folder.cameras, posed_cameras(result.cameras, names))
             save_video(folder.video, _clipped(frames), VIDEO_FPS)
-            save_viewer(folder.viewer, result.gaussians, result.cameras, title=config.prompt or "edit3r scene")
+            title = config.prompt or "edit3r scene"
+            save_viewer(folder.viewer, result.gaussians, result.cameras, title=title, names=result.photos.names)
     write_manifest(folder.manifest, _manifest(result, photos, masks, rasterizer, config))
 
 
@@ -70,6 +71,16 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     """A camera path between and around `cameras`, whose swing is bounded by the depth of what they show."""
     seen = rendered.depths[rendered.alphas > 0.5]
     return between_and_around(cameras, frames, float(seen.median()) if seen.numel() else None)
+
+
+def _write_scene(folder: RunFolder, result: "RunResult") -> None:
+    """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
+    if result.gaussians.degree > VIEWER_DEGREE:
+        warn(
+            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {result.gaussians.degree}: viewers refuse more."
+        )
+    prompt = " ".join(result.request.prompt.split())
+    save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
 
 
 def _clipped(rendering: Rendering) -> list[torch.Tensor]:
@@ -135,7 +146,3 @@ def summary(out: Path, result: "RunResult") -> str:
         f"  scene        {folder.scene}\n"
         f"  how it was   {folder.manifest}"
     )
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
