@@ -1,5 +1,6 @@
 """The CPU rasterizer: projection, binning and blending compiled by numba, with a hand-derived backward pass."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +12,16 @@ from torch import Tensor
 from edit3r.errors import InputError, RunError
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.binning import count_entries, list_entries, sort_by_depth
+from edit3r_rasterizers.binning import COUNTS, count_entries, list_entries, sort_by_depth
 from edit3r_rasterizers.checks import check_cameras, check_finite, resolve_background
-from edit3r_rasterizers.projection import project
-from edit3r_rasterizers.projection_backward import project_backward
+from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
+from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
 from edit3r_rasterizers.raster_backward import BACKWARD_SCRATCH, differentiate_tiles
 from edit3r_rasterizers.raster_forward import FORWARD_SCRATCH, shade_tiles
 from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings
 from edit3r_rasterizers.threads import even_bounds, run_slices, thread_count
+from edit3r_rasterizers.tiles import BATCH
 
 MAX_ENTRIES = 2**31 - 1
 
@@ -164,12 +166,13 @@ def _project_and_bin(
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
     limits = (float(grid.width), float(grid.height), settings.near, settings.far, settings.eps2d, settings.min_alpha)
+    scratch = _scratch(PROJECTION_SCRATCH, np.float64)
     sound = run_slices(
-        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, records, boxes, keys
+        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, scratch, records, boxes, keys
     )
     if not all(sound):
         return None
-    order = sort_by_depth(keys.view(np.uint32), boxes)
+    order = _sorted_by_depth(keys, boxes)
     offsets = np.empty(grid.count + 1, np.int64)
     count_entries(order, boxes, records, grid.columns, offsets)
     total = int(offsets[-1])
@@ -180,9 +183,16 @@ def _project_and_bin(
         )
     entries, positions = np.empty(total, np.int32), np.empty(total, np.int32)
     places = np.zeros((count, 2), np.int32)
-    list_entries(order, boxes, records, grid.columns, offsets, entries, positions, places)
+    list_entries(order, boxes, records, grid.columns, offsets.copy(), entries, positions, places)
     transmittances = np.empty((grid.height, grid.width), np.float32)
     return _Frame(grid, camera, records, offsets, entries, positions, places, transmittances)
+
+
+def _sorted_by_depth(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Indices of the splats that have a box, front to back."""
+    buffers = [np.empty(len(keys), kind) for kind in (np.int32, np.uint32, np.int32, np.uint32)]
+    length = sort_by_depth(keys.view(np.uint32), boxes, *buffers, np.empty(COUNTS, np.int64))
+    return buffers[0][:length]
 
 
 def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.ndarray, pictures: list) -> None:
@@ -194,12 +204,13 @@ def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.
         frame.grid.columns,
         frame.offsets,
         frame.entries,
-        frame.records.reshape(-1),
+        frame.records,
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
         background,
-        lambda: aligned_empty((FORWARD_SCRATCH,)),
+        _scratch(FORWARD_SCRATCH, np.float32),
+        _scratch(int(BATCH), np.uint64),
         image,
         alpha[0],
         depth[0],
@@ -220,11 +231,12 @@ def _differentiate(
         frame.grid.columns,
         frame.offsets,
         frame.entries,
-        frame.records.reshape(-1),
+        frame.records,
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
-        lambda: aligned_empty((BACKWARD_SCRATCH,)),
+        _scratch(BACKWARD_SCRATCH, np.float32),
+        _scratch(int(BATCH), np.uint64),
         image,
         depth[0],
         frame.transmittances,
@@ -244,6 +256,8 @@ def _differentiate(
         frame.places,
         frame.positions,
         sums,
+        _scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
+        _scratch(8, np.uint64),
         *totals,
     )
 
@@ -258,9 +272,14 @@ def _tile_bounds(frame: _Frame, threads: int) -> list[int]:
     return [0, *np.unique(cuts[cuts > 0]).tolist(), frame.grid.count]
 
 
-def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
-    """Uninitialised float32 memory that starts on a cache line, so that no vector straddles two."""
-    count = int(np.prod(shape))
-    memory = np.empty(count + 16, np.float32)
-    start = (-memory.ctypes.data % 64) // 4
+def _scratch(count: int, dtype: type) -> Callable[[], np.ndarray]:
+    """Work space that `run_slices` makes anew for every slice."""
+    return lambda: aligned_empty((count,), dtype)
+
+
+def aligned_empty(shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
+    """Uninitialised memory that starts on a cache line, so that no vector straddles two."""
+    count, size = int(np.prod(shape)), np.dtype(dtype).itemsize
+    memory = np.empty(count + 64 // size, dtype)
+    start = (-memory.ctypes.data % 64) // size
     return memory[start : start + count].reshape(shape)

@@ -6,9 +6,11 @@ The maths is written once for scalars and vectors alike: the small functions her
 import math
 
 import numpy as np
-from numba import njit
 
+from edit3r.geometry.harmonics import DC
+from edit3r_rasterizers.compiled import inlined, kernel
 from edit3r_rasterizers.records import (
+    BLUE,
     CENTRE,
     CENTRE_X,
     CENTRE_Y,
@@ -16,6 +18,7 @@ from edit3r_rasterizers.records import (
     FLATNESS,
     FOCAL_X,
     FOCAL_Y,
+    GREEN,
     HIGH_X,
     HIGH_Y,
     LEAN,
@@ -24,6 +27,7 @@ from edit3r_rasterizers.records import (
     LOW_Y,
     NARROWNESS,
     REACH,
+    RECORD,
     RED,
     SLOPE,
     SLOPE_REST,
@@ -37,7 +41,7 @@ from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import broadcast, mask_bits, maximum, minimum, select, square_root
 from edit3r_rasterizers.simd_math import log2
-from edit3r_rasterizers.simd_memory import load, store
+from edit3r_rasterizers.simd_memory import flat, load, shifted, store
 
 SHORTEST_QUAT = 1e-12
 """A quaternion not longer than this is taken as the identity."""
@@ -49,29 +53,32 @@ U = np.uint64
 GROUP = U(8)
 MEAN, SCALE, QUAT, OPACITY, INPUTS = U(0), U(3), U(6), U(10), U(11)
 """Rows of the staged inputs, one lane per Gaussian."""
-_X, _Y, _SLOPE, _NARROWNESS, _FLATNESS, _LEAN, _LOG_OPACITY, _REACH, _DEPTH = (U(row) for row in range(9))
-_LEFT, _TOP, _RIGHT, _BOTTOM, _EAST, _DOWN, _AHEAD, _OUTPUTS = (U(row) for row in range(9, 17))
+_X, _Y, _SLOPE, _NARROWNESS, _FLATNESS, _LEAN, _LOG_OPACITY, _REACH, _DEPTH = (INPUTS + U(row) for row in range(9))
+_LEFT, _TOP, _RIGHT, _BOTTOM, _EAST, _DOWN, _AHEAD = (INPUTS + U(row) for row in range(9, 16))
 """Rows of the staged results; the last three are the direction seen."""
+_BASIS = INPUTS + U(16)
+PROJECTION_SCRATCH = int(_BASIS * GROUP) + 25
+"""Doubles of scratch memory that `project` needs: the rows above, then one direction's harmonics basis."""
 
 
-@njit(error_model="numpy")
+@inlined
 def stage(staged, lane, i, means, scales, quats, opacities):
     """Copy the geometry of Gaussian `i` to one lane of the staged inputs."""
     for k in range(U(3)):
-        staged[(MEAN + k) * GROUP + lane] = means[i, k]
-        staged[(SCALE + k) * GROUP + lane] = scales[i, k]
+        staged[(MEAN + k) * GROUP + lane] = means[U(3) * i + k]
+        staged[(SCALE + k) * GROUP + lane] = scales[U(3) * i + k]
     for k in range(U(4)):
-        staged[(QUAT + k) * GROUP + lane] = quats[i, k]
+        staged[(QUAT + k) * GROUP + lane] = quats[U(4) * i + k]
     staged[OPACITY * GROUP + lane] = opacities[i]
 
 
-@njit(error_model="numpy")
+@inlined
 def staged_row(staged, row):
     """Eight lanes of one row."""
     return load(staged, row * GROUP)
 
 
-@njit(error_model="numpy")
+@inlined
 def offset_from_camera(staged, camera):
     """World offset of the means from the camera's centre; subtracted first, which is exact far from the origin."""
     x = staged_row(staged, MEAN) - camera[CENTRE]
@@ -80,7 +87,7 @@ def offset_from_camera(staged, camera):
     return x, y, z
 
 
-@njit(error_model="numpy")
+@inlined
 def camera_position(camera, dx, dy, dz):
     """Camera coordinates of a world offset from the camera's centre."""
     x = dx * camera[0] + dy * camera[3] + dz * camera[6]
@@ -89,7 +96,7 @@ def camera_position(camera, dx, dy, dz):
     return x, y, z
 
 
-@njit(error_model="numpy")
+@inlined
 def image_rows(camera, u, v, per_z):
     """Jacobian of the picture position by the world position [pixels / scene unit], tangents clamped."""
     u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
@@ -100,7 +107,7 @@ def image_rows(camera, u, v, per_z):
     return j0, j1, j2, k0, k1, k2
 
 
-@njit(error_model="numpy")
+@inlined
 def unit_quats(staged):
     """Unit quaternions and 1 / norm, or the identity and 0 for one not longer than SHORTEST_QUAT."""
     a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
@@ -111,7 +118,7 @@ def unit_quats(staged):
     return select(sound, a * inverse, broadcast(1.0)), b * inverse, c * inverse, d * inverse, inverse
 
 
-@njit(error_model="numpy")
+@inlined
 def rotation_matrix(a, b, c, d):
     """Rotation matrix, row-major, of a unit wxyz quaternion."""
     r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
@@ -120,7 +127,7 @@ def rotation_matrix(a, b, c, d):
     return r0, r1, r2, r3, r4, r5, r6, r7, r8
 
 
-@njit(error_model="numpy")
+@inlined
 def conditional_form(a0, a1, a2, b0, b1, b2, eps2d):
     """(slope, narrowness, flatness, variance_x, variance_y) of the covariance of rows a (x) and b (y).
 
@@ -136,7 +143,7 @@ def conditional_form(a0, a1, a2, b0, b1, b2, eps2d):
     return slope, 1.0 / square_root(given), flatness, variance_x, variance_y
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def project(
     first,
     last,
@@ -152,6 +159,7 @@ def project(
     far,
     eps2d,
     min_alpha,
+    scratch,
     records,
     boxes,
     keys,
@@ -160,31 +168,38 @@ def project(
 
     A Gaussian that covers no pixel centre gets an empty box. Returns whether all values read were finite.
     """
-    staged, results = np.empty(INPUTS * GROUP), np.empty(_OUTPUTS * GROUP)
-    basis = np.empty(25)
+    count = U(harmonics.shape[1])
+    means, scales, quats, opacities, harmonics = (
+        flat(means),
+        flat(scales),
+        flat(quats),
+        flat(opacities),
+        flat(harmonics),
+    )
+    camera, scratch, records, boxes, keys = flat(camera), flat(scratch), flat(records), flat(boxes), flat(keys)
     sound = True
     for start in range(U(first), U(last), GROUP):
         end = min(start + GROUP, U(last))
         for lane in range(GROUP):  # a short group repeats its last Gaussian
-            stage(staged, lane, min(start + lane, end - U(1)), means, scales, quats, opacities)
-        visible, finite = _project_group(staged, results, camera, width, height, near, far, eps2d, min_alpha)
+            stage(scratch, lane, min(start + lane, end - U(1)), means, scales, quats, opacities)
+        visible, finite = _project_group(scratch, camera, width, height, near, far, eps2d, min_alpha)
         for i in range(start, end):
             lane = i - start
-            colours_finite = _all_finite(harmonics, i)
-            sound = sound and colours_finite and (finite >> lane) & U(1) != U(0)
+            sound = sound and (finite >> lane) & U(1) != U(0)
             if (visible >> lane) & U(1) != U(0):
-                keys[i] = results[_DEPTH * GROUP + lane]
-                _write_box(boxes, i, results, lane)
-                _write_geometry(records, i, results, lane)
-                _write_colour(records, i, results, lane, harmonics, basis)
+                keys[i] = scratch[_DEPTH * GROUP + lane]
+                _write_box(boxes, i, scratch, lane)
+                _write_geometry(records, i, scratch, lane)
+                sound = _write_colour(records, i, scratch, lane, harmonics, count) and sound
             else:
-                boxes[i, U(0)], boxes[i, U(1)], boxes[i, U(2)], boxes[i, U(3)] = 1, 1, 0, 0
+                _write_empty_box(boxes, i)
+                sound = _all_finite(harmonics, i, count) and sound
     return sound
 
 
-@njit(error_model="numpy")
-def _project_group(staged, results, camera, width, height, near, far, eps2d, min_alpha):
-    """Eight Gaussians to `results`; returns which are visible and which are finite, as bits."""
+@inlined
+def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
+    """Eight staged Gaussians to their results; returns which are visible and which are finite, as bits."""
     total = broadcast(0.0)
     for row in range(INPUTS):
         total += staged_row(staged, row) * 0.0  # stays 0 unless something is not finite
@@ -215,67 +230,83 @@ def _project_group(staged, results, camera, width, height, near, far, eps2d, min
     top, bottom = maximum(mean_y - extent_y - 0.5, 0.0), minimum(mean_y + extent_y - 0.5, height - 1.0)
     seen = seen & (right >= left) & (bottom >= top)
 
-    store(results, _X * GROUP, mean_x)
-    store(results, _Y * GROUP, mean_y)
-    store(results, _SLOPE * GROUP, slope)
-    store(results, _NARROWNESS * GROUP, narrowness * UNIT)
-    store(results, _FLATNESS * GROUP, flatness * UNIT)
-    store(results, _LEAN * GROUP, slope * variance_y / variance_x)
-    store(results, _LOG_OPACITY * GROUP, log_opacity)
-    store(results, _REACH * GROUP, reach)
-    store(results, _DEPTH * GROUP, z)
-    store(results, _LEFT * GROUP, left)
-    store(results, _TOP * GROUP, top)
-    store(results, _RIGHT * GROUP, right)
-    store(results, _BOTTOM * GROUP, bottom)
+    store(staged, _X * GROUP, mean_x)
+    store(staged, _Y * GROUP, mean_y)
+    store(staged, _SLOPE * GROUP, slope)
+    store(staged, _NARROWNESS * GROUP, narrowness * UNIT)
+    store(staged, _FLATNESS * GROUP, flatness * UNIT)
+    store(staged, _LEAN * GROUP, slope * variance_y / variance_x)
+    store(staged, _LOG_OPACITY * GROUP, log_opacity)
+    store(staged, _REACH * GROUP, reach)
+    store(staged, _DEPTH * GROUP, z)
+    store(staged, _LEFT * GROUP, left)
+    store(staged, _TOP * GROUP, top)
+    store(staged, _RIGHT * GROUP, right)
+    store(staged, _BOTTOM * GROUP, bottom)
     shorten = 1.0 / square_root(dx * dx + dy * dy + dz * dz)
-    store(results, _EAST * GROUP, dx * shorten)
-    store(results, _DOWN * GROUP, dy * shorten)
-    store(results, _AHEAD * GROUP, dz * shorten)
+    store(staged, _EAST * GROUP, dx * shorten)
+    store(staged, _DOWN * GROUP, dy * shorten)
+    store(staged, _AHEAD * GROUP, dz * shorten)
     return mask_bits(seen), mask_bits(finite)
 
 
-@njit(error_model="numpy")
-def _all_finite(harmonics, i):
-    total = 0.0
-    for k in range(U(harmonics.shape[1])):
-        for channel in range(U(3)):
-            total += np.float64(harmonics[i, k, channel])  # float32 cannot overflow a float64 sum
+@inlined
+def _all_finite(harmonics, i, count):
+    total = 0.0  # float32 cannot overflow a float64 sum
+    for k in range(U(3) * count * i, U(3) * count * (i + U(1))):
+        total += np.float64(harmonics[k])
     return math.isfinite(total)
 
 
-@njit(error_model="numpy")
+@inlined
 def _write_box(boxes, i, results, lane):
     """First and last tile; first > last when no pixel centre lies between the bounds."""
     left, top = math.ceil(results[_LEFT * GROUP + lane]), math.ceil(results[_TOP * GROUP + lane])
     right, bottom = math.floor(results[_RIGHT * GROUP + lane]), math.floor(results[_BOTTOM * GROUP + lane])
-    empty = left > right or top > bottom
-    boxes[i, U(0)], boxes[i, U(1)] = (1, 1) if empty else (int(left) // TILE, int(top) // TILE)
-    boxes[i, U(2)], boxes[i, U(3)] = (0, 0) if empty else (int(right) // TILE, int(bottom) // TILE)
+    if left > right or top > bottom:
+        _write_empty_box(boxes, i)
+        return
+    boxes[U(4) * i], boxes[U(4) * i + U(1)] = U(left) // U(TILE), U(top) // U(TILE)
+    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = U(right) // U(TILE), U(bottom) // U(TILE)
 
 
-@njit(error_model="numpy")
+@inlined
+def _write_empty_box(boxes, i):
+    boxes[U(4) * i], boxes[U(4) * i + U(1)], boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = 1, 1, 0, 0
+
+
+@inlined
 def _write_geometry(records, i, results, lane):
+    record = i * U(RECORD)
     x, y, slope = results[_X * GROUP + lane], results[_Y * GROUP + lane], results[_SLOPE * GROUP + lane]
-    records[i, U(X)], records[i, U(Y)], records[i, U(SLOPE)] = x, y, slope
-    records[i, U(X_REST)] = x - np.float64(np.float32(x))
-    records[i, U(Y_REST)] = y - np.float64(np.float32(y))
-    records[i, U(SLOPE_REST)] = slope - np.float64(np.float32(slope))
-    records[i, U(NARROWNESS)] = results[_NARROWNESS * GROUP + lane]
-    records[i, U(FLATNESS)] = results[_FLATNESS * GROUP + lane]
-    records[i, U(LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
-    records[i, U(LEAN)] = results[_LEAN * GROUP + lane]
-    records[i, U(REACH)] = results[_REACH * GROUP + lane]
-    records[i, U(DEPTH)] = results[_DEPTH * GROUP + lane]
+    records[record + U(X)], records[record + U(Y)], records[record + U(SLOPE)] = x, y, slope
+    records[record + U(X_REST)] = x - np.float64(np.float32(x))
+    records[record + U(Y_REST)] = y - np.float64(np.float32(y))
+    records[record + U(SLOPE_REST)] = slope - np.float64(np.float32(slope))
+    records[record + U(NARROWNESS)] = results[_NARROWNESS * GROUP + lane]
+    records[record + U(FLATNESS)] = results[_FLATNESS * GROUP + lane]
+    records[record + U(LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
+    records[record + U(LEAN)] = results[_LEAN * GROUP + lane]
+    records[record + U(REACH)] = results[_REACH * GROUP + lane]
+    records[record + U(DEPTH)] = results[_DEPTH * GROUP + lane]
 
 
-@njit(error_model="numpy")
-def _write_colour(records, i, results, lane, harmonics, basis):
-    count = U(harmonics.shape[1])
-    east, down, ahead = results[_EAST * GROUP + lane], results[_DOWN * GROUP + lane], results[_AHEAD * GROUP + lane]
-    evaluate_basis(east, down, ahead, count, basis)
-    for channel in range(U(3)):
-        colour = 0.5
-        for k in range(count):
-            colour += basis[k] * np.float64(harmonics[i, k, channel])
-        records[i, U(RED) + channel] = min(max(colour, 0.0), MAX_COLOUR)
+@inlined
+def _write_colour(records, i, results, lane, harmonics, count):
+    """Colour seen from the camera; returns whether the harmonics are finite."""
+    record, first = i * U(RECORD), U(3) * count * i
+    red = DC * np.float64(harmonics[first])
+    green = DC * np.float64(harmonics[first + U(1)])
+    blue = DC * np.float64(harmonics[first + U(2)])
+    if count > U(1):
+        east, down, ahead = results[_EAST * GROUP + lane], results[_DOWN * GROUP + lane], results[_AHEAD * GROUP + lane]
+        basis = shifted(results, _BASIS * GROUP)
+        evaluate_basis(east, down, ahead, count, basis)
+        for k in range(U(1), count):
+            red += basis[k] * np.float64(harmonics[first + U(3) * k])
+            green += basis[k] * np.float64(harmonics[first + U(3) * k + U(1)])
+            blue += basis[k] * np.float64(harmonics[first + U(3) * k + U(2)])
+    records[record + U(RED)] = min(max(red + 0.5, 0.0), MAX_COLOUR)
+    records[record + U(GREEN)] = min(max(green + 0.5, 0.0), MAX_COLOUR)
+    records[record + U(BLUE)] = min(max(blue + 0.5, 0.0), MAX_COLOUR)
+    return math.isfinite(red + green + blue)

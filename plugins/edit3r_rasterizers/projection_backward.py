@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from edit3r.geometry.harmonics import DC
+from edit3r_rasterizers.compiled import inlined, kernel
 from edit3r_rasterizers.projection import (
     GROUP,
     INPUTS,
@@ -22,15 +23,20 @@ from edit3r_rasterizers.projection import (
     unit_quats,
 )
 from edit3r_rasterizers.records import (
+    BLUE,
     CENTRE,
     FOCAL_X,
     FOCAL_Y,
+    GREEN,
     HIGH_X,
     HIGH_Y,
     LOW_X,
     LOW_Y,
+    RECORD,
     RED,
+    SUM_BLUE,
     SUM_DEPTH,
+    SUM_GREEN,
     SUM_RED,
     SUM_V,
     SUM_VS,
@@ -43,14 +49,20 @@ from edit3r_rasterizers.records import (
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
-from edit3r_rasterizers.simd_memory import store
+from edit3r_rasterizers.simd_memory import flat, shifted, store
 
 _PER_UNIT = 1.0 / UNIT
-_MEAN, _SCALE, _QUAT, _OPACITY, _GRADIENTS = U(0), U(3), U(6), U(10), U(11)
-"""Rows of the staged gradients, one lane per Gaussian."""
+_MEAN, _SCALE, _QUAT, _OPACITY = INPUTS, INPUTS + U(3), INPUTS + U(6), INPUTS + U(10)
+_TOTALS = INPUTS + U(11)
+_BASIS = _TOTALS + U(SUMS)
+_WEIGHTS = _BASIS + U(4)
+"""Rows of the scratch memory after the staged inputs, one lane per Gaussian: gradients, then sums over pixels. The last
+two hold one direction's harmonics basis, and the gradient by it."""
+PROJECTION_BACKWARD_SCRATCH = int((_WEIGHTS + U(4)) * GROUP)
+"""Doubles of scratch memory that `project_backward` needs."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def project_backward(
     first,
     last,
@@ -65,6 +77,8 @@ def project_backward(
     places,
     positions,
     sums,
+    scratch,
+    group,
     mean_gradients,
     scale_gradients,
     quat_gradients,
@@ -74,58 +88,62 @@ def project_backward(
     """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
 
     `positions[places[i, 0] : places[i, 1]]` are the rows of `sums` that belong to Gaussian i.
+    `scratch` and `group` (eight indices): work space.
     """
-    staged, totals = np.empty(INPUTS * GROUP), np.zeros(U(SUMS) * GROUP)
-    gradients, group = np.empty(_GRADIENTS * GROUP), np.empty(GROUP, np.uint64)
-    basis, weights = np.empty(25), np.empty(25)
+    count = U(harmonics.shape[1])
+    means, scales, quats, opacities, harmonics = (
+        flat(means),
+        flat(scales),
+        flat(quats),
+        flat(opacities),
+        flat(harmonics),
+    )
+    camera, records, places, positions, sums = flat(camera), flat(records), flat(places), flat(positions), flat(sums)
+    scratch, group = flat(scratch), flat(group)
+    mean_gradients, scale_gradients, quat_gradients = (
+        flat(mean_gradients),
+        flat(scale_gradients),
+        flat(quat_gradients),
+    )
+    opacity_gradients, harmonic_gradients = flat(opacity_gradients), flat(harmonic_gradients)
     found = U(0)
     for i in range(U(first), U(last)):
-        if places[i, U(0)] < places[i, U(1)]:
+        if places[U(2) * i] < places[U(2) * i + U(1)]:
             group[found] = i
-            stage(staged, found, i, means, scales, quats, opacities)
-            _add_up(totals, found, places[i, U(0)], places[i, U(1)], positions, sums)
+            stage(scratch, found, i, means, scales, quats, opacities)
+            _add_up(scratch, found, places[U(2) * i], places[U(2) * i + U(1)], positions, sums)
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
-            for lane in range(found, GROUP):  # lanes of a short group hold some finite Gaussian, and are not read
-                stage(staged, lane, group[U(0)], means, scales, quats, opacities)
-            _differentiate_group(staged, totals, gradients, camera, eps2d)
+            for lane in range(found, GROUP):  # lanes of a short group hold some sound Gaussian, and are not read
+                stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
+            _differentiate_group(scratch, camera, eps2d)
             for lane in range(found):
                 k = group[lane]
                 for axis in range(U(3)):
-                    mean_gradients[k, axis] += gradients[(_MEAN + axis) * GROUP + lane]
-                    scale_gradients[k, axis] += gradients[(_SCALE + axis) * GROUP + lane]
+                    mean_gradients[U(3) * k + axis] += scratch[(_MEAN + axis) * GROUP + lane]
+                    scale_gradients[U(3) * k + axis] += scratch[(_SCALE + axis) * GROUP + lane]
                 for axis in range(U(4)):
-                    quat_gradients[k, axis] += gradients[(_QUAT + axis) * GROUP + lane]
-                opacity_gradients[k] += gradients[_OPACITY * GROUP + lane]
+                    quat_gradients[U(4) * k + axis] += scratch[(_QUAT + axis) * GROUP + lane]
+                opacity_gradients[k] += scratch[_OPACITY * GROUP + lane]
                 _differentiate_colour(
-                    k,
-                    lane,
-                    totals,
-                    records,
-                    means,
-                    camera,
-                    harmonics,
-                    basis,
-                    weights,
-                    mean_gradients,
-                    harmonic_gradients,
+                    k, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
                 )
             found = U(0)
 
 
-@njit(error_model="numpy")
+@inlined
 def _add_up(totals, lane, start, end, positions, sums):
     """Sum a splat's rows of `sums`, in the order of its tiles, into one lane."""
     for k in range(U(SUMS)):
-        totals[k * GROUP + lane] = 0.0
+        totals[(_TOTALS + k) * GROUP + lane] = 0.0
     for place in range(U(start), U(end)):
         row = U(positions[place]) * U(SUMS)
         for k in range(U(SUMS)):
-            totals[k * GROUP + lane] += np.float64(sums[row + k])
+            totals[(_TOTALS + k) * GROUP + lane] += np.float64(sums[row + k])
 
 
-@njit(error_model="numpy")
-def _differentiate_group(staged, totals, gradients, camera, eps2d):
+@inlined
+def _differentiate_group(staged, camera, eps2d):
     """Gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
     dx, dy, dz = offset_from_camera(staged, camera)
     x, y, z = camera_position(camera, dx, dy, dz)
@@ -143,30 +161,30 @@ def _differentiate_group(staged, totals, gradients, camera, eps2d):
     slope, narrowness, flatness, _, _ = conditional_form(a0, a1, a2, b0, b1, b2, eps2d)
 
     # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
-    ss = staged_row(totals, U(SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
-    st = staged_row(totals, U(SUM_VST)) * (_PER_UNIT * _PER_UNIT)
-    tt = staged_row(totals, U(SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
+    ss = staged_row(staged, _TOTALS + U(SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
+    st = staged_row(staged, _TOTALS + U(SUM_VST)) * (_PER_UNIT * _PER_UNIT)
+    tt = staged_row(staged, _TOTALS + U(SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
     p0, p1, p2 = narrowness * (a0 - slope * b0), narrowness * (a1 - slope * b1), narrowness * (a2 - slope * b2)
     q0, q1, q2 = flatness * b0, flatness * b1, flatness * b2
     f0, f1, f2 = narrowness * (ss * p0 + st * q0), narrowness * (ss * p1 + st * q1), narrowness * (ss * p2 + st * q2)
     g0 = flatness * (st * p0 + tt * q0) - slope * f0
     g1 = flatness * (st * p1 + tt * q1) - slope * f1
     g2 = flatness * (st * p2 + tt * q2) - slope * f2
-    store(gradients, _SCALE * GROUP, f0 * m0 + g0 * n0)
-    store(gradients, (_SCALE + U(1)) * GROUP, f1 * m1 + g1 * n1)
-    store(gradients, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
+    store(staged, _SCALE * GROUP, f0 * m0 + g0 * n0)
+    store(staged, (_SCALE + U(1)) * GROUP, f1 * m1 + g1 * n1)
+    store(staged, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
     f0, f1, f2, g0, g1, g2 = f0 * s0, f1 * s1, f2 * s2, g0 * s0, g1 * s1, g2 * s2
 
     h0, h1, h2 = j0 * f0 + k0 * g0, j0 * f1 + k0 * g1, j0 * f2 + k0 * g2  # by the rotation matrix
     h3, h4, h5 = j1 * f0 + k1 * g0, j1 * f1 + k1 * g1, j1 * f2 + k1 * g2
     h6, h7, h8 = j2 * f0 + k2 * g0, j2 * f1 + k2 * g1, j2 * f2 + k2 * g2
-    _store_quat_gradients(gradients, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8)
+    _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8)
 
     # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
     f0, f1, f2 = f0 * r0 + f1 * r1 + f2 * r2, f0 * r3 + f1 * r4 + f2 * r5, f0 * r6 + f1 * r7 + f2 * r8
     g0, g1, g2 = g0 * r0 + g1 * r1 + g2 * r2, g0 * r3 + g1 * r4 + g2 * r5, g0 * r6 + g1 * r7 + g2 * r8
-    by_x = narrowness * staged_row(totals, U(SUM_VS)) * _PER_UNIT
-    by_y = flatness * staged_row(totals, U(SUM_VT)) * _PER_UNIT - slope * by_x
+    by_x = narrowness * staged_row(staged, _TOTALS + U(SUM_VS)) * _PER_UNIT
+    by_y = flatness * staged_row(staged, _TOTALS + U(SUM_VT)) * _PER_UNIT - slope * by_x
     by_u, by_v = by_x * camera[FOCAL_X], by_y * camera[FOCAL_Y]
     inside_x = (u >= camera[LOW_X]) & (u <= camera[HIGH_X])
     inside_y = (v >= camera[LOW_Y]) & (v <= camera[HIGH_Y])
@@ -178,49 +196,62 @@ def _differentiate_group(staged, totals, gradients, camera, eps2d):
     tilt_v = by_v - select(inside_y, along_g * per_z * camera[FOCAL_Y], 0.0)
     jacobian = j0 * f0 + j1 * f1 + j2 * f2 + k0 * g0 + k1 * g1 + k2 * g2
     gx, gy = tilt_u * per_z, tilt_v * per_z
-    gz = staged_row(totals, U(SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
+    gz = staged_row(staged, _TOTALS + U(SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
     for axis in range(U(3)):
         world = gx * camera[U(3) * axis] + gy * camera[U(3) * axis + U(1)] + gz * camera[U(3) * axis + U(2)]
-        store(gradients, (_MEAN + axis) * GROUP, world)
-    store(gradients, _OPACITY * GROUP, staged_row(totals, U(SUM_V)) / staged_row(staged, OPACITY))
+        store(staged, (_MEAN + axis) * GROUP, world)
+    store(staged, _OPACITY * GROUP, staged_row(staged, _TOTALS + U(SUM_V)) / staged_row(staged, OPACITY))
 
 
-@njit(error_model="numpy")
-def _store_quat_gradients(gradients, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
+@inlined
+def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
     """Chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
     gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
     gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
     gd = 2.0 * (b * (h2 + h6) + c * (h5 + h7) + a * (h3 - h1) - 2.0 * d * (h0 + h4))
     along = ga * a + gb * b + gc * c + gd * d
-    store(gradients, _QUAT * GROUP, (ga - along * a) * inverse)
-    store(gradients, (_QUAT + U(1)) * GROUP, (gb - along * b) * inverse)
-    store(gradients, (_QUAT + U(2)) * GROUP, (gc - along * c) * inverse)
-    store(gradients, (_QUAT + U(3)) * GROUP, (gd - along * d) * inverse)
+    store(staged, _QUAT * GROUP, (ga - along * a) * inverse)
+    store(staged, (_QUAT + U(1)) * GROUP, (gb - along * b) * inverse)
+    store(staged, (_QUAT + U(2)) * GROUP, (gc - along * c) * inverse)
+    store(staged, (_QUAT + U(3)) * GROUP, (gd - along * d) * inverse)
 
 
-@njit(error_model="numpy")
+@inlined
 def _differentiate_colour(
-    i, lane, totals, records, means, camera, harmonics, basis, weights, mean_gradients, harmonic_gradients
+    i, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
 ):
     """Add the colour's share: to the harmonics, and through the direction seen to the mean."""
-    count = U(harmonics.shape[1])
-    dx = np.float64(means[i, U(0)]) - camera[CENTRE]
-    dy = np.float64(means[i, U(1)]) - camera[CENTRE + 1]
-    dz = np.float64(means[i, U(2)]) - camera[CENTRE + 2]
+    record, first = i * U(RECORD), U(3) * count * i
+    red = _unless_clamped(records[record + U(RED)], scratch[(_TOTALS + U(SUM_RED)) * GROUP + lane])
+    green = _unless_clamped(records[record + U(GREEN)], scratch[(_TOTALS + U(SUM_GREEN)) * GROUP + lane])
+    blue = _unless_clamped(records[record + U(BLUE)], scratch[(_TOTALS + U(SUM_BLUE)) * GROUP + lane])
+    harmonic_gradients[first] += DC * red
+    harmonic_gradients[first + U(1)] += DC * green
+    harmonic_gradients[first + U(2)] += DC * blue
+    if count == U(1):
+        return
+    dx = np.float64(means[U(3) * i]) - camera[CENTRE]
+    dy = np.float64(means[U(3) * i + U(1)]) - camera[CENTRE + 1]
+    dz = np.float64(means[U(3) * i + U(2)]) - camera[CENTRE + 2]
     shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx * shorten, dy * shorten, dz * shorten
+    basis, weights = shifted(scratch, _BASIS * GROUP), shifted(scratch, _WEIGHTS * GROUP)
     evaluate_basis(x, y, z, count, basis)
-    weights[:count] = 0.0
-    for channel in range(U(3)):
-        colour = records[i, U(RED) + channel]
-        by_colour = totals[(U(SUM_RED) + channel) * GROUP + lane] if 0.0 < colour < MAX_COLOUR else 0.0
-        for k in range(count):
-            harmonic_gradients[i, k, channel] += basis[k] * by_colour
-            weights[k] += by_colour * np.float64(harmonics[i, k, channel])
-    if count > U(1):
-        gx, gy, gz = basis_gradient(x, y, z, weights, count)
-        along = gx * x + gy * y + gz * z
-        mean_gradients[i, U(0)] += (gx - along * x) * shorten
-        mean_gradients[i, U(1)] += (gy - along * y) * shorten
-        mean_gradients[i, U(2)] += (gz - along * z) * shorten
+    for k in range(U(1), count):
+        place = first + U(3) * k
+        harmonic_gradients[place] += basis[k] * red
+        harmonic_gradients[place + U(1)] += basis[k] * green
+        harmonic_gradients[place + U(2)] += basis[k] * blue
+        weight = red * np.float64(harmonics[place]) + green * np.float64(harmonics[place + U(1)])
+        weights[k] = weight + blue * np.float64(harmonics[place + U(2)])
+    gx, gy, gz = basis_gradient(x, y, z, weights, count)
+    along = gx * x + gy * y + gz * z
+    mean_gradients[U(3) * i] += (gx - along * x) * shorten
+    mean_gradients[U(3) * i + U(1)] += (gy - along * y) * shorten
+    mean_gradients[U(3) * i + U(2)] += (gz - along * z) * shorten
+
+
+@inlined
+def _unless_clamped(colour, gradient):
+    return gradient if 0.0 < colour < MAX_COLOUR else 0.0

@@ -6,8 +6,8 @@ over the pixels are written to its own place and added up per splat afterwards: 
 """
 
 import numpy as np
-from numba import njit
 
+from edit3r_rasterizers.compiled import inlined, kernel
 from edit3r_rasterizers.records import (
     BLOCK,
     BLUE,
@@ -22,7 +22,7 @@ from edit3r_rasterizers.records import (
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
 from edit3r_rasterizers.simd import broadcast, flag_negative, lowest_bit, maximum, minimum, select
 from edit3r_rasterizers.simd_math import exp2
-from edit3r_rasterizers.simd_memory import load, load_block, store, store_sums
+from edit3r_rasterizers.simd_memory import flat, load, store, store_sums
 from edit3r_rasterizers.tiles import (
     ACROSS,
     BATCH,
@@ -39,6 +39,7 @@ from edit3r_rasterizers.tiles import (
     line_up,
     live_blocks,
     open_tile,
+    read_block,
 )
 
 # Planes: gradients by red, green, blue and by weighted depth; what later splats and the background still contribute.
@@ -49,7 +50,7 @@ BACKWARD_SCRATCH = int(BLOCKS * STRIDE)
 """Floats of scratch memory that `differentiate_tiles` needs."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def differentiate_tiles(
     first_tile,
     last_tile,
@@ -61,6 +62,7 @@ def differentiate_tiles(
     min_alpha,
     min_transmittance,
     scratch,
+    touched,
     images,
     depths,
     transmittances,
@@ -71,18 +73,29 @@ def differentiate_tiles(
 ):
     """Fill `sums[e]` (see `records`) for every entry of the tiles [first_tile, last_tile)."""
     height, width = depths.shape
+    offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
+    touched, sums = flat(touched), flat(sums)
+    images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
+    image_gradients, alpha_gradients, depth_gradients = (
+        flat(image_gradients),
+        flat(alpha_gradients),
+        flat(depth_gradients),
+    )
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
-    touched = np.empty(BATCH, np.uint64)
+    plane = U(width) * U(height)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
         live = open_tile(scratch, STRIDE, min(TILE, width - tile_x), min(TILE, height - tile_y))
         for block in range(BLOCKS):
             x, y = U(tile_x) + (block % ACROSS) * U(BLOCK), U(tile_y) + (block // ACROSS) * U(BLOCK)
-            place = block * STRIDE
-            _read_block(scratch, place, x, y, images, depths, transmittances)
-            _set_gradients(scratch, place, x, y, image_gradients, alpha_gradients, depth_gradients)
-        first, end = U(offsets[tile]), U(offsets[tile + 1])
+            if x < U(width) and y < U(height):
+                place, corner, shape = block * STRIDE, y * U(width) + x, (U(width), U(width) - x, U(height) - y)
+                _read_planes(scratch, place, images, depths, transmittances, corner, plane, shape)
+                seen = _load_planes(scratch, place)
+                _read_planes(scratch, place, image_gradients, depth_gradients, alpha_gradients, corner, plane, shape)
+                _start_rest(scratch, place, seen)
+        first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
             last = min(first + BATCH, end)
             find_touched(first, last, entries, records, tile_x, tile_y, touched)
@@ -140,43 +153,29 @@ def differentiate_tiles(
             sums[place] = F(0)
 
 
-@njit(error_model="numpy")
-def _read_block(scratch, place, x, y, images, depths, transmittances):
-    """Put a block of the forward pass's pictures where `_set_gradients` replaces them by gradients."""
-    _copy_block(scratch, place + _RED, x, y, images[0])
-    _copy_block(scratch, place + _GREEN, x, y, images[1])
-    _copy_block(scratch, place + _BLUE, x, y, images[2])
-    _copy_block(scratch, place + _DEPTH, x, y, depths)
-    _copy_block(scratch, place + _REST, x, y, transmittances)
+@inlined
+def _read_planes(scratch, place, images, depths, alphas, corner, plane, shape):
+    """Copy a block of three colours, depth and a last picture to the planes that `_start_rest` works on."""
+    width, columns, rows = shape[0], min(U(BLOCK), shape[1]), min(U(BLOCK), shape[2])
+    read_block(scratch, place + _RED, images, corner, width, columns, rows)
+    read_block(scratch, place + _GREEN, images, corner + plane, width, columns, rows)
+    read_block(scratch, place + _BLUE, images, corner + U(2) * plane, width, columns, rows)
+    read_block(scratch, place + _DEPTH, depths, corner, width, columns, rows)
+    read_block(scratch, place + _REST, alphas, corner, width, columns, rows)
 
 
-@njit(error_model="numpy")
-def _set_gradients(scratch, place, x, y, image_gradients, alpha_gradients, depth_gradients):
-    """Replace colour, depth and transmittance by their gradients and `rest`."""
-    left = load(scratch, place + _REST)
-    alpha = broadcast(F(1)) - left
+@inlined
+def _load_planes(scratch, place):
     red, green, blue = load(scratch, place + _RED), load(scratch, place + _GREEN), load(scratch, place + _BLUE)
-    depth = load(scratch, place + _DEPTH)
-    _copy_block(scratch, place + _RED, x, y, image_gradients[0])
-    _copy_block(scratch, place + _GREEN, x, y, image_gradients[1])
-    _copy_block(scratch, place + _BLUE, x, y, image_gradients[2])
-    _copy_block(scratch, place + _DEPTH, x, y, depth_gradients)
-    _copy_block(scratch, place + _REST, x, y, alpha_gradients)
-    by_depth = load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA))
-    rest = red * load(scratch, place + _RED) + green * load(scratch, place + _GREEN)
-    rest = rest + blue * load(scratch, place + _BLUE) + depth * by_depth
+    return red, green, blue, load(scratch, place + _DEPTH), load(scratch, place + _REST)
+
+
+@inlined
+def _start_rest(scratch, place, seen):
+    """From a block's pictures (`seen`) and their gradients: the gradient by weighted depth, and `rest`."""
+    red, green, blue, depth, left = seen
+    by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
+    by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))
+    rest = red * by_red + green * by_green + blue * by_blue + depth * by_depth - left * by_alpha
     store(scratch, place + _DEPTH, by_depth)
-    store(scratch, place + _REST, rest - left * load(scratch, place + _REST))
-
-
-@njit(error_model="numpy")
-def _copy_block(scratch, place, x, y, picture):
-    """Copy a block of a picture to the scratch buffer, zero where it lies outside."""
-    height, width = U(picture.shape[0]), U(picture.shape[1])
-    if x + U(BLOCK) <= width and y + U(BLOCK) <= height:
-        store(scratch, place, load_block(picture, y * width + x, width))
-        return
-    store(scratch, place, broadcast(F(0)))
-    for row in range(y, min(y + U(BLOCK), height)):
-        for column in range(x, min(x + U(BLOCK), width)):
-            scratch[place + (row - y) * U(BLOCK) + (column - x)] = picture[row, column]
+    store(scratch, place + _REST, rest)

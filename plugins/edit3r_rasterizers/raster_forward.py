@@ -1,8 +1,8 @@
 """Composite the splats of each tile front to back, a 4x4 block of pixels at a time."""
 
 import numpy as np
-from numba import njit
 
+from edit3r_rasterizers.compiled import inlined, kernel
 from edit3r_rasterizers.records import (
     BLOCK,
     BLUE,
@@ -16,7 +16,7 @@ from edit3r_rasterizers.records import (
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
 from edit3r_rasterizers.simd import broadcast, flag_negative, lowest_bit, magnitude, maximum, minimum, select
 from edit3r_rasterizers.simd_math import exp2
-from edit3r_rasterizers.simd_memory import load, store, store_block
+from edit3r_rasterizers.simd_memory import flat, load, store
 from edit3r_rasterizers.tiles import (
     ACROSS,
     BATCH,
@@ -33,6 +33,7 @@ from edit3r_rasterizers.tiles import (
     line_up,
     live_blocks,
     open_tile,
+    write_block,
 )
 
 _RED, _GREEN, _BLUE, _DEPTH = FIRST_FREE, FIRST_FREE + LANES, FIRST_FREE + U(2) * LANES, FIRST_FREE + U(3) * LANES
@@ -41,7 +42,7 @@ FORWARD_SCRATCH = int(BLOCKS * STRIDE)
 """Floats of scratch memory that `shade_tiles` needs."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def shade_tiles(
     first_tile,
     last_tile,
@@ -54,6 +55,7 @@ def shade_tiles(
     min_transmittance,
     background,
     scratch,
+    touched,
     images,
     alphas,
     depths,
@@ -61,16 +63,18 @@ def shade_tiles(
 ):
     """Render the tiles [first_tile, last_tile) of one picture into images [3, H, W] and three of [H, W]."""
     height, width = alphas.shape
+    offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
+    touched, background = flat(touched), flat(background)
+    images, alphas, depths, transmittances = flat(images), flat(alphas), flat(depths), flat(transmittances)
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
-    touched = np.empty(BATCH, np.uint64)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
         live = open_tile(scratch, STRIDE, min(TILE, width - tile_x), min(TILE, height - tile_y))
         for block in range(BLOCKS):
             for plane in range(FIRST_FREE, STRIDE, LANES):
                 store(scratch, block * STRIDE + plane, zero)
-        first, end = U(offsets[tile]), U(offsets[tile + 1])
+        first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
             last = min(first + BATCH, end)
             find_touched(first, last, entries, records, tile_x, tile_y, touched)
@@ -102,40 +106,30 @@ def shade_tiles(
                     store(scratch, place + _DEPTH, load(scratch, place + _DEPTH) + weight * depth)
             live &= live_blocks(scratch, STRIDE)
             first = last
-        _write_tile(scratch, tile_x, tile_y, background, images, alphas, depths, transmittances)
+        _write_tile(
+            scratch, U(tile_x), U(tile_y), U(width), U(height), background, images, alphas, depths, transmittances
+        )
 
 
-@njit(error_model="numpy")
-def _write_tile(scratch, tile_x, tile_y, background, images, alphas, depths, transmittances):
+@inlined
+def _write_tile(scratch, tile_x, tile_y, width, height, background, images, alphas, depths, transmittances):
     """Composite the background in place and copy a tile's pixels to the pictures."""
+    plane = width * height
     for block in range(BLOCKS):
-        place = block * STRIDE
+        x, y = tile_x + (block % ACROSS) * U(BLOCK), tile_y + (block // ACROSS) * U(BLOCK)
+        if x >= width or y >= height:
+            continue
+        place, target = block * STRIDE, y * width + x
+        columns, rows = min(U(BLOCK), width - x), min(U(BLOCK), height - y)
         left = magnitude(load(scratch, place + TRANSMITTANCE))
         alpha = broadcast(F(1)) - left
-        depth = load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA))
         store(scratch, place + TRANSMITTANCE, left)
         store(scratch, place + LATTICE_X, alpha)
-        store(scratch, place + _DEPTH, depth)
-        store(scratch, place + _RED, load(scratch, place + _RED) + left * background[0])
-        store(scratch, place + _GREEN, load(scratch, place + _GREEN) + left * background[1])
-        store(scratch, place + _BLUE, load(scratch, place + _BLUE) + left * background[2])
-        x = U(tile_x) + (block % ACROSS) * U(BLOCK)
-        y = U(tile_y) + (block // ACROSS) * U(BLOCK)
-        _write_block(scratch, place + TRANSMITTANCE, x, y, transmittances)
-        _write_block(scratch, place + LATTICE_X, x, y, alphas)
-        _write_block(scratch, place + _DEPTH, x, y, depths)
-        _write_block(scratch, place + _RED, x, y, images[0])
-        _write_block(scratch, place + _GREEN, x, y, images[1])
-        _write_block(scratch, place + _BLUE, x, y, images[2])
-
-
-@njit(error_model="numpy")
-def _write_block(scratch, place, x, y, picture):
-    """Copy a block to its place in a picture, as far as it lies inside."""
-    height, width = U(picture.shape[0]), U(picture.shape[1])
-    if x + U(BLOCK) <= width and y + U(BLOCK) <= height:
-        store_block(picture, y * width + x, width, load(scratch, place))
-        return
-    for row in range(y, min(y + U(BLOCK), height)):
-        for column in range(x, min(x + U(BLOCK), width)):
-            picture[row, column] = scratch[place + (row - y) * U(BLOCK) + (column - x)]
+        store(scratch, place + _DEPTH, load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA)))
+        write_block(scratch, place + TRANSMITTANCE, transmittances, target, width, columns, rows)
+        write_block(scratch, place + LATTICE_X, alphas, target, width, columns, rows)
+        write_block(scratch, place + _DEPTH, depths, target, width, columns, rows)
+        for channel in range(U(3)):
+            colour = place + _RED + channel * LANES
+            store(scratch, colour, load(scratch, colour) + left * background[channel])
+            write_block(scratch, colour, images, target + channel * plane, width, columns, rows)

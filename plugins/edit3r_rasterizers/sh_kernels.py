@@ -1,13 +1,12 @@
 """Spherical harmonics of one direction inside numba kernels; basis and signs as in `edit3r.geometry.harmonics`."""
 
-from numba import njit
-
 from edit3r.geometry import harmonics
+from edit3r_rasterizers.compiled import inlined
 
 _C0, _C1, _C2, _C3, _C4 = harmonics.DC, harmonics._L1, harmonics._L2, harmonics._L3, harmonics._L4
 
 
-@njit
+@inlined
 def evaluate_basis(x, y, z, count, out):
     """The first `count` (1, 4, 9, 16 or 25) basis functions at a unit direction, into `out`."""
     out[0] = _C0
@@ -29,10 +28,9 @@ def evaluate_basis(x, y, z, count, out):
             out[23], out[24] = _C4[7] * xz * (xx - 3 * yy), _C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))
 
 
-@njit
-def basis_gradient(x, y, z, weights, count):
-    """Gradient (d/dx, d/dy, d/dz) of sum_k weights[k] * basis_k(x, y, z), the basis taken as polynomials."""
-    w = weights
+@inlined
+def basis_gradient(x, y, z, w, count):
+    """Gradient (d/dx, d/dy, d/dz) of sum_k w[k] * basis_k(x, y, z), the basis taken as polynomials."""
     gx, gy, gz = 0.0, 0.0, 0.0
     if count > 1:
         gx, gy, gz = -_C1 * w[3], -_C1 * w[1], _C1 * w[2]
@@ -50,7 +48,7 @@ def basis_gradient(x, y, z, weights, count):
     return gx, gy, gz
 
 
-@njit
+@inlined
 def _third_order(x, y, z, w):
     xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
     a, b, c, d = _C3[0] * w[9], _C3[1] * w[10], _C3[2] * w[11], _C3[3] * w[12]
@@ -62,7 +60,7 @@ def _third_order(x, y, z, w):
     return gx, gy, gz
 
 
-@njit
+@inlined
 def _fourth_order(x, y, z, w):
     xx, yy, zz, xy = x * x, y * y, z * z, x * y
     a, b, c, d, e = _C4[0] * w[16], _C4[1] * w[17], _C4[2] * w[18], _C4[3] * w[19], _C4[4] * w[20]

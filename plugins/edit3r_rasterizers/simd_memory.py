@@ -1,4 +1,9 @@
-"""Moving vectors between registers and contiguous arrays; offsets are flat element indices and are not checked."""
+"""Moving vectors between registers and memory.
+
+Kernels take contiguous arrays and turn them into bare pointers with `flat`: indexing one is a plain load or store, and
+passing one on costs nothing, where an array would be reference-counted (an atomic operation) at every turn. Nothing is
+checked, and memory that a kernel allocates itself would be freed too early: scratch memory is an argument too.
+"""
 
 from llvmlite import ir
 from numba import types
@@ -11,9 +16,8 @@ _KINDS = {types.float32: FLOATS, types.float64: DOUBLES}
 _PARTS = 4  # a 4x4 block is four rows of four
 
 
-def _pointer(context, builder, array_type, array, offset, target):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [offset]), target.as_pointer())
+def _pointer(builder, pointer, offset, target):
+    return builder.bitcast(builder.gep(pointer, [offset]), target.as_pointer())
 
 
 def _align(kind) -> int:
@@ -21,30 +25,48 @@ def _align(kind) -> int:
 
 
 @intrinsic
-def load(typing, array, offset):
-    """A vector of consecutive values: sixteen of a float32 array, eight of a float64 array."""
-    kind = _KINDS[array.dtype]
+def flat(typing, array):
+    """Pointer to the first element of a contiguous array; index it by flat element index."""
 
     def emit(context, builder, signature, values):
-        return builder.load(_pointer(context, builder, array, *values, kind.ir), align=_align(kind))
+        return context.make_array(array)(context, builder, values[0]).data
 
-    return kind(array, types.uint64), emit
+    return types.CPointer(array.dtype)(array), emit
 
 
 @intrinsic
-def store(typing, array, offset, value):
-    """Write a vector to consecutive places."""
-    kind = _KINDS[array.dtype]
+def shifted(typing, pointer, offset):
+    """Pointer to the element at flat index `offset`."""
+    return pointer(pointer, types.uint64), lambda context, builder, signature, values: builder.gep(
+        *values[:1], values[1:]
+    )
+
+
+@intrinsic
+def load(typing, pointer, offset):
+    """A vector of consecutive values: sixteen float32 or eight float64."""
+    kind = _KINDS[pointer.dtype]
 
     def emit(context, builder, signature, values):
-        builder.store(values[2], _pointer(context, builder, array, *values[:2], kind.ir), align=_align(kind))
+        return builder.load(_pointer(builder, *values, kind.ir), align=_align(kind))
+
+    return kind(pointer, types.uint64), emit
+
+
+@intrinsic
+def store(typing, pointer, offset, value):
+    """Write a vector to consecutive places."""
+    kind = _KINDS[pointer.dtype]
+
+    def emit(context, builder, signature, values):
+        builder.store(values[2], _pointer(builder, *values[:2], kind.ir), align=_align(kind))
         return context.get_dummy_value()
 
-    return types.void(array, types.uint64, kind), emit
+    return types.void(pointer, types.uint64, kind), emit
 
 
 @intrinsic
-def load_block(typing, array, offset, stride):
+def load_block(typing, pointer, offset, stride):
     """A 4x4 block of a float32 picture: four rows of four from flat index `offset`, `stride` apart."""
     quarter = ir.VectorType(ir.FloatType(), _PARTS)
 
@@ -53,15 +75,15 @@ def load_block(typing, array, offset, stride):
         rows = []
         for row in range(_PARTS):
             place = builder.add(offset, builder.mul(stride, ir.Constant(INT64, row)))
-            rows.append(builder.load(_pointer(context, builder, array, data, place, quarter), align=4))
+            rows.append(builder.load(_pointer(builder, data, place, quarter), align=4))
         halves = [_join(builder, rows[0], rows[1]), _join(builder, rows[2], rows[3])]
         return _join(builder, *halves)
 
-    return FLOATS(array, types.uint64, types.uint64), emit
+    return FLOATS(pointer, types.uint64, types.uint64), emit
 
 
 @intrinsic
-def store_block(typing, array, offset, stride, value):
+def store_block(typing, pointer, offset, stride, value):
     """Write a 4x4 block of a float32 picture; see `load_block`."""
 
     def emit(context, builder, signature, values):
@@ -69,14 +91,14 @@ def store_block(typing, array, offset, stride, value):
         for row in range(_PARTS):
             place = builder.add(offset, builder.mul(stride, ir.Constant(INT64, row)))
             piece = _part(builder, lanes, row * _PARTS, _PARTS)
-            builder.store(piece, _pointer(context, builder, array, data, place, piece.type), align=4)
+            builder.store(piece, _pointer(builder, data, place, piece.type), align=4)
         return context.get_dummy_value()
 
-    return types.void(array, types.uint64, types.uint64, FLOATS), emit
+    return types.void(pointer, types.uint64, types.uint64, FLOATS), emit
 
 
 @intrinsic
-def store_sums(typing, array, offset, vectors):
+def store_sums(typing, pointer, offset, vectors):
     """Write the lane sums of a tuple of up to 16 float32 vectors to consecutive places."""
     count = len(vectors)
 
@@ -92,25 +114,25 @@ def store_sums(typing, array, offset, vectors):
             length = 1 << ((count - done).bit_length() - 1)
             piece = _part(builder, level[0], done, length)
             place = builder.add(values[1], ir.Constant(INT64, done))
-            builder.store(piece, _pointer(context, builder, array, values[0], place, piece.type), align=4)
+            builder.store(piece, _pointer(builder, values[0], place, piece.type), align=4)
             done += length
         return context.get_dummy_value()
 
-    return types.void(array, types.uint64, vectors), emit
+    return types.void(pointer, types.uint64, vectors), emit
 
 
 @intrinsic
-def prefetch(typing, array, offset):
+def prefetch(typing, pointer, offset):
     """Ask for the cache line of an element ahead of its use; never faults."""
 
     def emit(context, builder, signature, values):
-        line = _pointer(context, builder, array, *values, ir.IntType(8))
+        line = _pointer(builder, *values, ir.IntType(8))
         kind = ir.FunctionType(ir.VoidType(), [line.type, INT32, INT32, INT32])
         hint = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
         builder.call(hint, [line, ir.Constant(INT32, 0), ir.Constant(INT32, 3), ir.Constant(INT32, 1)])
         return context.get_dummy_value()
 
-    return types.void(array, types.uint64), emit
+    return types.void(pointer, types.uint64), emit
 
 
 def _indices(values) -> ir.Constant:

@@ -6,8 +6,8 @@ in the tile.
 """
 
 import numpy as np
-from numba import njit
 
+from edit3r_rasterizers.compiled import inlined
 from edit3r_rasterizers.records import (
     BLOCK,
     FLATNESS,
@@ -24,7 +24,7 @@ from edit3r_rasterizers.records import (
     Y,
 )
 from edit3r_rasterizers.simd import broadcast, lane_columns, lane_rows, mask_bits, maximum, minimum, select
-from edit3r_rasterizers.simd_memory import load, store
+from edit3r_rasterizers.simd_memory import load, load_block, store, store_block
 
 F = np.float32
 U = np.uint64
@@ -39,7 +39,7 @@ LOWEST_EXPONENT = F(-60)
 """Of alpha, base 2: keeps exp2 away from denormal numbers, which are slow."""
 
 
-@njit(error_model="numpy")
+@inlined
 def open_tile(scratch, stride, width, height):
     """Prepare the first three planes for a tile of width x height pixels; returns the blocks that have any."""
     live = U(0)
@@ -56,7 +56,7 @@ def open_tile(scratch, stride, width, height):
     return live
 
 
-@njit(error_model="numpy")
+@inlined
 def live_blocks(scratch, stride):
     """The blocks with a pixel that has not ended."""
     live = U(0)
@@ -66,7 +66,7 @@ def live_blocks(scratch, stride):
     return live
 
 
-@njit(error_model="numpy")
+@inlined
 def line_up(records, start, tile_x, tile_y):
     """Constants of the splat whose record begins at flat index `start`, for positions (x, y) relative to a tile.
 
@@ -81,7 +81,7 @@ def line_up(records, start, tile_x, tile_y):
     return narrowness, narrowness * F(slope), shift_x, flatness, shift_y
 
 
-@njit(error_model="numpy")
+@inlined
 def find_touched(first, last, entries, records, tile_x, tile_y, touched):
     """Into `touched`: for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits.
 
@@ -107,7 +107,30 @@ def find_touched(first, last, entries, records, tile_x, tile_y, touched):
         touched[entry - first] = mask_bits(minimum(by_column, by_row) <= limit)
 
 
-@njit(error_model="numpy")
+@inlined
 def _squares(across, down, narrowness, flatness):
     across, down = across * narrowness, down * flatness
     return across * across + down * down
+
+
+@inlined
+def write_block(scratch, place, picture, target, width, columns, rows):
+    """Copy columns x rows pixels of a plane to flat index `target` of a picture `width` wide."""
+    if columns == U(BLOCK) and rows == U(BLOCK):
+        store_block(picture, target, width, load(scratch, place))
+        return
+    for row in range(rows):
+        for column in range(columns):
+            picture[target + row * width + column] = scratch[place + row * U(BLOCK) + column]
+
+
+@inlined
+def read_block(scratch, place, picture, source, width, columns, rows):
+    """Copy columns x rows pixels of a picture `width` wide from flat index `source` to a plane, zero elsewhere."""
+    if columns == U(BLOCK) and rows == U(BLOCK):
+        store(scratch, place, load_block(picture, source, width))
+        return
+    store(scratch, place, broadcast(F(0)))
+    for row in range(rows):
+        for column in range(columns):
+            scratch[place + row * U(BLOCK) + column] = picture[source + row * width + column]
