@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(argv: list[str]) -> int:
-    commands = _commands()
+    commands = command_modules()
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(_overview(commands))
         return 0 if argv else 2
@@ -64,7 +64,7 @@ def _dispatch(argv: list[str]) -> int:
     return command.main(parser.parse_intermixed_args(rest)) or 0
 
 
-def _commands() -> dict[str, str]:
+def command_modules() -> dict[str, str]:
     """Command name to module name."""
     modules = sorted(module.name for module in pkgutil.iter_modules(cli.__path__))
     return {m.replace("_", "-"): m for m in modules if not m.startswith("_") and m != "main"}

@@ -1,0 +1,213 @@
+"""The pages that are made from the code: the reference, and the examples on the plugin pages.
+
+The reference (hooks, components with their settings, commands, Python) is built with the site and never checked in:
+mkdocs calls `on_files`. The examples stand in the pages, between markers, so that they can be read anywhere:
+
+    python docs/generate.py            rewrite the marked parts of docs/plugins/*.md from edit3r/templates
+    python docs/generate.py DIR        also write the reference pages into DIR
+"""
+
+import argparse
+import importlib
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import edit3r
+from edit3r.component import KINDS, hook_name
+from edit3r.description import metadata_lines, settings_lines, yaml_example
+from edit3r.errors import Edit3rError
+from edit3r.plugins import Offer
+from edit3r.registry import Registry, default_registry
+
+DOCS = Path(__file__).parent
+MARKED = re.compile(r"(<!-- begin: (\w+) ([\w-]+)(?: ([\w-]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
+PYTHON_MODULES = (
+    "edit3r.types",
+    "edit3r.interfaces",
+    "edit3r.component",
+    "edit3r.config",
+    "edit3r.pipeline",
+    "edit3r.registry",
+    "edit3r.reporting",
+    "edit3r.errors",
+    "edit3r.geometry.cameras",
+    "edit3r.geometry.rotations",
+    "edit3r.geometry.harmonics",
+    "edit3r.testing",
+)
+"""Modules a plugin author or a script may import from."""
+
+
+def reference_pages(registry: Registry) -> dict[str, str]:
+    """Path below docs/ to Markdown of every page of the reference."""
+    pages = {"reference/hooks.md": hooks_page(), "reference/commands.md": commands_page()}
+    for kind in KINDS:
+        pages[f"reference/components/{kind}.md"] = components_page(registry, kind)
+    pages["reference/run.md"] = run_page()
+    pages["reference/python.md"] = python_page()
+    return pages
+
+
+def hooks_page() -> str:
+    """Every hook with its sentence and the interface its components follow."""
+    from edit3r import hookspecs
+    from edit3r.interfaces import INTERFACES
+
+    rows = []
+    for kind in KINDS:
+        hook = hook_name(kind)
+        sentence = inspect.getdoc(getattr(hookspecs, hook)).splitlines()[0]
+        rows.append(f"| [{kind}](../plugins/{kind}.md) | `{hook}` | {sentence} | `{INTERFACES[kind].__name__}` |")
+    table = "\n".join(["| kind | hook | what it offers | interface |", "| --- | --- | --- | --- |", *rows])
+    return f"# Hooks\n\n{inspect.getdoc(hookspecs)}\n\nAPI version {hookspecs.API_VERSION}.\n\n{table}\n"
+
+
+def components_page(registry: Registry, kind: str) -> str:
+    """Every installed component of a kind: what to know, and its settings."""
+    sections = [component_section(registry, offer) for offer in registry.offers(kind)]
+    intro = f"What this installation offers; see [writing one](../../plugins/{kind}.md)."
+    return "\n\n".join([f"# {kind.title()} components", intro, *(sections or ["None."])]) + "\n"
+
+
+def component_section(registry: Registry, offer: Offer) -> str:
+    facts = "\n".join(f"- {what}: {value}" for what, value in metadata_lines(offer.component))
+    head = f"## `{offer.component.name}`\n\nPlugin {offer.plugin}: {offer.component.summary}\n\n{facts}"
+    try:
+        settings = registry.settings_class(offer)
+    except Edit3rError as error:
+        return f"{head}\n\nIts settings could not be read here: {error}"
+    if not settings.model_fields:
+        return f"{head}\n\nNo settings."
+    return f"{head}\n\n{settings_table(settings)}\n\n```yaml\n{yaml_example(offer, settings)}\n```"
+
+
+def settings_table(settings: type) -> str:
+    rows = ["| setting | type | range | default | |", "| --- | --- | --- | --- | --- |"]
+    for line in settings_lines(settings):
+        kind = line.type.replace("|", "\\|")
+        rows.append(f"| `{line.name}` | {kind} | {line.range} | `{line.default_yaml}` | {line.sentence} |")
+    return "\n".join(rows)
+
+
+def run_page() -> str:
+    """The top-level keys of a run's configuration."""
+    from edit3r.run_config import RunConfig
+
+    return f"# Run configuration\n\n{inspect.getdoc(RunConfig)}\n\n{settings_table(RunConfig)}\n"
+
+
+def commands_page() -> str:
+    """The help of every command."""
+    sections = ["# Commands"]
+    for name, module in commands().items():
+        parser = argparse.ArgumentParser(prog=f"edit3r {name}", formatter_class=_Narrow)
+        module.add_arguments(parser)
+        sections.append(
+            f"## `edit3r {name}`\n\n{module.HELP[0].upper()}{module.HELP[1:]}.\n\n```text\n{parser.format_help()}```"
+        )
+    return "\n\n".join(sections) + "\n"
+
+
+def commands() -> dict[str, object]:
+    """Command name to its module."""
+    from edit3r.cli.main import command_modules
+
+    return {name: importlib.import_module(f"edit3r.cli.{module}") for name, module in command_modules().items()}
+
+
+class _Narrow(argparse.HelpFormatter):
+    """The same width on every machine."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, width=100)
+
+
+def python_page() -> str:
+    """Public classes and functions with their docstrings; data classes and interfaces as written, comments and all."""
+    sections = ["# Python", "Names that `edit3r` itself offers: " + ", ".join(f"`{n}`" for n in edit3r.__all__) + "."]
+    for name in PYTHON_MODULES:
+        module = importlib.import_module(name)
+        sections.append(f"## `{name}`\n\n{inspect.getdoc(module)}")
+        sections += [_described(name, thing, value) for thing, value in public_things(module)]
+    return "\n\n".join(sections) + "\n"
+
+
+def public_things(module: object) -> Iterator[tuple[str, object]]:
+    """Classes and functions that a module defines, or lists in `__all__`, without an underscore in front."""
+    listed = getattr(module, "__all__", None)
+    for name, value in vars(module).items():
+        own = getattr(value, "__module__", "") == module.__name__ or (listed is not None and name in listed)
+        if own and not name.startswith("_") and (inspect.isclass(value) or inspect.isfunction(value)):
+            yield name, value
+
+
+def _described(module: str, name: str, value: object) -> str:
+    if inspect.isclass(value) and (hasattr(value, "__dataclass_fields__") or module == "edit3r.interfaces"):
+        return f"### `{name}`\n\n```python\n{inspect.getsource(value).rstrip()}\n```"
+    text = inspect.getdoc(value) or ""
+    if inspect.isfunction(value):
+        return f"### `{name}`\n\n```python\n{name}{inspect.signature(value)}\n```\n\n{text}"
+    methods = [
+        f"- `{method}{inspect.signature(function)}`: {(inspect.getdoc(function) or '').splitlines()[0]}"
+        for method, function in vars(value).items()
+        if inspect.isfunction(function) and not method.startswith("_") and function.__doc__
+    ]
+    return "\n\n".join(part for part in (f"### `{name}`", text, "\n".join(methods)) if part)
+
+
+# ---- the marked parts of the plugin pages ----
+
+
+def refreshed(page: str) -> str:
+    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`."""
+    makers = {"example": example_part, "claims": claims_part}
+    return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
+
+
+def example_part(kind: str, name: str) -> str:
+    """The files of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
+    from edit3r.scaffold import package_files
+
+    files = {path: text for path, text in package_files(kind, name).items() if path.endswith(".py")}
+    blocks = [f'```python title="edit3r-{name}/{path}"\n{text}```' for path, text in files.items()]
+    return "\n" + "\n\n".join(blocks) + "\n\n"
+
+
+def claims_part(kind: str, _: str | None) -> str:
+    """What the contract of a kind asks."""
+    from edit3r.testing import CONTRACTS, claims
+
+    contract = CONTRACTS[kind]
+    rows = []
+    for claim in claims(contract):
+        sentence = inspect.getdoc(vars(contract).get(claim)) if claim in vars(contract) else None
+        sentence = (sentence or inspect.getdoc(getattr(contract, claim)) or "").split("\n")[0]
+        rows.append(f"- {claim.removeprefix('test_').replace('_', ' ')}" + (f": {sentence}" if sentence else ""))
+    return "\n" + "\n".join(rows) + "\n\n"
+
+
+def on_files(files, config):
+    """mkdocs asks for the site's files: add the reference."""
+    from mkdocs.structure.files import File
+
+    for path, text in reference_pages(default_registry()).items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def main() -> None:
+    for path in sorted((DOCS / "plugins").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(refreshed(text), encoding="utf-8")
+    if len(sys.argv) > 1:
+        for path, text in reference_pages(default_registry()).items():
+            target = Path(sys.argv[1]) / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
