@@ -21,11 +21,12 @@ from edit3r_classical import tracking
 from edit3r_classical.segmenter_background import background_weights
 from edit3r_classical.segmenter_masks import graph_cut, overlap, snapped, softened, tidied
 from edit3r_classical.segmenter_merging import merge_tree
-from edit3r_classical.segmenter_objectness import Objectness, measure
+from edit3r_classical.segmenter_objectness import MAX_AREA, MIN_AREA, Objectness, measure
 from edit3r_classical.segmenter_superpixels import Superpixels, superpixels
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
 SNAP = (0.06, 0.25)  # how far an outline may move in and out when it is refined [square roots of the area]
+SNAP_FINE = (0.04, 0.04)  # the same for the second time, on the larger picture
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,8 @@ class _Analysis:
         """Every candidate region as a bool mask."""
         return (row[self.superpixels.labels] for row in self.members)
 
-    def measure(self, mask: np.ndarray) -> Objectness | None:
-        return measure(mask, self.superpixels, self.background)
+    def measure(self, mask: np.ndarray, areas: tuple[float, float] = (0.0, 1.0)) -> Objectness | None:
+        return measure(mask, self.superpixels, self.background, areas)
 
 
 class ClassicalSegmenter(Segmenter):
@@ -62,11 +63,13 @@ class ClassicalSegmenter(Segmenter):
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         picture = _to_numpy(image)
         analysis = _analyse(picture, self.settings.size)
-        scored = [(mask, analysis.measure(mask)) for mask in analysis.masks()]
+        scored = [(mask, analysis.measure(mask, (MIN_AREA, MAX_AREA))) for mask in analysis.masks()]
         scored = _distinct([(mask, cues) for mask, cues in scored if cues is not None], self.settings.max_objects)
         refined = [_refined(analysis, *candidate) for candidate in scored[: self.settings.refined]]
         chosen = _distinct(refined + scored[self.settings.refined :], self.settings.max_objects)
-        return tuple(_proposal(picture, mask, cues.quality, image) for mask, cues in chosen)
+        masks = [mask for mask, _ in chosen]
+        masks[: self.settings.refined] = [self._fine(picture, mask) for mask in masks[: self.settings.refined]]
+        return tuple(_proposal(picture, mask, cues.quality, image) for mask, (_, cues) in zip(masks, chosen))
 
     def segment(
         self,
@@ -81,7 +84,14 @@ class ClassicalSegmenter(Segmenter):
         seeds = _seeds(points, analysis.pixels.shape[:2])
         mask = _in_box(analysis, box, seeds) if box is not None else _at_points(analysis, seeds)
         cues = analysis.measure(mask)
-        return _proposal(picture, mask, cues.quality if cues is not None else 0.0, image)
+        return _proposal(picture, self._fine(picture, mask), cues.quality if cues is not None else 0.0, image)
+
+    def _fine(self, picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """A mask found at working size, its outline snapped once more at tracking size."""
+        larger = _to_bytes(scaled(picture, self.settings.track_size))
+        enlarged = cv2.resize(mask.astype(np.float32), larger.shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+        moved = snapped(larger, enlarged, *SNAP_FINE, rounds=2)
+        return moved if overlap(moved, enlarged) > 0.7 else enlarged
 
     def track(
         self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
@@ -115,7 +125,7 @@ def _distinct(candidates: list[tuple[np.ndarray, Objectness]], limit: int) -> li
 def _refined(analysis: _Analysis, mask: np.ndarray, cues: Objectness) -> tuple[np.ndarray, Objectness]:
     """The candidate with its outline snapped to edges, unless that made it less of an object."""
     moved = snapped(analysis.pixels, mask, *SNAP)
-    moved_cues = analysis.measure(moved)
+    moved_cues = analysis.measure(moved, (MIN_AREA, MAX_AREA))
     return (moved, moved_cues) if moved_cues is not None and moved_cues.salience > 0.8 * cues.salience else (mask, cues)
 
 

@@ -5,16 +5,19 @@ import numpy as np
 
 SMALLEST_PART = 0.03  # share of an object under which a separate piece of it is dropped
 SMALLEST_HOLE = 0.01  # share under which a hole is filled
-EDGE_REACH = 0.012  # how far a soft edge may reach [longer sides of the picture]
-EDGE_EPSILON = 3e-4  # colour variance under which the guided filter smooths
+EDGE_REACH = 0.008  # how far a soft edge may reach [longer sides of the picture]
+EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
 MIN_SAMPLES = 16  # pixels either side needs for a colour model
 
 
-def snapped(image: np.ndarray, mask: np.ndarray, shrink: float, grow: float, rounds: int = 3) -> np.ndarray:
+def snapped(
+    image: np.ndarray, mask: np.ndarray, shrink: float, grow: float, rounds: int = 3, unsure: np.ndarray | None = None
+) -> np.ndarray:
     """The mask moved to colour boundaries by graph cut (grabCut, Rother et al. 2004).
 
     `image` is uint8 RGB; the answer keeps the mask's core (eroded by `shrink`) and stays within its surroundings
-    (dilated by `grow`), both in units of the square root of its area. Deterministic.
+    (dilated by `grow`), both in units of the square root of its area; pixels `unsure` are left to their colours.
+    Deterministic.
     """
     if not mask.any():
         return mask
@@ -26,7 +29,8 @@ def snapped(image: np.ndarray, mask: np.ndarray, shrink: float, grow: float, rou
     trimap = np.full(part.shape, cv2.GC_BGD, np.uint8)
     trimap[outwards <= grow] = cv2.GC_PR_BGD
     trimap[part] = cv2.GC_PR_FGD
-    trimap[inwards > min(shrink, inwards.max() / 2)] = cv2.GC_FGD
+    core = inwards > min(shrink, inwards.max() / 2)
+    trimap[core if unsure is None else core & ~unsure[window]] = cv2.GC_FGD
     result = np.zeros_like(mask)
     result[window] = tidied(graph_cut(np.ascontiguousarray(image[window]), trimap, rounds), part)
     return result

@@ -8,8 +8,8 @@ import numpy as np
 from edit3r_classical.segmenter_masks import distance_to
 from edit3r_classical.segmenter_superpixels import PALETTE, Superpixels
 
-MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the picture a candidate may cover
-USUAL_AREA = 0.12  # share that photographers give their subject; a factor of e**1.5 off is one deviation
+MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the picture that an object may cover to be proposed
+USUAL_AREA = 0.15  # share that photographers give their subject; a factor of e**1.5 off is one deviation
 CENTRE_SPREAD = 0.22  # deviation of a subject from the middle [picture widths and heights]
 BORDER_SPREAD = 0.12  # share of the picture's border an object may touch
 
@@ -42,10 +42,15 @@ class Objectness:
         return self.as_part * self.centredness * self.size * (0.25 + self.foreground)
 
 
-def measure(mask: np.ndarray, superpixels: Superpixels, background: np.ndarray) -> Objectness | None:
-    """Cues of a bool mask `[H, W]`; `background` is the background weight per pixel. None: too small or too large."""
+def measure(
+    mask: np.ndarray, superpixels: Superpixels, background: np.ndarray, areas: tuple[float, float]
+) -> Objectness | None:
+    """Cues of a bool mask `[H, W]`, None for one whose share of the picture is outside `areas`.
+
+    `background` is the background weight per pixel.
+    """
     area = float(mask.mean())
-    if not MIN_AREA <= area <= MAX_AREA:
+    if not areas[0] <= area <= areas[1] or not mask.any():
         return None
     bits = mask.astype(np.uint8)
     rows, columns = np.nonzero(mask)

@@ -1,8 +1,9 @@
 """Follow objects from the first view through the others, by dense flow where views are close, else by features.
 
-View by view, from the nearest earlier view the object was seen in: dense inverse-search flow with a forward-backward
-check carries the mask; where flow breaks down, SIFT matches on the object give an affine map. The outline is then
-snapped to the colours of the new view. An object whose match is too thin or looks different is reported lost.
+View by view, from the last earlier view that showed the object: dense inverse-search flow with a forward-backward
+check carries the mask; where flow breaks down, SIFT matches on the object give an affine map to start it from. The
+outline is then snapped to the colours of the new view. An object whose match is too thin or looks different is
+reported lost.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,13 @@ import cv2
 import numpy as np
 
 from edit3r_classical.segmenter_masks import overlap, snapped, softened
-from edit3r_classical.tracking_features import warp_by_features
-from edit3r_classical.tracking_flow import Flow, flow_between, warp_by_flow
+from edit3r_classical.tracking_features import affine_between
+from edit3r_classical.tracking_flow import Flow, carry, flow_between
 
-MIN_CONSISTENT = 0.5  # share of the object's pixels that flow must carry there and back
+MIN_CONSISTENT = 0.35  # share of the object's pixels that flow must carry there and back
 MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
-MIN_KEPT = 0.2  # share of its area in the source view under which an object is lost (it left the picture)
+MAX_GROWTH = 2.5  # change of area, either way, between two views beyond which an object counts as lost
+MAX_TOTAL_GROWTH = 6.0  # the same between the first view and any other
 SNAP_BAND = 0.04  # how far the outline may move when it is snapped [square roots of the area]
 
 
@@ -80,26 +82,40 @@ class _Step:
     def _by_flow(self, source: int, number: int) -> np.ndarray | None:
         if source not in self.flows:
             self.flows[source] = flow_between(self.views[source].grey, self.views[self.index].grey)
-        warped, consistent = warp_by_flow(self.found[source][number], self.flows[source])
-        return self._snapped(warped) if consistent >= MIN_CONSISTENT else None
+        return self._carried(self.found[source][number], self.flows[source])
 
     def _by_features(self, source: int, number: int) -> np.ndarray | None:
-        mask = self.found[source][number]
-        warped = warp_by_features(self.views[source].grey, self.views[self.index].grey, mask)
-        return self._snapped(warped, 3 * SNAP_BAND) if warped is not None else None
-
-    def _snapped(self, mask: np.ndarray, band: float = SNAP_BAND) -> np.ndarray | None:
-        """The outline on the colours of this view; as carried where graph cut would change the object itself."""
-        if not mask.any():
+        """By an affine map, and flow for what it leaves; by the map alone where flow does not agree."""
+        grey, mask, here = self.views[source].grey, self.found[source][number], self.views[self.index].grey
+        matrix = affine_between(grey, here, mask)
+        if matrix is None:
             return None
-        moved = snapped(self.views[self.index].pixels, mask, band, band, rounds=2)
-        return moved if overlap(moved, mask) > 0.7 else mask
+        size = here.shape[::-1]
+        moved = cv2.warpAffine(mask.astype(np.float32), matrix, size) > 0.5
+        if not moved.any():
+            return None
+        rest = flow_between(cv2.warpAffine(grey, matrix, size, borderMode=cv2.BORDER_REPLICATE), here)
+        refined = self._carried(moved, rest)
+        return refined if refined is not None else self._snapped(moved, 3 * SNAP_BAND)
+
+    def _carried(self, mask: np.ndarray, flow: Flow) -> np.ndarray | None:
+        carried = carry(mask, flow)
+        if carried.consistent < MIN_CONSISTENT:
+            return None
+        return self._snapped(carried.mask, SNAP_BAND, carried.mask & ~carried.sure)
+
+    def _snapped(self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None) -> np.ndarray:
+        """The outline on the colours of this view; as carried where graph cut would change the object itself."""
+        moved = snapped(self.views[self.index].pixels, mask, band, band, rounds=2, unsure=unsure)
+        sure = mask if unsure is None else mask & ~unsure
+        return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
 
     def _is_same(self, mask: np.ndarray, source: int, number: int) -> bool:
         before = self.found[source][number]
-        if mask.sum() < MIN_KEPT * before.sum():
+        first = self.found[0][number]
+        if _growth(before, mask) > MAX_GROWTH or _growth(first, mask) > MAX_TOTAL_GROWTH:
             return False
-        references = ((source, before), (0, self.found[0][number]))
+        references = ((source, before), (0, first))
         likeness = [
             _likeness(self.views[view].pixels, seen, self.views[self.index].pixels, mask) for view, seen in references
         ]
@@ -113,6 +129,12 @@ def _view(picture: np.ndarray, size: int) -> _View:
     small = cv2.resize(picture, shape, interpolation=cv2.INTER_AREA) if factor < 1 else picture
     pixels = np.round(np.clip(small, 0, 1) * 255).astype(np.uint8)
     return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
+
+
+def _growth(one: np.ndarray, other: np.ndarray) -> float:
+    """Ratio of the areas of two masks, the larger above the smaller; infinite when one is empty."""
+    smaller, larger = sorted((int(one.sum()), int(other.sum())))
+    return larger / smaller if smaller else float("inf")
 
 
 def _likeness(one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray) -> float:

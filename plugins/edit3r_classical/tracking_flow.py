@@ -15,7 +15,8 @@ class Flow:
 
     forward: np.ndarray  # float32 [H, W, 2], x and y from source to target [pixels], on the source's grid
     backward: np.ndarray  # float32 [H, W, 2], from target to source, on the target's grid
-    consistent: np.ndarray  # bool [H, W], source pixels that come back to where they started
+    leaves: np.ndarray  # bool [H, W], source pixels that come back to where they started
+    arrives: np.ndarray  # bool [H, W], the same for the target's pixels
 
 
 def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
@@ -23,22 +24,38 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
     height, width = source.shape
     if min(height, width) < SMALLEST:
         still = np.zeros((height, width, 2), np.float32)
-        return Flow(still, still, np.zeros((height, width), dtype=bool))
+        nowhere = np.zeros((height, width), dtype=bool)
+        return Flow(still, still, nowhere, nowhere)
     engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
     forward, backward = engine.calc(source, target, None), engine.calc(target, source, None)
-    there = _grid(height, width) + forward
-    back = cv2.remap(backward, there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e4, 1e4))
-    error = np.linalg.norm(forward + back, axis=2)
-    return Flow(forward, backward, error < ERROR_FLOOR + ERROR_SLOPE * np.linalg.norm(forward, axis=2))
+    return Flow(forward, backward, _returns(forward, backward), _returns(backward, forward))
 
 
-def warp_by_flow(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, float]:
-    """The source's bool mask on the target's grid, and the share of its pixels whose flow is consistent."""
+@dataclass(frozen=True)
+class Carried:
+    """A mask carried to another view."""
+
+    mask: np.ndarray  # bool [H, W]
+    sure: np.ndarray  # bool [H, W], the part of it that leads back to where it came from
+    consistent: float  # share of the source's mask that arrives somewhere and leads back, in [0, 1]
+
+
+def carry(mask: np.ndarray, flow: Flow) -> Carried:
+    """The source's bool mask on the target's grid."""
     height, width = mask.shape
     came_from = _grid(height, width) + flow.backward
-    warped = cv2.remap(mask.astype(np.float32), came_from, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    return warped > 0.5, float(flow.consistent[mask].mean()) if mask.any() else 0.0
+    warped = cv2.remap(mask.astype(np.float32), came_from, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0.5
+    return Carried(warped, warped & flow.arrives, float(flow.leaves[mask].mean()) if mask.any() else 0.0)
+
+
+def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """Which pixels end up where they started when they follow `there`, then `back`."""
+    height, width = there.shape[:2]
+    landed = _grid(height, width) + there
+    returned = cv2.remap(back, landed, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e4, 1e4))
+    error = np.linalg.norm(there + returned, axis=2)
+    return error < ERROR_FLOOR + ERROR_SLOPE * np.linalg.norm(there, axis=2)
 
 
 def _grid(height: int, width: int) -> np.ndarray:

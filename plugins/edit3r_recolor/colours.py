@@ -28,7 +28,11 @@ _EVERYDAY = {
     "scarlet": "#ff2400",
     "silvery": "#c0c0c0",
     "terracotta": "#e2725b",
-    "green": "#008f2a",  # CSS green is very dark, CSS lime is meant
+    # As a painter would mix them: CSS's pure primaries are lamps, and its green is very dark.
+    "red": "#dc1414",
+    "green": "#1e9632",
+    "blue": "#1e50dc",
+    "yellow": "#ffdc00",
 }
 _TONES = {"light": 0.45, "pale": 0.6, "pastel": 0.55, "bright": 0.12, "dark": -0.4, "deep": -0.25}
 

@@ -7,11 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.errors import InputError
+from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Proposal, Segmenter
 from edit3r_recolor.wish import Wish
 
 Box = tuple[float, float, float, float]
+ADVICE = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,25 @@ def _looked_up(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Se
     return found[0] if found else None
 
 
-def _most_salient(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> Proposal:
-    proposals = segmenter.propose(image)
-    advice = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
-    if not proposals:
-        raise InputError(f"No object stands out on the first view; {advice}.")
+def _object(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> tuple[Proposal, str]:
+    """The object on view 0 and how it was found: by its name where the segmenter reads text, else by salience."""
     named = " ".join(wish.subject)
-    taken = f"the most salient object found by segmenter {segmenter.offer.component.name!r} is taken"
-    if named:
-        reporting.warn(f"The recolor editor cannot look up {named!r}: {taken}; {advice}.")
-    else:
-        reporting.warn(f"No object is named or marked: {taken}; {advice}.")
-    return proposals[0]
+    found = segmenter.segment_text(image, named) if named else None
+    if found:
+        return found[0], f"{named!r} found by text"
+    if found is not None:
+        raise PromptError(f"Segmenter {_name(segmenter)!r} finds no {named!r} on the first view; {ADVICE}.")
+    proposals = segmenter.propose(image)
+    if not proposals:
+        raise InputError(f"No object stands out on the first view; {ADVICE}.")
+    why = f"Segmenter {_name(segmenter)!r} does not understand {named!r}" if named else "No object is named or marked"
+    reporting.warn(f"{why}: the most salient object is taken, which is a guess; {ADVICE}.")
+    return proposals[0], "most salient object"
+
+
+def _name(segmenter: Segmenter) -> str:
+    offer = getattr(segmenter, "offer", None)
+    return offer.component.name if offer is not None else type(segmenter).__name__
 
 
 def _follow(
