@@ -1,7 +1,7 @@
 """Build modules without memory for weights, and fill them leaf by leaf, so that no second copy is ever needed."""
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import torch
 from torch import nn
@@ -12,15 +12,13 @@ def construct(module: nn.Module, build: Callable[[], None], seed: int | None) ->
     with torch.device("meta"):
         build()
     if seed is not None:
-        for name, leaf in list(leaves(module)):
-            draw_leaf(module, name, leaf, seed)
+        for name in leaf_names(module):
+            draw_leaf(module, name, module.get_submodule(name), seed)
 
 
-def leaves(module: nn.Module) -> Iterator[tuple[str, nn.Module]]:
-    """Every submodule that holds parameters itself, with its dotted name."""
-    for name, part in module.named_modules():
-        if next(part.parameters(recurse=False), None) is not None:
-            yield name, part
+def leaf_names(module: nn.Module) -> list[str]:
+    """Dotted names of every submodule that holds parameters itself."""
+    return [name for name, part in module.named_modules() if next(part.parameters(recurse=False), None) is not None]
 
 
 def draw_leaf(module: nn.Module, name: str, leaf: nn.Module, seed: int) -> None:

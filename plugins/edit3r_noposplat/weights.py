@@ -14,7 +14,7 @@ from edit3r_noposplat.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_noposplat.checkpoints.loaded import PartConfig
 from edit3r_noposplat.engine import make_plan, prepare_leaf
 from edit3r_noposplat.engine.plan import EnginePlan
-from edit3r_noposplat.initialise import draw_leaf, leaves
+from edit3r_noposplat.initialise import draw_leaf, leaf_names
 from edit3r_noposplat.network import GaussianNetwork
 
 RANDOM = "random"
@@ -78,7 +78,8 @@ def _sized(part: nn.Module, config: PartConfig, source: str, kind: str, *needs: 
 
 def _draw(network: GaussianNetwork, seed: int) -> Iterator[tuple[str, nn.Module]]:
     """Initial weights, leaf by leaf; leaves that have weights already keep them."""
-    for name, leaf in list(leaves(network)):
+    for name in leaf_names(network):
+        leaf = network.get_submodule(name)
         if next(leaf.parameters(recurse=False)).is_meta:
             draw_leaf(network, name, leaf, seed)
         yield name, leaf
@@ -88,7 +89,7 @@ def _prepare(
     network: GaussianNetwork, source: Iterator[tuple[str, nn.Module]], plan: EnginePlan, device: torch.device
 ) -> None:
     """Convert every leaf as soon as it has weights, so that the network never exists twice."""
-    total = sum(1 for _ in leaves(network))
+    total = len(leaf_names(network))
     for done, (name, leaf) in enumerate(source, start=1):
         prepare_leaf(network, name, leaf, plan, device)
         progress("loading weights", done, total)

@@ -8,7 +8,7 @@ from torch import nn
 from edit3r.errors import InputError
 from edit3r_noposplat.checkpoints.loaded import LoadedWeights
 from edit3r_noposplat.checkpoints.pages import release_pages
-from edit3r_noposplat.initialise import draw_leaf, leaves
+from edit3r_noposplat.initialise import draw_leaf, leaf_names
 
 SHOWN = 4
 """Keys listed per kind of problem."""
@@ -41,7 +41,8 @@ def fill(network: nn.Module, loaded: LoadedWeights, seed: int = 0) -> Iterator[t
     are not finite.
     """
     check(network, loaded)
-    for name, leaf in list(leaves(network)):
+    for name in leaf_names(network):  # names, not leaves: a list of leaves would keep replaced ones alive
+        leaf = network.get_submodule(name)
         if f"{name}.".startswith(loaded.drawn or ("\0",)):
             draw_leaf(network, name, leaf, seed)
         else:
