@@ -1,0 +1,145 @@
+"""`edit3r describe` and the words it uses; the YAML it prints is what a configuration accepts."""
+
+import json
+from typing import Any, Literal
+
+import pytest
+import yaml
+from pydantic import Field
+
+from edit3r.cli.main import main
+from edit3r.config import PartChoice, Settings
+from edit3r.description import RUN_KINDS, settings_lines, type_in_words, yaml_example
+from edit3r.registry import default_registry
+from edit3r.run_config import make_run_config
+
+LOCAL = """
+from pydantic import Field
+
+from edit3r import Component, Settings, hookimpl
+
+
+class Thing:
+    class Settings(Settings):
+        strength: float = Field(0.25, gt=0, le=1, description="how much: all of it at 1")
+        mode: str = Field("yes", description="a word that YAML would take for a truth value")
+
+
+@hookimpl
+def register_editors():
+    return [Component("described", "described_locally:Thing", "a thing", citation="Doe 2026", needs_gpu=True)]
+
+
+@hookimpl
+def register_heads():
+    return [Component("needy", "described_locally:Thing", "needs much", requires=("surely_not_there",))]
+"""
+
+
+class Everything(Settings):
+    count: int | None = Field(None, ge=1, lt=9, description="a count")
+    choice: Literal["a", "b"] = Field("a", description="a choice")
+    weights: tuple[float, float] = Field((1.0, 1e-6), description="weights")
+    names: tuple[str, ...] = Field((), description="names")
+    part: PartChoice = Field(PartChoice(name="vit", settings={"width": 8}), description="a part")
+    table: dict[str, float] = Field(default_factory=dict, description="a table: of numbers # not a comment")
+    flag: bool = Field(True, description="a flag")
+    step: int = Field(8, multiple_of=8, description="steps")
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory):
+    file = tmp_path_factory.mktemp("local") / "described_locally.py"
+    file.write_text(LOCAL)
+    return str(file)
+
+
+@pytest.mark.parametrize(
+    "annotation, words",
+    [
+        (float, "float"),
+        (int | None, "int or null"),
+        (Literal["a", "b"], "a | b"),
+        (tuple[float, float, float], "list of 3 float"),
+        (tuple[str, ...], "list of text"),
+        (dict[str, float], "mapping of text to float"),
+        (PartChoice, "component"),
+        (bool, "true or false"),
+        (Any, "anything"),
+    ],
+)
+def test_types_in_words(annotation, words):
+    assert type_in_words(annotation) == words
+
+
+def test_ranges_and_defaults_in_words():
+    lines = {line.name: line for line in settings_lines(Everything)}
+    assert lines["count"].range == "≥ 1, < 9"
+    assert lines["step"].range == "multiple of 8"
+    assert lines["count"].default_yaml == "null"
+    assert lines["weights"].default_yaml == "[1.0, 1.0e-06]"
+    assert lines["part"].default_yaml == "{name: vit, width: 8}"
+    assert lines["table"].default_yaml == "{}"
+
+
+def test_every_type_of_setting_survives_its_yaml():
+    offer = default_registry().find("editor", "none")
+    values = yaml.safe_load(yaml_example(offer, Everything))["editor"]
+    assert values.pop("name") == "none"
+    assert Everything(**values) == Everything()
+
+
+@pytest.mark.parametrize("offer", default_registry().offers(), ids=lambda offer: f"{offer.kind}-{offer.component.name}")
+def test_the_yaml_of_every_component_is_its_defaults(offer):
+    registry = default_registry()
+    if registry.missing(offer):
+        pytest.skip(f"needs {', '.join(registry.missing(offer))}")
+    settings = registry.settings_class(offer)
+    content = yaml.safe_load(yaml_example(offer, settings))
+    if offer.kind in RUN_KINDS:
+        make_run_config(content)  # a run accepts it
+    if "reconstructor" in content and offer.kind != "reconstructor":
+        content = content["reconstructor"]
+    values = content[offer.kind]
+    assert values.pop("name") == offer.component.name
+    assert settings(**values) == settings()
+
+
+def test_all_there_is_to_know_is_shown(local, capsys):
+    assert main(["describe", "editor", "described", "--plugin", local]) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "a thing",
+        "(local file)",
+        "Doe 2026",
+        "strength = 0.25",
+        "float, > 0, ≤ 1",
+        "how much: all of it at 1",
+    ):
+        assert words in said
+    assert "needs a GPU             yes" in said
+    assert "--set editor.strength=0.25" in said
+
+
+def test_yaml_alone_can_be_piped_into_a_file(local, capsys):
+    assert main(["describe", "editor", "described", "--yaml", "--plugin", local]) == 0
+    content = yaml.safe_load(capsys.readouterr().out)
+    assert content == {"editor": {"name": "described", "strength": 0.25, "mode": "yes"}}
+
+
+def test_json_carries_the_schema(local, capsys):
+    assert main(["describe", "editor", "described", "--json", "--plugin", local]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["settings"]["properties"]["strength"]["maximum"] == 1
+    assert content["needs_gpu"] is True
+
+
+def test_what_is_not_installed_is_described_as_far_as_known(local, capsys):
+    assert main(["describe", "head", "needy", "--plugin", local]) == 0
+    assert "pip install surely_not_there" in capsys.readouterr().out
+    assert main(["describe", "head", "needy", "--yaml", "--plugin", local]) == 2
+
+
+def test_an_unknown_name_ends_with_2_and_a_hint(capsys):
+    assert main(["describe", "editor", "recolour"]) == 2
+    assert "Did you mean 'recolor'?" in capsys.readouterr().err

@@ -1,0 +1,85 @@
+"""Every registered component keeps its kind's contract: one test per component and claim.
+
+A component that needs files, a key or large weights is tried by its own tests, on small stand-ins of them; it is named
+here with the reason, so that nothing is left out in silence.
+"""
+
+from functools import cache
+
+import pytest
+
+from edit3r.plugins import Offer
+from edit3r.registry import default_registry
+from edit3r.testing import CONTRACTS, Contract, claims, contract_for
+
+SMALL_VIT = {"width": 32, "depth": 4, "heads": 2, "decoder_width": 24, "decoder_depth": 4, "decoder_heads": 2}
+SMALL_DPT = {"feature_width": 8, "point_width": 8, "layer_widths": (4, 4, 8, 8), "harmonics_degree": 1}
+
+SETTINGS: dict[tuple[str, str], dict] = {
+    ("reconstructor", "edit3r"): {"weights": "untrained"},
+    ("reconstructor", "noposplat"): {
+        "backbone": {"name": "asymmetric-vit", **SMALL_VIT},
+        "head": {"name": "dpt-gaussian", **SMALL_DPT},
+    },
+    ("backbone", "asymmetric-vit"): SMALL_VIT,
+    ("head", "dpt-gaussian"): SMALL_DPT,
+    ("dataset", "procedural"): {"image_size": 32, "textures": 8},
+}
+"""What makes a component quick enough for a test; its default settings otherwise."""
+
+ATTRIBUTES: dict[tuple[str, str], dict] = {
+    ("editor", "recolor"): {"prompt": "make it red"},
+}
+"""What its contract needs to know."""
+
+DECLARATION_ONLY: dict[tuple[str, str], str] = {
+    ("editor", "folder"): "needs an edited picture of each view",
+    ("editor", "command"): "needs a program",
+    ("editor", "instruct-pix2pix"): "needs weights of 4 GB",
+    ("editor", "flux-kontext"): "needs weights of 34 GB",
+    ("editor", "controlnet-depth"): "needs weights of 6 GB",
+    ("editor", "gpt-image"): "needs a key and the network",
+    ("editor", "gemini-image"): "needs a key and the network",
+    ("segmenter", "sam2"): "needs weights of 0.2 GB",
+    ("detector", "grounding-dino"): "needs weights of 0.7 GB",
+    ("dataset", "transforms"): "needs a folder of scenes",
+    ("dataset", "re10k"): "needs downloaded chunks",
+}
+"""Only claims about the declaration are tried here; the others in the component's own tests."""
+
+
+@cache
+def bound(offer: Offer) -> type[Contract]:
+    """The component's contract; one class for all claims, so that the component is built once."""
+    key = (offer.kind, offer.component.name)
+    contract = contract_for(offer.kind, offer.qualified_name, **SETTINGS.get(key, {}))
+    for name, value in ATTRIBUTES.get(key, {}).items():
+        setattr(contract, name, value)
+    return contract
+
+
+def cases():
+    for offer in default_registry().offers():
+        for claim in claims(CONTRACTS[offer.kind]):
+            yield pytest.param(offer, claim, id=f"{offer.kind}-{offer.qualified_name}-{claim.removeprefix('test_')}")
+
+
+@pytest.mark.parametrize("offer, claim", cases())
+def test_contract(offer: Offer, claim: str):
+    reason = DECLARATION_ONLY.get((offer.kind, offer.component.name), "")
+    if reason and claim not in claims(Contract):
+        pytest.skip(f"{reason}: tried by its own tests")
+    getattr(bound(offer)(), claim)()
+
+
+def test_every_plugin_of_the_installation_loads():
+    assert [f"{failure.plugin}: {failure.reason}" for failure in default_registry().failures] == []
+
+
+def test_no_two_components_of_a_kind_share_a_name():
+    assert default_registry().clashes() == []
+
+
+def test_every_exception_and_every_setting_names_a_component_that_exists():
+    known = {(offer.kind, offer.component.name) for offer in default_registry().offers()}
+    assert {*SETTINGS, *ATTRIBUTES, *DECLARATION_ONLY} <= known
