@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-__all__ = ["BlurredCopy", "best_blurred_copy", "psnr", "ssim", "within_share"]
+__all__ = ["BLURS", "BlurredCopy", "best_blurred_copy", "covered_psnr", "psnr", "ssim", "within_share"]
 
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 """Standard deviations tried for the best-blurred copy [pixels]."""
@@ -34,6 +34,11 @@ def psnr(image: np.ndarray, target: np.ndarray) -> float:
         return float(peak_signal_noise_ratio(target, np.clip(image, 0, 1), data_range=1.0))
 
 
+def covered_psnr(image: np.ndarray, target: np.ndarray, covered: np.ndarray) -> float:
+    """PSNR [dB] over the pixels `covered` `[height, width]` bool; NaN when there are none."""
+    return psnr(image[covered], target[covered]) if covered.any() else float("nan")
+
+
 def ssim(image: np.ndarray, target: np.ndarray) -> float:
     """Mean structural similarity (Wang et al. 2004, 7x7 window, mean over channels); at least 3x3 pixels."""
     window = min(_SSIM_WINDOW, *target.shape[:2])
@@ -44,13 +49,18 @@ def ssim(image: np.ndarray, target: np.ndarray) -> float:
     return float(structural_similarity(clipped, target, win_size=window, channel_axis=-1, data_range=1.0))
 
 
-def best_blurred_copy(photos: Iterable[np.ndarray], target: np.ndarray) -> BlurredCopy:
+def best_blurred_copy(
+    photos: Iterable[np.ndarray], target: np.ndarray, covered: np.ndarray | None = None
+) -> BlurredCopy:
     """The highest PSNR that any of `photos` reaches under any Gaussian blur: what knowing no geometry gives.
 
-    A prediction that is not clearly above this has learnt to blur, not where things are.
+    A prediction that is not clearly above this has learnt to blur, not where things are. The PSNR counts the pixels
+    `covered` `[height, width]` bool only, if given; the SSIM is always that of the whole picture.
     """
+    counted = np.ones(target.shape[:2], bool) if covered is None else covered
     copies = ((gaussian_filter(photo, (sigma, sigma, 0)), sigma) for photo in photos for sigma in BLURS)
-    score, copy, sigma = max(((psnr(copy, target), copy, sigma) for copy, sigma in copies), key=lambda item: item[0])
+    scored = ((covered_psnr(copy, target, counted), copy, sigma) for copy, sigma in copies)
+    score, copy, sigma = max(scored, key=lambda item: item[0])
     return BlurredCopy(score, ssim(copy, target), sigma)
 
 

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from edit3r.evaluation.posed_folder import PosedPhoto
+from edit3r.io.cameras import PosedCamera
 
 __all__ = ["Triple", "choose_triples", "rotation_degrees"]
 
@@ -27,10 +27,10 @@ def rotation_degrees(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def choose_triples(
-    photos: Sequence[PosedPhoto], count: int, degrees: tuple[float, float] = (5.0, 30.0)
+    cameras: Sequence[PosedCamera], count: int, degrees: tuple[float, float] = (5.0, 30.0)
 ) -> list[Triple]:
     """At most `count` triples, spread evenly over all pairs `degrees` apart which have a photo between them."""
-    poses = [photo.c2w for photo in photos]
+    poses = [camera.c2w for camera in cameras]
     triples = []
     for first, second in combinations(range(len(poses)), 2):
         angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])

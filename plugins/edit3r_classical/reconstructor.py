@@ -5,7 +5,8 @@ from pydantic import Field
 from edit3r import config
 from edit3r.config import PartChoice
 from edit3r.interfaces import Matcher, Reconstructor
-from edit3r.types import Cameras, Reconstruction, Views
+from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r_classical.apron import apron
 from edit3r_classical.splatting import splat
 from edit3r_classical.visibility import floats_in_front
 
@@ -24,6 +25,9 @@ class ClassicalReconstructor(Reconstructor):
         footprint: float = Field(0.5, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
         opacity: float = Field(0.7, gt=0, le=1, description="opacity where two views measured the depth")
         guessed_opacity: float = Field(0.6, ge=0, le=1, description="opacity where the depth was filled in")
+        apron: float = Field(
+            0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
@@ -36,4 +40,6 @@ class ClassicalReconstructor(Reconstructor):
         kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
         gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
+        if chosen.apron > 0:
+            gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
         return Reconstruction(gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size))

@@ -1,0 +1,66 @@
+"""A coarse, blurred rim around every photo, so that a camera which moved a little does not look past the edge.
+
+Nobody photographed what is there: the rim continues depth and colour of the photo's border, one large soft Gaussian for
+a block of pixels, and stays out of everything that another photo shows.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.geometry.cameras import from_pixels, project, to_pixels, unproject
+from edit3r.interfaces import MatchedGeometry
+from edit3r.types import Gaussians, Views
+from edit3r_classical.splatting import splat
+
+__all__ = ["apron"]
+
+BLOCK = 4
+"""Side of the square of pixels that one Gaussian of the rim stands for."""
+
+_BLOCK_FOOTPRINT = 0.6  # standard deviation in blocks: neighbours close up without gaps
+
+
+def apron(views: Views, geometry: MatchedGeometry, width: float, opacity: float) -> Gaussians:
+    """Rims `width` (of the long side) wide around every registered view."""
+    pad = BLOCK * math.ceil(width * max(views.image_size) / BLOCK)
+    wide, depths = _widened(views, geometry.depths, pad)
+    rim = _outside_all(wide, depths, views, geometry, pad)
+    opacities = opacity * rim.to(depths.dtype)
+    sides = MatchedGeometry(geometry.c2w, depths, torch.zeros_like(depths), geometry.registered)
+    gaussians = splat(wide, sides, opacities, _BLOCK_FOOTPRINT)
+    return gaussians.select((gaussians.opacities > 0).any(dim=0))
+
+
+def _widened(
+    views: Views, depths: Float[Tensor, "batch view height width"], pad: int
+) -> tuple[Views, Float[Tensor, "batch view rows columns"]]:
+    """The photos with their borders continued by `pad` pixels, in blocks, and the depths continued likewise."""
+    height, width = views.image_size
+    full = (height + 2 * pad, width + 2 * pad)
+    blocks = (math.ceil(full[0] / BLOCK), math.ceil(full[1] / BLOCK))
+    maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
+    reach = 2 * min(pad // 2, height // 2, width // 2) // 2  # an average over the border's surroundings, not one row
+    smooth = F.avg_pool2d(maps, 2 * reach + 1, stride=1, padding=reach, count_include_pad=False)
+    coarse = F.interpolate(F.pad(smooth, (pad,) * 4, mode="replicate"), blocks, mode="area")
+    coarse = coarse.view(*views.images.shape[:2], 4, *blocks)
+    intrinsics = to_pixels(views.intrinsics, views.image_size)
+    intrinsics[..., :2, 2] += pad
+    return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
+
+
+def _outside_all(
+    wide: Views, depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry, pad: int
+) -> Bool[Tensor, "batch view rows columns"]:
+    """Blocks whose centre no registered photo shows, their own among them."""
+    points = unproject(depths, wide.intrinsics, geometry.c2w).flatten(2, 3)
+    outside = geometry.registered[..., None].expand(points.shape[:3]).clone()
+    for other in range(views.count):
+        for view in range(views.count):
+            places, z = project(points[:, view], views.intrinsics[:, other], geometry.c2w[:, other])
+            shown = ((places > 0) & (places < 1)).all(-1) & (z > 0) & geometry.registered[:, other, None]
+            outside[:, view] &= ~shown
+    return outside.view(depths.shape)
