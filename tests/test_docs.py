@@ -1,0 +1,193 @@
+"""The documentation says all there is, and what it shows is true: examples run, generated parts are current."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+import edit3r
+from edit3r import hookspecs
+from edit3r.component import KINDS, hook_name
+from edit3r.description import settings_lines
+from edit3r.registry import default_registry
+from edit3r.run_config import RunConfig
+from edit3r.testing import CONTRACTS, claims, contract_for
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
+BLOCK = re.compile(r'```python title="([^"]+)"\n(.*?)```', re.DOTALL)
+LOCAL_FILES = {  # page: file, and the components it offers
+    "plugins/how-plugins-are-found.md": ("grey.py", [("editor", "grey")]),
+    "plugins/reconstructor.md": ("learned.py", [("reconstructor", "learned"), ("head", "curtain")]),
+}
+
+
+def load_generator():
+    spec = importlib.util.spec_from_file_location("docs_generate", DOCS / "generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+generate = load_generator()
+REFERENCE = generate.reference_pages(default_registry())
+OFFERS = default_registry().offers()
+
+
+def offer_ids(offer):
+    return f"{offer.kind}-{offer.component.name}"
+
+
+# ---- nothing is left out ----
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_hook_is_documented(kind):
+    hook = hook_name(kind)
+    assert getattr(hookspecs, hook).__doc__
+    assert f"`{hook}`" in PAGES[f"plugins/{kind}.md"]
+    assert f"`{hook}`" in PAGES["plugins/how-plugins-are-found.md"]
+    assert f"`{hook}`" in REFERENCE["reference/hooks.md"]
+
+
+@pytest.mark.parametrize("offer", OFFERS, ids=offer_ids)
+def test_every_component_is_documented(offer):
+    name = f"`{offer.component.name}`"
+    assert f"## {name}" in REFERENCE[f"reference/components/{offer.kind}.md"]
+    texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
+    assert any(name in text for text in texts), f"{offer.kind} {name} is named on no page of docs/ nor in README.md"
+    assert offer.component.summary.strip() and offer.component.licence.strip()
+
+
+@pytest.mark.parametrize("offer", OFFERS, ids=offer_ids)
+def test_every_setting_is_documented(offer):
+    if default_registry().missing(offer):
+        pytest.skip(f"needs {', '.join(default_registry().missing(offer))}")
+    page = REFERENCE[f"reference/components/{offer.kind}.md"]
+    for line in settings_lines(default_registry().settings_class(offer)):
+        assert len(line.sentence) > 2, f"{offer.kind}.{line.name} has no description"
+        assert f"| `{line.name}` |" in page
+
+
+def test_every_setting_of_a_run_is_documented():
+    for line in settings_lines(RunConfig):
+        assert line.sentence and f"`{line.name}`" in REFERENCE["reference/run.md"]
+
+
+@pytest.mark.parametrize("command", generate.commands())
+def test_every_command_is_documented(command):
+    assert f"## `edit3r {command}`" in REFERENCE["reference/commands.md"]
+    texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
+    assert any(f"edit3r {command}" in text for text in texts), f"no page of docs/ shows `edit3r {command}`"
+
+
+def test_every_public_name_has_a_docstring():
+    for name in edit3r.__all__:
+        value = getattr(edit3r, name)
+        assert name == "__version__" or value.__doc__, f"edit3r.{name} has no docstring"
+
+
+def test_every_contract_is_told_on_the_page_of_its_kind():
+    for kind, contract in CONTRACTS.items():
+        for claim in claims(contract):
+            assert claim.removeprefix("test_").replace("_", " ") in PAGES[f"plugins/{kind}.md"]
+
+
+def test_every_page_is_in_the_navigation_and_every_entry_exists():
+    content = re.sub(r"!!python\S*", "", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    listed = set(_leaves(yaml.safe_load(content)["nav"]))
+    assert listed == {*PAGES, *REFERENCE}
+
+
+def test_links_between_pages_lead_somewhere():
+    for page, text in {**PAGES, **REFERENCE}.items():
+        for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", _without_code(text)):
+            if "://" not in target:
+                resolved = (DOCS / page).parent.joinpath(target).resolve()
+                known = resolved.exists() or (
+                    resolved.is_relative_to(DOCS) and resolved.relative_to(DOCS).as_posix() in REFERENCE
+                )
+                assert known, f"docs/{page} links to {target}, which is not there"
+
+
+# ---- what is shown is true ----
+
+
+def test_the_generated_parts_of_the_pages_are_current():
+    for name, text in PAGES.items():
+        assert generate.refreshed(text) == text, f"docs/{name} is out of date; run: python docs/generate.py"
+
+
+@pytest.fixture(scope="module")
+def example_folders(tmp_path_factory):
+    """The packages of the plugin pages, written as the pages show them; kind to package folder."""
+    parent = tmp_path_factory.mktemp("pages")
+    folders = {}
+    for kind in KINDS:
+        for path, code in BLOCK.findall(PAGES[f"plugins/{kind}.md"]):
+            target = parent / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(code, encoding="utf-8")
+            if target.name == "__init__.py":
+                folders[kind] = target.parent
+    return folders
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
+    folder = example_folders[kind]
+    name = folder.name.removeprefix("edit3r_").replace("_", "-")
+    settings = {"steps": 3} if kind == "trainer" else {}
+    run_all_claims(contract_for(kind, name, (folder,), **settings))
+
+
+@pytest.mark.parametrize("page", LOCAL_FILES)
+def test_the_one_file_plugins_of_the_pages_keep_their_contracts(page, tmp_path):
+    file, offered = LOCAL_FILES[page]
+    code = dict(BLOCK.findall(PAGES[page]))[file]
+    (tmp_path / file).write_text(code, encoding="utf-8")
+    for kind, name in offered:
+        run_all_claims(contract_for(kind, name, (tmp_path / file,)))
+    sys.modules.pop(file.removesuffix(".py"), None)
+
+
+@pytest.mark.parametrize("page", ["quickstart.md", "concepts.md"])
+def test_configurations_shown_are_accepted(page):
+    from edit3r.run_config import make_run_config
+
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGES[page], re.DOTALL)
+    assert blocks
+    for block in blocks:
+        make_run_config(yaml.safe_load(block))
+
+
+@pytest.mark.parametrize("page", [*PAGES, "README.md"])
+def test_options_shown_exist(page):
+    """Every `edit3r COMMAND ... --option` in a shell block is an option of that command."""
+    text = PAGES.get(page) or (ROOT / page).read_text(encoding="utf-8")
+    helps = dict(re.findall(r"## `edit3r ([\w-]+)`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL))
+    for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
+        for command, rest in re.findall(r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE):
+            assert command in helps, f"{page}: no command edit3r {command}"
+            for option in re.findall(r"\s(--[\w-]+)", rest.split("#")[0]):
+                assert option in helps[command], f"{page}: edit3r {command} has no {option}"
+
+
+def run_all_claims(contract):
+    for claim in claims(contract):
+        getattr(contract(), claim)()
+
+
+def _leaves(tree):
+    if isinstance(tree, str):
+        yield tree
+    for branch in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ():
+        yield from _leaves(branch)
+
+
+def _without_code(text: str) -> str:
+    return re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL)
