@@ -83,7 +83,10 @@ class TorchRasterizer(Rasterizer):
         ys, xs = torch.meshgrid(_centres(height, origin), _centres(width, origin), indexing="ij")
         pixels = torch.stack((xs.flatten(), ys.flatten()), -1).to(dtype)
         values = [value.to(dtype) for value in values]
-        sums = checkpoint(self._composite, pixels, *values, use_reentrant=False)
+        if torch.is_grad_enabled():
+            sums = checkpoint(self._composite, pixels, *values, use_reentrant=False)
+        else:
+            sums = self._composite(pixels, *values)
         return sums.reshape(5, height, width)
 
     def _composite(self, pixels: Float[Tensor, "pixel 2"], *values: Tensor) -> Float[Tensor, "5 pixel"]:
@@ -91,17 +94,17 @@ class TorchRasterizer(Rasterizer):
         sums = pixels.new_zeros(4, len(pixels))
         transmittance = pixels.new_ones(len(pixels))
         open_pixels = torch.ones_like(transmittance, dtype=torch.bool)
-        for start in range(0, len(values[0]), CHUNK):
+        for start in range(0, max(len(values[0]), 1), CHUNK):  # once for no splats too: the result keeps its graph
             chunk = [value[start : start + CHUNK] for value in values]
             alphas = self._alphas(pixels, *chunk[:-1])
             after = transmittance[:, None] * (1 - alphas).cumprod(-1)
             kept = open_pixels[:, None] & (after.detach() > self.settings.min_transmittance)
             alphas = torch.where(kept, alphas, torch.zeros_like(alphas))
-            through = (1 - alphas).cumprod(-1) * transmittance[:, None]
-            before = torch.cat((transmittance[:, None], through[:, :-1]), -1)
-            sums = sums + ((alphas * before) @ chunk[-1]).T
+            through = transmittance[:, None] * (1 - alphas).cumprod(-1)
+            through = torch.cat((transmittance[:, None], through), -1)
+            sums = sums + ((alphas * through[:, :-1]) @ chunk[-1]).T
             transmittance = through[:, -1]
-            open_pixels = kept[:, -1]
+            open_pixels = open_pixels & kept.all(-1)
         return torch.cat((sums, transmittance[None]))
 
     def _alphas(

@@ -1,0 +1,105 @@
+import re
+import sys
+import types
+
+import pytest
+import torch
+from edit3r_rasterizers.auto_rasterizer import choose
+from edit3r_rasterizers.gsplat_rasterizer import GsplatRasterizer
+from raster_scenes import cameras, cloud
+
+import edit3r
+from edit3r.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.reporting import Report, collecting
+
+CUDA, CPU, MPS = torch.device("cuda:0"), torch.device("cpu"), torch.device("mps")
+
+
+@pytest.mark.parametrize(
+    ("device", "has_gsplat", "name", "reason"),
+    [
+        (CPU, True, "numba", "on the CPU"),
+        (CUDA, True, "gsplat", "gsplat is installed"),
+        (CUDA, False, "numba", r"edit3r\[gsplat\]"),
+        (MPS, True, "numba", "copied to the CPU"),
+    ],
+)
+def test_auto_picks_by_device_and_says_why(device, has_gsplat, name, reason):
+    choice = choose(device, has_gsplat)
+    assert choice.name == name
+    assert re.search(reason, choice.reason)
+
+
+def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
+    scene, views = cloud(30), cameras()
+    with collecting(Report()) as report:
+        found = edit3r.build("rasterizer", "auto", eps2d=0.5).render(scene, views)
+    assert report.notes["rasterizer.picked"] == "numba"
+    assert report.notes["rasterizer.reason"] == "the Gaussians are on the CPU"
+    assert torch.equal(found.images, edit3r.build("rasterizer", "numba", eps2d=0.5).render(scene, views).images)
+
+
+def test_gsplat_without_cuda_says_what_to_use_instead(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(
+        MissingDependencyError, match="needs an NVIDIA GPU .* this machine has none; use 'numba' instead"
+    ):
+        edit3r.build("rasterizer", "gsplat")
+
+
+def test_gsplat_with_cuda_but_not_installed_says_how_to_install_it(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r'pip install "edit3r\[gsplat\]"'):
+        GsplatRasterizer(GsplatRasterizer.Settings())
+
+
+def test_gsplat_refuses_settings_its_kernels_cannot_follow(monkeypatch):
+    _pretend_cuda(monkeypatch)
+    with pytest.raises(SettingsError, match=r"max_alpha: gsplat's kernels have 0\.999 built in, got 0.5"):
+        GsplatRasterizer(GsplatRasterizer.Settings(max_alpha=0.5))
+
+
+def test_gsplat_refuses_gaussians_on_the_cpu(monkeypatch):
+    _pretend_cuda(monkeypatch)
+    with pytest.raises(InputError, match="the Gaussians are on cpu"):
+        GsplatRasterizer(GsplatRasterizer.Settings()).render(cloud(3), cameras())
+
+
+def test_gsplat_is_called_in_its_own_conventions(monkeypatch):
+    calls = []
+
+    def rasterization(**arguments):
+        calls.append(arguments)
+        shape = (len(arguments["viewmats"]), arguments["height"], arguments["width"])
+        return torch.full((*shape, 4), 0.25), torch.full((*shape, 1), 0.5), {}
+
+    _pretend_cuda(monkeypatch, rasterization)
+    scene, views = cloud(7, degree=2, batch=2), cameras((20, 30), count=3, batch=2)
+    rasterizer = GsplatRasterizer(GsplatRasterizer.Settings(background=(1, 0, 0), near=0.5))
+    colours, alphas, depths = rasterizer._render_scene(scene, views, 1)
+    assert colours.shape == (3, 3, 20, 30) and alphas.shape == depths.shape == (3, 1, 20, 30)
+    (given,) = calls
+    assert torch.allclose(given["viewmats"] @ views.c2w[1], torch.eye(4).expand(3, 4, 4), atol=1e-6)
+    assert given["Ks"][0, 0, 2] == 15 and given["Ks"][0, 1, 2] == 10
+    assert given["sh_degree"] == 2 and given["colors"].shape == (7, 9, 3) and given["near_plane"] == 0.5
+    assert torch.allclose(given["quats"].norm(dim=-1), torch.ones(7))
+
+
+def _pretend_cuda(monkeypatch, rasterization=None):
+    """A stand-in for gsplat, so that what is handed to it can be looked at on any machine."""
+    module = types.ModuleType("gsplat")
+    module.rasterization = rasterization
+    monkeypatch.setitem(sys.modules, "gsplat", module)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: module)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU")
+def test_gsplat_agrees_with_numba():
+    pytest.importorskip("gsplat")
+    scene, views = cloud(200, degree=3), cameras((70, 90), count=2)
+    truth = edit3r.build("rasterizer", "numba").render(scene, views)
+    found = edit3r.build("rasterizer", "gsplat").render(scene.to("cuda"), views.to("cuda")).to("cpu")
+    assert torch.allclose(found.images, truth.images, atol=2e-3)
+    assert torch.allclose(found.alphas, truth.alphas, atol=2e-3)

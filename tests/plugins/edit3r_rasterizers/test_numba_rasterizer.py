@@ -1,0 +1,126 @@
+import threading
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_rasterizers.settings import RasterizerSettings
+from edit3r_rasterizers.threads import even_bounds, run_slices
+from raster_scenes import cameras, cloud, gradients
+
+import edit3r
+from edit3r.errors import InputError
+
+WHITE = torch.ones(3)
+
+
+def build(threads: int):
+    return edit3r.build("rasterizer", "numba", threads=threads)
+
+
+def pictures(rasterizer, scene, views):
+    rendering = rasterizer.render(scene, views)
+    return rendering.images, rendering.alphas, rendering.depths
+
+
+@pytest.mark.parametrize("threads", [2, 3, 7])
+def test_the_same_bits_for_any_number_of_threads_forward_and_backward(threads):
+    scene, views = cloud(20_000, degree=1, scales=(0.005, 0.05)), cameras((70, 90), count=2)
+    for a, b in zip(pictures(build(1), scene, views), pictures(build(threads), scene, views)):
+        assert torch.equal(a, b)
+    alone, shared = (gradients(build(n), scene, views, WHITE) for n in (1, threads))
+    for name in alone:
+        assert torch.equal(alone[name], shared[name]), name
+
+
+def test_many_callers_at_once_get_what_one_gets():
+    rasterizer, views = build(2), cameras((70, 90))
+    scenes = [cloud(9_000, seed=seed) for seed in range(6)]
+    expected = [rasterizer.render(scene, views).images for scene in scenes]
+    found = [None] * len(scenes)
+
+    def call(index):
+        found[index] = rasterizer.render(scenes[index], views).images
+
+    callers = [threading.Thread(target=call, args=(index,)) for index in range(len(scenes))]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join()
+    assert all(torch.equal(a, b) for a, b in zip(expected, found))
+
+
+def test_slices_cover_every_element_once():
+    for count in (0, 1, 5_000, 100_001):
+        bounds = even_bounds(count, threads=3)
+        assert bounds[0] == 0 and bounds[-1] == count and bounds == sorted(bounds)
+    seen = run_slices(lambda first, last: list(range(first, last)), [0, 3, 3, 7, 10], 2)
+    assert [k for part in seen for k in part] == list(range(10))
+
+
+def test_inputs_need_not_be_contiguous():
+    scene, views = cloud(50, degree=1), cameras()
+    strided = replace(
+        scene,
+        means=scene.means.flip(1).flip(1).transpose(1, 2).contiguous().transpose(1, 2),
+        harmonics=torch.stack((scene.harmonics, scene.harmonics), -1)[..., 0],
+    )
+    assert not strided.means.is_contiguous() and not strided.harmonics.is_contiguous()
+    assert torch.equal(build(1).render(strided, views).images, build(1).render(scene, views).images)
+
+
+def test_rendering_twice_before_one_backward_pass_keeps_both_graphs():
+    rasterizer, views = build(1), cameras()
+    means = cloud(40).means.clone().requires_grad_()
+    scenes = [replace(cloud(40), means=means), replace(cloud(40, seed=0), means=means + 0.1)]
+    for scene in scenes:
+        rasterizer.render(scene, views).images.sum().backward()
+    apart, means.grad = means.grad, None
+    scenes = [replace(cloud(40), means=means), replace(cloud(40, seed=0), means=means + 0.1)]
+    sum(rasterizer.render(scene, views).images.sum() for scene in scenes).backward()
+    assert torch.allclose(means.grad, apart, rtol=1e-5, atol=1e-5)
+
+
+def test_no_gradient_memory_is_kept_without_gradients():
+    rendering = build(1).render(cloud(10), cameras())
+    assert rendering.images.grad_fn is None
+
+
+def test_cameras_that_want_a_gradient_are_refused_with_the_way_out():
+    views = cameras()
+    views = replace(views, c2w=views.c2w.clone().requires_grad_())
+    with pytest.raises(InputError, match="no gradient for cameras; detach them, or use 'torch'"):
+        build(1).render(cloud(5), views)
+    with torch.no_grad():
+        build(1).render(cloud(5), views)
+
+
+def test_another_device_is_refused_with_the_way_out():
+    with pytest.raises(InputError, match="the Gaussians are on meta; use 'gsplat' or 'torch' there"):
+        build(1).render(cloud(5).to("meta"), cameras().to("meta"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"far": 0.005}, r"far \(0.005\) must be above near \(0.01\)"),
+        ({"background": (0.0, 2.0, 0.0)}, r"background must be three numbers in \[0, 1\]"),
+        ({"eps2d": 0.0}, "eps2d"),
+        ({"max_alpha": 1.0}, "max_alpha"),
+    ],
+)
+def test_settings_out_of_range_are_errors_that_name_them(changed, message):
+    with pytest.raises(edit3r.Edit3rError, match=message):
+        edit3r.build("rasterizer", "numba", **changed)
+
+
+def test_the_defaults_are_the_stated_convention():
+    defaults = RasterizerSettings().model_dump()
+    assert defaults == {
+        "near": 0.01,
+        "far": 1e10,
+        "background": (0.0, 0.0, 0.0),
+        "eps2d": 0.3,
+        "max_alpha": 0.999,
+        "min_alpha": 1 / 255,
+        "min_transmittance": 1e-4,
+    }
