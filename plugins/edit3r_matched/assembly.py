@@ -24,8 +24,8 @@ class AssemblySettings:
     """How matched geometry becomes Gaussians before the network's corrections."""
 
     footprint: float = 0.5  # standard deviation [pixels]
-    opacity: float = 0.95  # of measured points
-    filled_opacity: float = 0.9  # of filled-in points
+    opacity: float = 0.7  # of measured points; below 1 so that the views blend
+    filled_opacity: float = 0.6  # of filled-in points
     floating_opacity: float = 0.02  # of filled-in points in front of what the partner surely sees
     fuse_edits: bool = True  # False: every view shows its own edited colours
 

@@ -57,7 +57,7 @@ def upsample_to(x: Tensor, like: Tensor) -> Tensor:
 def convex_upsample(
     values: Float[Tensor, "batch channel height width"], logits: Float[Tensor, "batch 36 height width"]
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Twice the size; each fine pixel is a convex mix of its 3x3 coarse neighbours (Teed and Deng 2020, section 3.3)."""
+    """Twice the size; each fine pixel is a convex mix of 3x3 coarse neighbours (Teed and Deng 2020, section 3.3)."""
     batch, channels, rows, columns = values.shape
     weights = logits.reshape(batch, 1, 9, 4, rows, columns).softmax(2)
     neighbours = F.unfold(F.pad(values, (1, 1, 1, 1), mode="replicate"), 3)

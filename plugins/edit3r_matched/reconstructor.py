@@ -5,13 +5,15 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
+from edit3r_classical.apron import apron
 from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
+from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
-from edit3r.types import Reconstruction, Views
+from edit3r.types import Gaussians, Reconstruction, Views
 from edit3r_matched.assembly import AssemblySettings, assemble
 from edit3r_matched.network import MatchedEditNetwork, NetworkInputs, NetworkOutputs, network_grid
 from edit3r_matched.weights import load_network
@@ -36,6 +38,11 @@ class Edit3rReconstructor(Reconstructor):
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
         )
         repair: bool = Field(True, description="false: matched depth and opacity as they are")
+        opacity: float = Field(0.7, gt=0, lt=1, description="before correction, where two views measured the depth")
+        filled_opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where the depth was filled in")
+        apron: float = Field(
+            0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+        )
         footprint: float = Field(0.5, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
@@ -59,7 +66,8 @@ class Edit3rReconstructor(Reconstructor):
             geometry = self.matcher.match(source)
         reporting.note("edit3r.geometry", "matching")
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
-            return self.from_geometry(views, source, geometry)
+            reconstruction = self.from_geometry(views, source, geometry)
+            return self._with_apron(reconstruction, source, geometry)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """The differentiable part: Gaussians from given geometry; the trainer calls it with geometry of its own."""
@@ -68,7 +76,12 @@ class Edit3rReconstructor(Reconstructor):
         outputs = self._network(self._network_inputs(views, source, unit_geometry))
         if not self.settings.repair:
             outputs = _without_repairs(outputs)
-        settings = AssemblySettings(footprint=self.settings.footprint, fuse_edits=self.settings.fuse_edits)
+        settings = AssemblySettings(
+            self.settings.footprint,
+            self.settings.opacity,
+            self.settings.filled_opacity,
+            fuse_edits=self.settings.fuse_edits,
+        )
         reconstruction = assemble(views, source, unit_geometry, outputs, settings)
         return _keep_registered(_in_unit(reconstruction, unit), geometry)
 
@@ -83,6 +96,15 @@ class Edit3rReconstructor(Reconstructor):
             c2w=geometry.c2w,
             intrinsics=source.intrinsics,
         )
+
+    def _with_apron(self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry) -> Reconstruction:
+        """Continue the fused pictures a little beyond their borders."""
+        if self.settings.apron == 0:
+            return reconstruction
+        shape = (*source.images.shape[:2], *source.image_size, 3)
+        colours = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0]).reshape(shape).permute(0, 1, 4, 2, 3)
+        rim = apron(Views(colours, source.intrinsics), geometry, self.settings.apron, self.settings.filled_opacity)
+        return replace(reconstruction, gaussians=Gaussians.cat((reconstruction.gaussians, rim)))
 
     def _by_network(self, views: Views, source: Views | None) -> Reconstruction:
         from edit3r.registry import build

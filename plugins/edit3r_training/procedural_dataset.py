@@ -78,7 +78,7 @@ class ProceduralDataset(Dataset):
     def _sample(
         self, scene: Scene, poses: np.ndarray, k: torch.Tensor, rng: np.random.Generator, edit: str, name: str
     ) -> SceneSample:
-        """Cast the pictures and, if asked for, the edited ones. `add` shows the unedited scene without its last object."""
+        """Cast the pictures and, if asked for, the edited ones; for `add` the unedited scene lacks its last object."""
         views = self.settings.context
         before = scene.first(scene.count - 1) if edit == "add" and scene.count > 2 else scene
         cast_all = [self._cast(before, pose, k) for pose in poses]

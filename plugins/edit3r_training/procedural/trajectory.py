@@ -1,4 +1,4 @@
-"""Camera placement: context views a given angle apart around a point of interest, target views between and near them."""
+"""Camera placement: context views a given angle apart around a point of interest, target views between them."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,0 +1,163 @@
+"""How well a reconstructor carries and fuses edits, on procedural scenes it has not seen: numbers and pictures.
+
+    python -m edit3r_training.measure_edits --recon edit3r --size 128 --scenes 24
+
+The reconstructor runs as it does for a user, matching included. An object that both photos show is recoloured: in the
+reference alone (uptake, error, leak of view 1's Gaussians seen from view 1) or in both views differently
+(disagreement of what the two views' Gaussians show from between, relative to the inputs').
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edit3r.errors import MatchingError
+from edit3r.interfaces import Rasterizer, Reconstructor, SceneSample
+from edit3r.registry import build
+from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r_training.recolouring import recolored, visible_parameters
+
+
+@dataclass(frozen=True)
+class EditScore:
+    """One scene; changes are against the same reconstruction of the unedited photos."""
+
+    uptake: float  # projection of view 1's change on the true one, inside the object; 1 is all of it
+    error: float  # |change - true change| over |true change|, inside
+    leak: float  # mean |change| outside the object [sRGB]
+    disagreement: float  # |change of view 0's Gaussians - of view 1's| over that of two different edits
+    kept: float  # projection of all Gaussians' change on the reference's edit, when both views were edited
+    edited_psnr: float  # novel view of the edited scene against its truth [dB], reference edited alone
+    unedited_psnr: float  # the same without an edit [dB]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A scene with an object to edit."""
+
+    sample: SceneSample
+    mask: Tensor  # [view + target, height, width]
+    first: Tensor  # all pictures under the reference's edit
+    second: Tensor  # and under another one
+
+    @property
+    def pictures(self) -> Tensor:
+        return torch.cat((self.sample.context, self.sample.target))
+
+
+def measure_scene(
+    sample: SceneSample, reconstructor: Reconstructor, rasterizer: Rasterizer, seed: int
+) -> EditScore | None:
+    """None when no object is seen well enough by the photos. Raises MatchingError as the reconstructor does."""
+    case = _case(sample, seed)
+    if case is None:
+        return None
+    source = _views(sample, sample.context)
+    alone = _views(sample, torch.stack((case.first[0], sample.context[1])))
+    both = _views(sample, torch.stack((case.first[0], case.second[1])))
+    plain, carried, fused = (reconstructor(views, source) for views in (source, alone, both))
+    own = plain.cameras.select([1])
+    between = _target_camera(sample, plain)
+
+    def change(edited: Reconstruction, view: int | None, camera: Cameras) -> tuple[Tensor, Tensor]:
+        before, after = (_shown(r.gaussians, view, rasterizer, camera) for r in (plain, edited))
+        return after[0] - before[0], before[1] > 0.5
+
+    shown, covered = change(carried, 1, own)
+    true = case.first[1] - sample.context[1]
+    inside, outside = (case.mask[1] > 0.5) & covered, (case.mask[1] == 0) & covered
+    target_true = case.first[2] - sample.target[0]
+    (a, seen_a), (b, seen_b), (all_, seen) = (change(fused, view, between) for view in (0, 1, None))
+    region = (case.mask[2] > 0.5) & seen_a & seen_b
+    apart = (case.first[2] - case.second[2]).abs()[:, region].mean()
+    pictures = [_shown(r.gaussians, None, rasterizer, between)[0] for r in (plain, carried)]
+    return EditScore(
+        uptake=_projection(shown, true, inside),
+        error=float((shown - true).abs()[:, inside].sum() / true.abs()[:, inside].sum()),
+        leak=float(shown.abs()[:, outside].mean()),
+        disagreement=float((a - b).abs()[:, region].mean() / apart),
+        kept=_projection(all_, target_true, (case.mask[2] > 0.5) & seen),
+        edited_psnr=_psnr(pictures[1], case.first[2]),
+        unedited_psnr=_psnr(pictures[0], sample.target[0]),
+    )
+
+
+def _case(sample: SceneSample, seed: int) -> _Case | None:
+    masks = torch.cat((sample.context_masks, sample.target_masks), 1)
+    area = masks.mean((2, 3)).amin(1)
+    fit = np.flatnonzero((area > 0.02).numpy() & (area < 0.4).numpy())
+    if len(fit) == 0:
+        return None
+    rng = np.random.default_rng(seed)
+    mask = masks[rng.choice(fit)]
+    pictures = torch.cat((sample.context, sample.target))
+    looks = [visible_parameters(rng, pictures, mask) for _ in range(2)]
+    first, second = (recolored(pictures, mask[None], [look]) for look in looks)
+    return _Case(sample, mask, first, second)
+
+
+def _views(sample: SceneSample, images: Tensor) -> Views:
+    return Views(images[None], sample.context_cameras.intrinsics)
+
+
+def _target_camera(sample: SceneSample, reconstruction: Reconstruction) -> Cameras:
+    """The first target's true pose in the predicted unit of length (ratio of the baselines)."""
+    predicted = reconstruction.cameras.c2w[0, 1, :3, 3].norm()
+    unit = predicted / sample.context_cameras.c2w[0, 1, :3, 3].norm()
+    camera = sample.target_cameras.select([0])
+    c2w = camera.c2w.clone()
+    c2w[..., :3, 3] *= unit
+    return replace(camera, c2w=c2w)
+
+
+def _shown(gaussians: Gaussians, view: int | None, rasterizer: Rasterizer, camera: Cameras) -> tuple[Tensor, Tensor]:
+    """Picture and alpha of all Gaussians, or of one view's."""
+    chosen = gaussians if view is None else gaussians.from_view(view)
+    rendering = rasterizer.render(chosen, camera)
+    return rendering.images[0, 0].clamp(0, 1), rendering.alphas[0, 0, 0]
+
+
+def _projection(shown: Tensor, true: Tensor, region: Tensor) -> float:
+    return float((shown * true)[:, region].sum() / true[:, region].square().sum())
+
+
+def _psnr(a: Tensor, b: Tensor) -> float:
+    return float(-10 * torch.log10((a - b).square().mean()))
+
+
+@torch.no_grad()
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recon", default="edit3r")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="reconstructor settings")
+    parser.add_argument("--size", type=int, default=128)
+    parser.add_argument("--scenes", type=int, default=24)
+    parser.add_argument("--seed", type=int, default=1000, help="of the scenes; training uses 1 to 3")
+    args = parser.parse_args()
+    from edit3r.config import parse_assignments
+
+    torch.set_num_threads(1)
+    reconstructor = build("reconstructor", args.recon, **parse_assignments(args.set))
+    rasterizer = build("rasterizer", "numba")
+    data = build("dataset", "procedural", seed=args.seed, image_size=args.size, targets=1, angles=(5, 25))
+    scores, failures = [], 0
+    for index in range(args.scenes):
+        try:
+            score = measure_scene(data[index], reconstructor, rasterizer, seed=index)
+        except MatchingError:
+            failures += 1
+            continue
+        if score is not None:
+            scores.append(score)
+    print(f"{args.recon} {args.set} at {args.size} pixels: {len(scores)} scenes, {failures} not matched")
+    for name in EditScore.__dataclass_fields__:
+        values = np.array([getattr(score, name) for score in scores])
+        values = values[np.isfinite(values)]
+        print(f"  {name:14s} mean {values.mean():7.3f}  median {np.median(values):7.3f}")
+
+
+if __name__ == "__main__":
+    main()
