@@ -7,8 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.errors import InputError, PromptError
+from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter
+from edit3r.stage_checks import component_name
 from edit3r_recolor.wish import Wish
 
 Box = tuple[float, float, float, float]
@@ -39,41 +40,30 @@ def choose_region(
         return Region(_follow(images, first, segmenter), "point" if point is not None else "box")
     if wish.scope == "everything":
         return Region(torch.ones_like(images[:, 0]), "everything")
-    looked_up = _looked_up(images[0], wish, segmenter)
-    masks = _follow(images, looked_up or _most_salient(images[0], wish, segmenter), segmenter)
-    if wish.scope == "background":
-        return Region(1 - masks, "background")
-    return Region(masks, "most salient object" if looked_up is None else "named object")
-
-
-def _looked_up(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> Proposal | None:
-    """What the segmenter's prompt or the wish names; None where it reads no words, or nothing is named."""
-    named = getattr(segmenter.settings, "prompt", "") or " ".join(wish.subject)
-    found = segmenter.segment_text(image, named) if named else None
-    if found is not None and not found:
-        raise InputError(f"{named!r} was not found on the first view; use other words, or mark it with --mask.")
-    return found[0] if found else None
+    first, how = _object(images[0], wish, segmenter)
+    masks = _follow(images, first, segmenter)
+    return Region(1 - masks, f"all but the {how}") if wish.scope == "background" else Region(masks, how)
 
 
 def _object(image: Float[Tensor, "3 height width"], wish: Wish, segmenter: Segmenter) -> tuple[Proposal, str]:
     """The object on view 0 and how it was found: by its name where the segmenter reads text, else by salience."""
-    named = " ".join(wish.subject)
+    prompt = getattr(getattr(segmenter, "settings", None), "prompt", "")
+    named = prompt or " ".join(wish.subject)
     found = segmenter.segment_text(image, named) if named else None
     if found:
-        return found[0], f"{named!r} found by text"
+        return found[0], "named object"
     if found is not None:
-        raise PromptError(f"Segmenter {_name(segmenter)!r} finds no {named!r} on the first view; {ADVICE}.")
+        raise InputError(f"{named!r} was not found on the first view; use other words, or {ADVICE}.")
     proposals = segmenter.propose(image)
     if not proposals:
         raise InputError(f"No object stands out on the first view; {ADVICE}.")
-    why = f"Segmenter {_name(segmenter)!r} does not understand {named!r}" if named else "No object is named or marked"
+    why = (
+        f"Segmenter {component_name(segmenter)!r} does not understand {named!r}"
+        if named
+        else "No object is named or marked"
+    )
     reporting.warn(f"{why}: the most salient object is taken, which is a guess; {ADVICE}.")
     return proposals[0], "most salient object"
-
-
-def _name(segmenter: Segmenter) -> str:
-    offer = getattr(segmenter, "offer", None)
-    return offer.component.name if offer is not None else type(segmenter).__name__
 
 
 def _follow(
