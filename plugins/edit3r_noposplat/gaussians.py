@@ -11,6 +11,8 @@ MAX_DISTANCE_EXPONENT = 40.0
 """Raw distances are cut here: e^40 is beyond any scene, and its square is still a float32."""
 MIN_SCALE = 1e-12
 """Keeps scales positive where softplus underflows [scene units]."""
+MIN_QUAT = 1e-6
+"""Shorter raw quaternions have no direction to speak of; dividing by their length would make gradients explode."""
 
 
 def centres(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
@@ -25,9 +27,10 @@ def bounded_scales(raw: Float[Tensor, "*batch 3"], factor: float, largest: float
 
 
 def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
-    """The network's x, y, z, w as wxyz, of unit length except near zero (zero stays zero: no rotation)."""
-    unit = raw / (raw.norm(dim=-1, keepdim=True) + 1e-8)
-    return unit.roll(1, -1)
+    """The network's x, y, z, w as unit wxyz; one shorter than `MIN_QUAT` becomes zero (no rotation, no gradient)."""
+    norm = raw.norm(dim=-1, keepdim=True)
+    unit = raw / (norm.clamp(min=MIN_QUAT) + 1e-8)
+    return torch.where(norm > MIN_QUAT, unit, torch.zeros_like(unit)).roll(1, -1)
 
 
 def harmonics_mask(degree: int, like: Tensor) -> Float[Tensor, "coefficient"]:

@@ -32,12 +32,13 @@ def save_weights(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     about = {"format": FORMAT, **asdict(config), "licence": licence, "provenance": dict(provenance or {})}
+    described = folder / (CONFIG + ".partial")
+    described.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     partial = folder / (WEIGHTS + ".partial")
     save_file({name: tensor.contiguous() for name, tensor in state.items()}, partial, {"format": "pt"})
+    partial.chmod(described.stat().st_mode)  # safetensors makes files that only their owner can read
     os.replace(partial, folder / WEIGHTS)
-    partial = folder / (CONFIG + ".partial")
-    partial.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    os.replace(partial, folder / CONFIG)
+    os.replace(described, folder / CONFIG)
     return folder
 
 

@@ -55,7 +55,7 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
     except pickle.UnpicklingError as error:
         reason = str(error).split("\n")[0]
         raise InputError(f"{path}: refused, it holds more than tensors and plain values ({reason}).") from None
-    except (RuntimeError, EOFError, ValueError, OSError) as error:
+    except Exception as error:  # a damaged file can make the reader raise almost anything
         raise InputError(f"{path}: not a readable checkpoint ({' '.join(str(error).split())[:200]}).") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{path}: expected a checkpoint dictionary, found {type(content).__name__}.")

@@ -1,0 +1,116 @@
+"""Faster layers against the plain ones they replace."""
+
+import pytest
+import torch
+from edit3r_noposplat.dpt import double, double_rows, in_strips
+from edit3r_noposplat.engine.int8 import Int8Conv, Int8Linear, quantise_input, quantise_weight
+from edit3r_noposplat.engine.packed import FusedConv, PackedLinear
+from edit3r_noposplat.engine.plan import make_plan
+from edit3r_noposplat.engine.winograd import WinogradConv
+from torch import nn
+
+from edit3r.errors import SettingsError
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(autouse=True)
+def _without_gradients():
+    with torch.no_grad():
+        yield
+
+
+@pytest.mark.parametrize("rows", [1, 37, 700])  # 512 is what the layout is chosen for
+@pytest.mark.parametrize("activation", ["none", "gelu"])
+def test_packed_linear_equals_the_plain_one(rows, activation):
+    linear, x = nn.Linear(48, 72), torch.randn(2, rows, 48)
+    expected = linear(x) if activation == "none" else nn.functional.gelu(linear(x))
+    torch.testing.assert_close(PackedLinear(linear, torch.float32, activation)(x), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_packed_linear_in_bf16_rounds_and_no_more():
+    linear, x = nn.Linear(64, 64), torch.randn(9, 64)
+    result = PackedLinear(linear, torch.bfloat16)(x)
+    assert result.dtype == torch.bfloat16
+    assert (result.float() - linear(x)).norm() / linear(x).norm() < 0.01
+
+
+@pytest.mark.parametrize("relu", [False, True])
+@pytest.mark.parametrize(("kernel", "stride"), [(1, 1), (3, 1), (3, 2), (7, 1)])
+def test_fused_conv_equals_the_plain_one(kernel, stride, relu):
+    conv, x = nn.Conv2d(5, 6, kernel, stride, padding=kernel // 2), torch.randn(2, 5, 9, 11)
+    expected = conv(x).relu() if relu else conv(x)
+    torch.testing.assert_close(FusedConv(conv, torch.float32, relu)(x), expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (4, 4), (5, 9), (34, 70)])
+@pytest.mark.parametrize("bias", [False, True])
+def test_winograd_equals_the_plain_convolution_for_any_size(size, bias):
+    conv, x = nn.Conv2d(6, 7, 3, padding=1, bias=bias), torch.randn(2, 6, *size)
+    torch.testing.assert_close(WinogradConv(conv)(x), conv(x), atol=2e-5, rtol=1e-5)
+
+
+def test_winograd_rounds_little_with_many_channels():
+    conv, x = nn.Conv2d(256, 64, 3, padding=1), torch.randn(1, 256, 20, 20)
+    exact = nn.functional.conv2d(x.double(), conv.weight.double(), conv.bias.double(), padding=1)
+    assert (WinogradConv(conv)(x) - exact).abs().max() / exact.abs().max() < 3e-5
+
+
+def test_winograd_refuses_other_kernels():
+    with pytest.raises(ValueError, match="3x3"):
+        WinogradConv(nn.Conv2d(3, 3, 5))
+
+
+@pytest.mark.parametrize("shift", [0.0, 30.0, -30.0])
+def test_int8_linear_errs_by_about_a_percent_of_its_range(shift):
+    linear, x = nn.Linear(128, 96), torch.randn(40, 128) + shift
+    expected = linear(x)
+    error = (Int8Linear(linear)(x) - expected).norm() / expected.norm()
+    assert error < (0.02 if shift == 0 else 0.04)
+
+
+def test_int8_conv_errs_by_about_a_percent_whatever_the_inputs_scale():
+    conv = nn.Conv2d(64, 64, 3, padding=1)
+    for scale in (1e-3, 1.0, 1e3):
+        x = scale * torch.randn(1, 64, 12, 12)
+        bias_free = nn.functional.conv2d(x, conv.weight, padding=1)
+        error = Int8Conv(conv)(x) - conv.bias[:, None, None] - bias_free
+        assert error.norm() / bias_free.norm() < 0.02
+
+
+def test_quantised_inputs_never_wrap_around():
+    for x in (torch.tensor([0.0, 0.0]), torch.tensor([-3.0, -1.0]), torch.tensor([2.0, 7.0]), 100 * torch.randn(1000)):
+        values, scale, zero = quantise_input(x)
+        assert 0 <= zero <= 255
+        assert ((values.float() - zero) * scale - x).abs().max() <= 0.51 * scale + 1e-6
+
+
+def test_weights_of_a_silent_channel_quantise_to_zero():
+    weight, scales = quantise_weight(torch.tensor([[0.0, 0.0], [1.0, -2.0]]))
+    assert weight.tolist() == [[0, 0], [64, -127]] and scales.isfinite().all()
+
+
+@pytest.mark.parametrize("rows", [1, 3, 8, 100])
+def test_strips_equal_the_whole_map(rows):
+    conv, half = nn.Conv2d(4, 4, 3, padding=1), torch.randn(1, 4, 5, 7)
+    strips = in_strips(10, rows, lambda start, stop: conv(double_rows(half, start, stop)))
+    torch.testing.assert_close(strips, conv(double(half)), atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("height", [1, 2, 5])
+def test_rows_of_a_doubled_map_are_its_rows(height):
+    x = torch.randn(1, 2, height, 3)
+    for start, stop in ((0, 2 * height), (0, 1), (height, 2 * height)):
+        torch.testing.assert_close(double_rows(x, start, stop), double(x)[:, :, start:stop], atol=1e-6, rtol=1e-5)
+
+
+def test_heads_beside_int8_follow_what_the_processor_multiplies(monkeypatch):
+    monkeypatch.setattr("edit3r_noposplat.engine.plan._cpu_info", lambda: "flags: avx512_bf16")
+    assert make_plan("int8", "auto", True, CPU).head == "bfloat16"
+    monkeypatch.setattr("edit3r_noposplat.engine.plan._cpu_info", lambda: "flags: avx2")
+    assert make_plan("int8", "auto", True, CPU).head == "int8"
+
+
+def test_int8_needs_the_packed_engine():
+    with pytest.raises(SettingsError, match="engine packed"):
+        make_plan("int8", "auto", False, CPU)
