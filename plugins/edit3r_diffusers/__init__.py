@@ -40,6 +40,7 @@ def register_editors():
             parts=("matcher",),
             licence="Apache-2.0; default weights CreativeML Open RAIL-M",
             needs_network=True,
+            min_views=2,  # to measure depth; one is enough with editor.depth_model
             citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
         ),
     )

@@ -1,0 +1,32 @@
+"""The contract of editors, kept on tiny random models."""
+
+from pathlib import Path
+
+import pytest
+
+from edit3r.testing import CONTRACTS, claims, contract_for
+
+FLAT = Path(__file__).parents[1] / "flat_scene.py"
+
+
+@pytest.fixture(scope="module")
+def contracts(tiny):
+    """One contract per editor, so that each is built once for all claims."""
+    cheap = {"steps": 1, "resolution": 0, "local_files_only": True}
+    depth = {"controlnet": str(tiny.controlnet()), "matcher": "flat"}
+    settings = {
+        "instruct-pix2pix": {"model": str(tiny.instruct_pix2pix()), **cheap},
+        "flux-kontext": {"model": str(tiny.flux_kontext()), **cheap},
+        "controlnet-depth": {"model": str(tiny.stable_diffusion()), **depth, **cheap},
+    }
+    bound = {name: contract_for("editor", name, **chosen) for name, chosen in settings.items()}
+    for contract in bound.values():
+        contract.plugin_files = (FLAT,)
+        contract.image_size = (24, 32)
+    return bound
+
+
+@pytest.mark.parametrize("claim", claims(CONTRACTS["editor"]))
+@pytest.mark.parametrize("editor", ["instruct-pix2pix", "flux-kontext", "controlnet-depth"])
+def test_contract(contracts, editor, claim):
+    getattr(contracts[editor](), claim)()

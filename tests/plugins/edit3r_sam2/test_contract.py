@@ -1,0 +1,30 @@
+"""The contracts of segmenters and detectors, kept on tiny random models."""
+
+import pytest
+
+from edit3r.testing import CONTRACTS, claims, contract_for
+
+# Whether a black picture shows the object is knowledge, which random weights do not have; that a lost object's logits
+# are not positive is tested in test_segmenter.py.
+LEARNED = "test_lost_objects_are_reported"
+
+
+@pytest.fixture(scope="module")
+def segmenter(sam2_folder, dino_folder):
+    bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0}
+    return contract_for("segmenter", "sam2", model=str(sam2_folder), local_files_only=True, **bounds)
+
+
+@pytest.fixture(scope="module")
+def detector(dino_folder):
+    return contract_for("detector", "grounding-dino", model=str(dino_folder), local_files_only=True, box_threshold=0.0)
+
+
+@pytest.mark.parametrize("claim", [claim for claim in claims(CONTRACTS["segmenter"]) if claim != LEARNED])
+def test_segmenter_contract(segmenter, claim):
+    getattr(segmenter(), claim)()
+
+
+@pytest.mark.parametrize("claim", claims(CONTRACTS["detector"]))
+def test_detector_contract(detector, claim):
+    getattr(detector(), claim)()
