@@ -43,8 +43,6 @@ def _check_declaration(component: Component) -> str:
         return "its licence is empty; state that of the code and of weights it brings along"
     if component.max_views is not None and component.max_views < component.min_views:
         return f"max_views {component.max_views} is below min_views {component.min_views}"
-    if component.extra and not component.requires:
-        return f"extra {component.extra!r} is named but `requires` lists no module to look for"
     return ""
 
 
