@@ -6,24 +6,25 @@ from edit3r.config import Settings
 
 
 class SimplifySettings(Settings):
-    """Tolerances; `scaled` turns all of them up or down together."""
+    """What may be dropped and merged, and how merged Gaussians are shaped."""
 
     contribution: float = Field(
-        0.02, ge=0, description="drop a Gaussian whose blending weight sums to less over the cameras [pixels]"
+        0.02, ge=0, description="drop a Gaussian whose blending weight sums to less over the pictures [pixels]"
     )
-    colour: float = Field(
-        0.02, ge=0, le=1, description="standard deviation of colour within a merged cell, and between duplicates"
+    price: float = Field(
+        0.02, ge=0, description="squared error, summed over pixels, that may be made to save one Gaussian"
     )
-    flatness: float = Field(
-        0.5, ge=0, description="distance from the common plane within a merged cell [pixel footprints]"
+    gradient_share: float = Field(
+        0.5, ge=0, le=1, description="share of a linear change of colour that counts as error within a merged cell"
+    )
+    edge: float = Field(
+        0.05, ge=0, le=1, description="change of colour per pixel that surfaces out of place are taken to cause"
     )
     duplicate_depth: float = Field(
-        0.01, ge=0, le=1, description="relative difference of depth up to which two views show the same surface"
+        0.02, ge=0, le=1, description="relative difference of depth up to which two views show the same surface"
+    )
+    duplicate_colour: float = Field(
+        0.06, ge=0, le=1, description="difference of colour up to which two views show the same surface"
     )
     largest_cell: int = Field(5, ge=0, le=8, description="merged cells have sides of at most 2^this pixels")
-    spread: float = Field(1.9, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")
-
-    def scaled(self, factor: float) -> "SimplifySettings":
-        """The same settings, `factor` times as tolerant."""
-        changed = ("contribution", "colour", "flatness", "duplicate_depth")
-        return self.model_copy(update={name: min(1.0, factor * getattr(self, name)) for name in changed})
+    spread: float = Field(1.6, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")

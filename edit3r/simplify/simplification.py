@@ -1,0 +1,104 @@
+"""Drop what no picture needs, then merge what is flat; say how much the pictures changed."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.evaluation.metrics import psnr
+from edit3r.geometry.cameras import to_pixels
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.paths import between_and_around
+from edit3r.interfaces import Rasterizer
+from edit3r.simplify.contribution import contributions
+from edit3r.simplify.duplicates import duplicates
+from edit3r.simplify.merging import merge_groups
+from edit3r.simplify.partition import measure_cells, partition, price_for
+from edit3r.simplify.placement import Placement, place
+from edit3r.simplify.settings import SimplifySettings
+from edit3r.types import Cameras, Gaussians
+
+PATH_CAMERAS = 4  # pictures from between and around, per input view
+LONE_BASELINE = 0.1  # how far new views of a lone picture are taken to be [its median depth]
+
+
+@dataclass(frozen=True)
+class Simplified:
+    """Fewer Gaussians, and what it cost."""
+
+    gaussians: Gaussians
+    before: int
+    unseen: int  # dropped because no camera sees them
+    doubled: int  # dropped because an earlier view shows the same surface
+    merged: int  # gone into others
+    psnr: float  # of the cameras' pictures against those of all Gaussians [dB]
+
+
+@torch.no_grad()
+def simplify(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
+    most: int | None = None,
+    settings: SimplifySettings | None = None,
+) -> Simplified:
+    """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of `view_index`.
+
+    `most` is a budget: with it the price of a Gaussian is searched so that at most so many are left; None: the price
+    of the settings.
+    """
+    settings = settings or SimplifySettings()
+    if gaussians.count <= (1 if most is None else most):
+        return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
+    weight = visible_weight(gaussians, cameras, rasterizer)
+    seen = weight >= settings.contribution
+    kept = gaussians.select(seen)
+    twice = duplicates(kept, cameras, place(kept, cameras), settings)
+    kept = kept.select(~twice)
+    fewer = _merge(kept, cameras, most, settings)
+    if most is not None and fewer.count > most:
+        fewer = _most_visible(fewer, cameras, rasterizer, most)
+    merged = kept.count - fewer.count
+    fidelity = _psnr_between(gaussians, fewer, cameras, rasterizer)
+    return Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, fidelity)
+
+
+def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
+    """What each Gaussian adds to the input views or to some pictures from between and around them [pixels].
+
+    What only a new viewpoint uncovers must stay, although no input view needs it.
+    """
+    weight = contributions(gaussians, cameras, rasterizer)
+    if cameras.count > 1:
+        path = between_and_around(cameras, PATH_CAMERAS * cameras.count)
+        weight = torch.maximum(weight, contributions(gaussians, path, rasterizer))
+    return weight[0]
+
+
+def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings) -> Gaussians:
+    placement = place(gaussians, cameras)
+    colours = dc_to_colour(gaussians.harmonics[0, :, 0])
+    parallax = _parallax(placement, cameras)
+    cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
+    price = settings.price if most is None else price_for(cells, most)
+    return merge_groups(gaussians, partition(cells, price), settings)
+
+
+def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, most: int) -> Gaussians:
+    weight = visible_weight(gaussians, cameras, rasterizer)
+    return gaussians.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
+
+
+def _psnr_between(one: Gaussians, other: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> float:
+    pictures = [rasterizer.render(g, cameras).images.clamp(0, 1).cpu().numpy() for g in (one, other)]
+    return psnr(*pictures)
+
+
+def _parallax(placement: Placement, cameras: Cameras) -> float:
+    """Focal length times the mean distance between neighbouring views [pixels times scene units]."""
+    focal = float(to_pixels(cameras.intrinsics, cameras.image_size)[0, 0, 0, 0])
+    centres = cameras.c2w[0, :, :3, 3]
+    if cameras.count == 1:
+        return focal * LONE_BASELINE * float(placement.depth.median())
+    return focal * float((centres[1:] - centres[:-1]).norm(dim=-1).mean())
