@@ -1,5 +1,7 @@
 """Transformer blocks of the encoder and of the two decoders: pre-norm, exact GELU, no dropout, no layer scale."""
 
+from typing import ClassVar
+
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -59,6 +61,10 @@ class CrossAttention(nn.Module):
 
 class Mlp(nn.Module):
     """Linear, exact (erf) GELU, Linear."""
+
+    fusable: ClassVar[dict[str, str]] = {
+        "fc1": "act"
+    }  # layer: the activation that follows it, which an engine may fuse in
 
     def __init__(self, width: int, hidden: int) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 """Dense prediction trunk (DPT): four levels of tokens to one feature map at half the picture's resolution."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +35,10 @@ class DptTrunk(nn.Module):
 
 class ResidualUnit(nn.Module):
     """x + conv(relu(conv(relu(x))))."""
+
+    fusable: ClassVar[dict[str, str]] = {
+        "conv1": "act"
+    }  # layer: the activation that follows it, which an engine may fuse in
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -77,8 +82,9 @@ def double_rows(x: Float[Tensor, "batch channel h w"], start: int, stop: int) ->
     at = torch.arange(start, stop, device=x.device) * ((height - 1) / (2 * height - 1))
     low = at.long().clamp(max=max(height - 2, 0))
     high = (low + 1).clamp(max=height - 1)
-    share = (at - low).to(x.dtype)[:, None]
-    rows = torch.lerp(x[:, :, low], x[:, :, high], share)
+    share = (at - low).to(x.dtype)[:, None, None]
+    nhwc = x.permute(0, 2, 3, 1)  # indexing this way round keeps channels-last maps channels-last
+    rows = torch.lerp(nhwc[:, low], nhwc[:, high], share).permute(0, 3, 1, 2)
     return F.interpolate(rows, size=(stop - start, 2 * x.shape[3]), mode="bilinear", align_corners=True)
 
 

@@ -1,5 +1,7 @@
 """Head `dpt-gaussian`: dense maps of centres and attributes, one Gaussian per pixel."""
 
+from typing import ClassVar
+
 import torch
 from jaxtyping import Float
 from pydantic import Field
@@ -104,6 +106,8 @@ class DptGaussianHead(GaussianHead):
 class CentrePredictor(nn.Module):
     """Trunk, then three convolutions with one doubling between them."""
 
+    fusable: ClassVar[dict[str, str]] = {"conv2": "act"}
+
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
         self.strip_rows = settings.strip_rows
@@ -125,12 +129,15 @@ class CentrePredictor(nn.Module):
 class AttributePredictor(nn.Module):
     """Trunk, doubled, plus features of the picture itself, then two convolutions."""
 
+    fusable: ClassVar[dict[str, str]] = {"shortcut": "shortcut_act", "conv": "act"}
+
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
         self.shortcut = nn.Conv2d(3, width, 7, padding=3)
+        self.shortcut_act = nn.ReLU()
         self.conv = nn.Conv2d(width, width, 3, padding=1, bias=False)
         self.act = nn.ReLU()
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
@@ -143,7 +150,7 @@ class AttributePredictor(nn.Module):
 
         def strip(start: int, stop: int) -> Tensor:
             seen = _rows_of(self.shortcut, pixels, start, stop, halo=3)
-            return self.out(self.act(self.conv(double_rows(half, start, stop) + self.act(seen))))
+            return self.out(self.act(self.conv(double_rows(half, start, stop) + self.shortcut_act(seen))))
 
         return in_strips(2 * half.shape[2], self.strip_rows, strip)
 

@@ -44,12 +44,12 @@ class Int8Linear(nn.Module):
 
 
 class Int8Conv(nn.Module):
-    """Convolution on int8 products, float32 in and out, channels-last, with a ReLU fused in on request."""
+    """Convolution on int8 products, float32 in and out, channels-last, with the activation that follows fused in."""
 
-    def __init__(self, conv: nn.Conv2d, relu: bool = False) -> None:
+    def __init__(self, conv: nn.Conv2d, activation: Activation = "none") -> None:
         super().__init__()
         self.stride, self.padding, self.dilation, self.groups = conv.stride, conv.padding, conv.dilation, conv.groups
-        self.activation = "relu" if relu else "none"
+        self.activation = activation
         weight, scales = quantise_weight(conv.weight.detach())
         # The input's scale is passed again with each call; packing only needs some value.
         self._weight = _ops.qconv_prepack(

@@ -35,12 +35,12 @@ class PackedLinear(nn.Module):
 
 
 class FusedConv(nn.Module):
-    """A convolution in channels-last layout, with a ReLU fused in on request."""
+    """A convolution in channels-last layout, with the activation that follows fused in."""
 
-    def __init__(self, conv: nn.Conv2d, dtype: torch.dtype, relu: bool = False) -> None:
+    def __init__(self, conv: nn.Conv2d, dtype: torch.dtype, activation: Activation = "none") -> None:
         super().__init__()
         self.stride, self.padding, self.dilation, self.groups = conv.stride, conv.padding, conv.dilation, conv.groups
-        self.activation = "relu" if relu else "none"
+        self.activation = activation
         weight = conv.weight.detach().to(dtype).contiguous(memory_format=torch.channels_last)
         self.register_buffer("weight", weight, persistent=False)
         bias = None if conv.bias is None else conv.bias.detach().to(dtype)

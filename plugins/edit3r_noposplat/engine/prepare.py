@@ -3,12 +3,12 @@
 import torch
 from torch import nn
 
-from edit3r_noposplat.blocks import Mlp
 from edit3r_noposplat.engine.int8 import Int8Conv, Int8Linear
-from edit3r_noposplat.engine.packed import FusedConv, PackedLinear
-from edit3r_noposplat.engine.plan import DTYPES, EnginePlan
+from edit3r_noposplat.engine.packed import Activation, FusedConv, PackedLinear
+from edit3r_noposplat.engine.plan import DTYPES, EnginePlan, Precision
 from edit3r_noposplat.engine.winograd import WinogradConv
 
+_ACTIVATIONS: dict[type, Activation] = {nn.GELU: "gelu", nn.ReLU: "relu"}
 _WINOGRAD_PARENTS = ("trunk.fuse.0.skip", "trunk.fuse.0.refine")
 MIN_CHANNELS = 64
 """Narrower convolutions are too small for the int8 and Winograd forms to pay."""
@@ -17,43 +17,46 @@ MIN_CHANNELS = 64
 def prepare_leaf(network: nn.Module, name: str, leaf: nn.Module, plan: EnginePlan, device: torch.device) -> None:
     """Convert the leaf called `name` in place: dtype, memory layout, device, or another class altogether."""
     precision = plan.backbone if name.startswith("backbone.") else plan.head
-    dtype = DTYPES.get(precision, torch.float32)
-    replacement = _packed(network, name, leaf, precision, dtype, plan) if plan.packed else None
-    if replacement is not None:
-        network.set_submodule(name, replacement)
+    if plan.packed and isinstance(leaf, nn.Linear | nn.Conv2d):
+        activation = _take_activation(network, name)
+        make = _linear if isinstance(leaf, nn.Linear) else _conv
+        network.set_submodule(name, make(name, leaf, precision, activation, plan))
         return
+    dtype = DTYPES.get(precision, torch.float32)
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
         leaf.to(device=device, dtype=dtype, memory_format=torch.channels_last)
     else:
         leaf.to(device=device, dtype=dtype)
 
 
-def _packed(
-    network: nn.Module, name: str, leaf: nn.Module, precision: str, dtype: torch.dtype, plan: EnginePlan
-) -> nn.Module | None:
-    """The CPU form of a layer, None where it stays as it is."""
-    parent = network.get_submodule(name.rpartition(".")[0])
-    if isinstance(leaf, nn.Linear):
-        return _linear(parent, name, leaf, precision, dtype)
-    return _conv(name, leaf, precision, dtype, plan) if isinstance(leaf, nn.Conv2d) else None
+def _take_activation(network: nn.Module, name: str) -> Activation:
+    """The activation after the layer `name`, removed from its parent because the layer will do it; "none" without one.
+
+    A parent says in `fusable` which activation follows which of its layers.
+    """
+    parent_name, _, own = name.rpartition(".")
+    parent = network.get_submodule(parent_name)
+    attribute = getattr(parent, "fusable", {}).get(own)
+    if attribute is None:
+        return "none"
+    activation = _ACTIVATIONS[type(getattr(parent, attribute))]
+    setattr(parent, attribute, nn.Identity())
+    return activation
 
 
-def _linear(parent: nn.Module, name: str, leaf: nn.Linear, precision: str, dtype: torch.dtype) -> nn.Module:
-    activation = "none"
-    if isinstance(parent, Mlp) and name.endswith(".fc1"):
-        activation, parent.act = "gelu", nn.Identity()
+def _linear(name: str, leaf: nn.Linear, precision: Precision, activation: Activation, plan: EnginePlan) -> nn.Module:
     if precision == "int8" and min(leaf.in_features, leaf.out_features) >= MIN_CHANNELS:
         return Int8Linear(leaf, activation)
-    return PackedLinear(leaf, dtype, activation)
+    return PackedLinear(leaf, DTYPES.get(precision, torch.float32), activation)
 
 
-def _conv(name: str, leaf: nn.Conv2d, precision: str, dtype: torch.dtype, plan: EnginePlan) -> nn.Module:
+def _conv(name: str, leaf: nn.Conv2d, precision: Precision, activation: Activation, plan: EnginePlan) -> nn.Module:
     wide = min(leaf.in_channels, leaf.out_channels) >= MIN_CHANNELS
     if precision == "int8" and wide:
-        return Int8Conv(leaf)
+        return Int8Conv(leaf, activation)
     if plan.winograd and wide and _on_large_map(name, leaf):
-        return WinogradConv(leaf)
-    return FusedConv(leaf, dtype)
+        return WinogradConv(leaf, activation)
+    return FusedConv(leaf, DTYPES.get(precision, torch.float32), activation)
 
 
 def _on_large_map(name: str, leaf: nn.Conv2d) -> bool:

@@ -10,6 +10,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from edit3r_noposplat.engine.packed import Activation
+
 TILE, PATCH = 4, 6
 TILES_AT_ONCE = 256
 """Patches transformed together; large enough for fast products, small enough to stay in the cache."""
@@ -37,11 +39,13 @@ _OUTPUT = ((1, 1, 1, 1, 1, 0), (0, 1, -1, 2, -2, 0), (0, 1, 1, 4, 4, 0), (0, 1, 
 class WinogradConv(nn.Module):
     """Float32 3x3 convolution with stride 1 and padding 1, channels-last, with a ReLU on request; inference only."""
 
-    def __init__(self, conv: nn.Conv2d, relu: bool = False) -> None:
+    def __init__(self, conv: nn.Conv2d, activation: Activation = "none") -> None:
         super().__init__()
         if (conv.kernel_size, conv.stride, conv.padding, conv.dilation) != ((3, 3), (1, 1), (1, 1), (1, 1)):
             raise ValueError("WinogradConv: expected a 3x3 convolution with stride 1, padding 1 and no dilation")
-        self.relu = relu
+        if activation not in ("none", "relu"):
+            raise ValueError(f"WinogradConv: no activation {activation!r}")
+        self.relu = activation == "relu"
         kernel, source, target = (torch.tensor(m, dtype=torch.float64) for m in (_KERNEL, _INPUT, _OUTPUT))
         transformed = torch.einsum("ia,jb,ocab->ijco", kernel, kernel, conv.weight.detach().double())
         self.register_buffer("kernels", transformed.flatten(0, 1).float(), persistent=False)  # [36, in, out]
