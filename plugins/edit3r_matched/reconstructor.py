@@ -26,7 +26,10 @@ class Edit3rReconstructor(Reconstructor):
     """
 
     class Settings(config.Settings):
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="reads pose and depth from the photos")
+        matcher: PartChoice = Field(
+            PartChoice(name="classical", settings={"working_size": 160, "keypoints": 1500, "planes": 64}),
+            description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
+        )
         geometry: Literal["matching", "network"] = Field(
             "matching", description="where pose and depth come from; 'network' asks the reconstructor noposplat"
         )
@@ -37,7 +40,8 @@ class Edit3rReconstructor(Reconstructor):
         fuse_edits: bool = Field(
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
         )
-        repair: bool = Field(True, description="false: matched depth and opacity as they are")
+        depth_repair: float = Field(0.5, ge=0, le=1, description="share of the network's depth correction that counts")
+        opacity_repair: float = Field(0.0, ge=0, le=1, description="share of its corrections of opacity and size")
         opacity: float = Field(0.7, gt=0, lt=1, description="before correction, where two views measured the depth")
         filled_opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where the depth was filled in")
         apron: float = Field(
@@ -74,8 +78,7 @@ class Edit3rReconstructor(Reconstructor):
         unit = geometry.depths[:, 0].flatten(1).median(1).values
         unit_geometry = _rescaled(geometry, 1 / unit)
         outputs = self._network(self._network_inputs(views, source, unit_geometry))
-        if not self.settings.repair:
-            outputs = _without_repairs(outputs)
+        outputs = _with_share(outputs, self.settings.depth_repair, self.settings.opacity_repair)
         settings = AssemblySettings(
             self.settings.footprint,
             self.settings.opacity,
@@ -148,6 +151,11 @@ def _keep_registered(reconstruction: Reconstruction, geometry: MatchedGeometry) 
     return replace(reconstruction, gaussians=replace(gaussians, opacities=gaussians.opacities * shown))
 
 
-def _without_repairs(outputs: NetworkOutputs) -> NetworkOutputs:
-    zero = torch.zeros_like(outputs.depth_correction)
-    return replace(outputs, depth_correction=zero, opacity_correction=zero, scale_correction=zero)
+def _with_share(outputs: NetworkOutputs, depth: float, opacity: float) -> NetworkOutputs:
+    """The network's corrections of geometry, each taken in part."""
+    return replace(
+        outputs,
+        depth_correction=depth * outputs.depth_correction,
+        opacity_correction=opacity * outputs.opacity_correction,
+        scale_correction=opacity * outputs.scale_correction,
+    )

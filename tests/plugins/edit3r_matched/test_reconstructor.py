@@ -97,7 +97,7 @@ def test_switching_fusion_off_shows_every_view_s_own_edit():
 
 def test_without_repair_points_lie_at_the_matched_depth():
     views = _views()
-    means = _reconstructor(repair=False)(views, views).gaussians.means[0]
+    means = _reconstructor(depth_repair=0)(views, views).gaussians.means[0]
     count = SIZE[0] * SIZE[1]
     assert torch.allclose(means[:count, 2], SCENE.depths[0, 0].flatten(), rtol=1e-4)
 
