@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.io.pretrained import Weights, load_pretrained, quiet
+from edit3r.io.pretrained import Weights, foreign, load_pretrained
 
 DEFAULT_MODEL = "openai/clip-vit-large-patch14"
 MEAN = (0.48145466, 0.4578275, 0.40821073)
@@ -21,12 +21,10 @@ class ClipSimilarity:
     """Cosines between pictures and texts by a frozen CLIP; differentiable in the pictures."""
 
     def __init__(self, model: str = DEFAULT_MODEL, local_files_only: bool = False) -> None:
-        with quiet():
-            from transformers import CLIPModel, CLIPTokenizerFast
-
         weights = Weights(model, "clip.model", local_files_only=local_files_only)
-        self.model = load_pretrained(CLIPModel, weights, dtype=torch.float32).eval().requires_grad_(False)
-        self.tokenizer = load_pretrained(CLIPTokenizerFast, weights)
+        model_class = foreign("transformers", "CLIPModel")
+        self.model = load_pretrained(model_class, weights, dtype=torch.float32).eval().requires_grad_(False)
+        self.tokenizer = load_pretrained(foreign("transformers", "CLIPTokenizerFast"), weights)
 
     def __call__(self, images: Float[Tensor, "n 3 height width"], texts: list[str]) -> Float[Tensor, "n text"]:
         """Cosine of every picture in [0, 1] with every text, in [-1, 1]."""

@@ -7,6 +7,7 @@ the setting and the way out.
 import importlib
 import importlib.util
 import logging
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ import torch
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
 
 LIBRARIES = ("diffusers", "transformers")
+LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
+"""Libraries that speak up while one's classes are imported."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,24 @@ class Weights:
     revision: str = ""  # branch, tag or commit; '': the newest
     variant: str = ""  # such as 'fp16'; '': the full-precision files
     local_files_only: bool = False  # never download
+
+
+def foreign(library: str, name: str) -> Any:
+    """A class of an optional library. Raises MissingDependencyError where the library is there but does not import.
+
+    Most often a torchvision that was built for another torch is to blame: its mere presence breaks both libraries.
+    """
+    try:
+        for module in LOGS_OF.get(library, ()):  # light; what `quiet` turns down must be there first
+            importlib.import_module(f"{module}.utils.logging")
+        with quiet():
+            return getattr(importlib.import_module(library), name)
+    except (ImportError, RuntimeError, OSError, AttributeError) as error:
+        reason = " ".join(str(error).split())[:300].rstrip(".")
+        cure = f"pip install --upgrade {library}"
+        if "torchvision" in reason or "torchvision" in str(error.__cause__):
+            cure = "pip uninstall torchvision (edit3r does not need it), or install the one for your torch"
+        raise MissingDependencyError(f"{library}.{name} does not import here ({reason}); try: {cure}") from error
 
 
 def load_pretrained(cls: type, weights: Weights, **given: Any) -> Any:
@@ -111,12 +132,12 @@ def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
 @contextmanager
 def quiet() -> Iterator[None]:
     """Hold back the libraries' own loading bars and warnings (about torchvision, and failures we tell better)."""
-    installed = [name for name in LIBRARIES if importlib.util.find_spec(name)]
-    loggers = [logging.getLogger(name) for name in installed]
+    imported = [name for name in LIBRARIES if f"{name}.utils.logging" in sys.modules]
+    loggers = [logging.getLogger(name) for name in imported]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.ERROR)
-    bars = [importlib.import_module(f"{name}.utils.logging") for name in installed]
+    bars = [sys.modules[f"{name}.utils.logging"] for name in imported]
     for bar in bars:
         bar.disable_progress_bar()
     try:

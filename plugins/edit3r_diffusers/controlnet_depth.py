@@ -15,7 +15,7 @@ from torch import Tensor
 from edit3r.config import PartChoice
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor, Matcher
-from edit3r.io.pretrained import load_pretrained, pick_device, quiet
+from edit3r.io.pretrained import foreign, load_pretrained, pick_device
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import blending, depth, inversion, loading, pictures
 from edit3r_diffusers.cross_view import look_across_views
@@ -55,19 +55,16 @@ class ControlNetDepthEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            with quiet():
-                from diffusers import ControlNetModel, DDIMScheduler, StableDiffusionControlNetImg2ImgPipeline
-
             chosen = self.settings
             device = pick_device(chosen.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(chosen.dtype, device, torch.float16)
-            controlnet = load_pretrained(
-                ControlNetModel, loading.part_weights(chosen.controlnet, "controlnet", chosen), dtype=dtype
-            )
+            weights = loading.part_weights(chosen.controlnet, "controlnet", chosen)
+            controlnet = load_pretrained(foreign("diffusers", "ControlNetModel"), weights, dtype=dtype)
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
-            pipeline = loading.load(StableDiffusionControlNetImg2ImgPipeline, chosen, device, dtype, **parts)
+            pipeline_class = foreign("diffusers", "StableDiffusionControlNetImg2ImgPipeline")
+            pipeline = loading.load(pipeline_class, chosen, device, dtype, **parts)
             # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
-            pipeline.scheduler = DDIMScheduler.from_config(
+            pipeline.scheduler = foreign("diffusers", "DDIMScheduler").from_config(
                 pipeline.scheduler.config, clip_sample=False, set_alpha_to_one=False, timestep_spacing="leading"
             )
             self._pipeline = pipeline

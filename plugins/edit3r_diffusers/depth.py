@@ -9,7 +9,7 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.interfaces import Matcher
-from edit3r.io.pretrained import load_pretrained, quiet
+from edit3r.io.pretrained import foreign, load_pretrained
 from edit3r.reporting import warn
 from edit3r.types import Views
 from edit3r_diffusers.loading import part_weights
@@ -49,11 +49,8 @@ def predicted_disparity(model: Any, images: Float[Tensor, "view 3 height width"]
 
 def load_predictor(model: str, settings: DiffusionSettings, device: torch.device) -> Any:
     """A depth network of transformers by id or folder, in float32."""
-    with quiet():
-        from transformers import AutoModelForDepthEstimation
-    network = load_pretrained(
-        AutoModelForDepthEstimation, part_weights(model, "depth_model", settings), dtype=torch.float32
-    )
+    network_class = foreign("transformers", "AutoModelForDepthEstimation")
+    network = load_pretrained(network_class, part_weights(model, "depth_model", settings), dtype=torch.float32)
     return network.to(device).eval()
 
 

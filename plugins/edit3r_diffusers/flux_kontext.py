@@ -9,7 +9,7 @@ from torch import Tensor
 
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import pick_device, quiet
+from edit3r.io.pretrained import foreign, pick_device
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import blending, loading, pictures
 from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
@@ -52,12 +52,11 @@ class FluxKontextEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            with quiet():
-                from diffusers import FluxKontextInpaintPipeline
-
             device = pick_device(self.settings.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(self.settings.dtype, device, torch.bfloat16)
-            self._pipeline = loading.load(FluxKontextInpaintPipeline, self.settings, device, dtype)
+            self._pipeline = loading.load(
+                foreign("diffusers", "FluxKontextInpaintPipeline"), self.settings, device, dtype
+            )
         return self._pipeline
 
     def _denoise(self, pipeline: Any, job: ViewJob) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import pick_device, quiet
+from edit3r.io.pretrained import foreign, pick_device
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import blending, loading
 from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
@@ -40,14 +40,10 @@ class InstructPix2PixEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            with quiet():
-                from diffusers import StableDiffusionInstructPix2PixPipeline
-
             device = pick_device(self.settings.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(self.settings.dtype, device, torch.float16)
-            self._pipeline = loading.load(
-                StableDiffusionInstructPix2PixPipeline, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER
-            )
+            pipeline_class = foreign("diffusers", "StableDiffusionInstructPix2PixPipeline")
+            self._pipeline = loading.load(pipeline_class, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER)
         return self._pipeline
 
     def _denoise(self, pipeline: Any, job: ViewJob) -> Tensor:

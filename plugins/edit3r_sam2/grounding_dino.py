@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.config import Settings
 from edit3r.errors import PromptError
 from edit3r.interfaces import Detection, Detector
-from edit3r.io.pretrained import Weights, identity, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
 from edit3r.reporting import note
 
 
@@ -50,14 +50,14 @@ class GroundingDinoDetector(Detector):
 
     def _model(self, photos_on: torch.device) -> tuple[Any, Any]:
         if self._loaded is None:
-            with quiet():
-                from transformers import GroundingDinoForObjectDetection, GroundingDinoProcessor
-
             chosen = self.settings
             weights = Weights(chosen.model, "detector.model", chosen.revision, local_files_only=chosen.local_files_only)
-            model = load_pretrained(GroundingDinoForObjectDetection, weights, dtype=torch.float32)
+            model = load_pretrained(
+                foreign("transformers", "GroundingDinoForObjectDetection"), weights, dtype=torch.float32
+            )
             device = pick_device(chosen.device, photos_on, "detector.device")
-            self._loaded = model.to(device).eval(), load_pretrained(GroundingDinoProcessor, weights)
+            processor = load_pretrained(foreign("transformers", "GroundingDinoProcessor"), weights)
+            self._loaded = model.to(device).eval(), processor
             note("detector.weights", identity(weights))
         return self._loaded
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.config import PartChoice, Settings
 from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Detector, Proposal, Segmenter, Tracks
-from edit3r.io.pretrained import Weights, identity, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
 from edit3r.reporting import note
 from edit3r_sam2 import candidates
 from edit3r_sam2.automatic import find_candidates
@@ -119,14 +119,11 @@ class Sam2Segmenter(Segmenter):
     def _model(self, name: str, photos_on: torch.device) -> Any:
         """One of transformers' two SAM2 classes, loaded when first needed; both read the same weights."""
         if name not in self._models:
-            with quiet():
-                import transformers
-
             chosen = self.settings
             weights = Weights(
                 chosen.model, "segmenter.model", chosen.revision, local_files_only=chosen.local_files_only
             )
-            model = load_pretrained(getattr(transformers, name), weights, dtype=torch.float32)
+            model = load_pretrained(foreign("transformers", name), weights, dtype=torch.float32)
             with self._memory("loading SAM2"):
                 self._models[name] = model.to(pick_device(chosen.device, photos_on, "segmenter.device")).eval()
             note("segmenter.weights", identity(weights))

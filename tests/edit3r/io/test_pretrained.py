@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
-from edit3r.io.pretrained import Weights, identity, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device, quiet
 
 
 class Model:
@@ -66,6 +66,17 @@ def test_only_running_out_of_memory_is_retold():
         raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 99 bytes")
     with pytest.raises(RuntimeError, match="shapes differ"), out_of_memory_told("baking", "x"):
         raise RuntimeError("shapes differ")
+
+
+@pytest.mark.parametrize(
+    ("reason", "cure"),
+    [("operator torchvision::nms does not exist", "pip uninstall torchvision"), ("bad wheel", "pip install --upgrade")],
+)
+def test_a_library_that_is_there_but_broken_is_a_sentence_with_the_cure(tmp_path, monkeypatch, reason, cure):
+    (tmp_path / "broken_library.py").write_text(f"raise RuntimeError({reason!r})")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(MissingDependencyError, match=rf"broken_library\.Model does not import here .*try: {cure}"):
+        foreign("broken_library", "Model")
 
 
 def test_quiet_restores_the_libraries_log_level():
