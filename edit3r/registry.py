@@ -81,9 +81,11 @@ class Registry:
             return getattr(importlib.import_module(module), attribute)
         except (Exception, SystemExit) as error:
             reason = " ".join(str(error).split())
+            absent = error.name if isinstance(error, ModuleNotFoundError) else None
+            advice = f" Install {absent!r}; the plugin should list it in requires." if absent else ""
             raise PluginError(
                 f"{offer.kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be imported from "
-                f"{offer.component.target!r} ({type(error).__name__}: {reason})."
+                f"{offer.component.target!r} ({type(error).__name__}: {reason}).{advice}"
             ) from error
 
     def settings_class(self, offer: Offer) -> type[Settings]:

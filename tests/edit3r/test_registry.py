@@ -221,6 +221,13 @@ def test_a_component_that_breaks_while_building_is_named(registry, name, sentenc
     assert sentence in str(error.value) and repr(name) in str(error.value)
 
 
+def test_a_package_that_is_needed_but_not_declared_is_named(registry, monkeypatch):
+    offer = Offer("editor", Component("undeclared", "surely_not_there.editor:E", ""), "ours", "1.0")
+    monkeypatch.setattr(registry, "plugins", LoadedPlugins((offer,), (), {}))
+    with pytest.raises(PluginError, match="Install 'surely_not_there'; the plugin should list it in requires"):
+        registry.build("editor", "undeclared")
+
+
 def test_a_component_s_own_sentence_for_the_user_passes_unchanged(registry):
     with pytest.raises(InputError, match=r"^give a folder\.$"):
         registry.build("editor", "refusing")
