@@ -13,6 +13,16 @@ def register_datasets() -> list[Component]:
             target="edit3r_training.procedural_dataset:ProceduralDataset",
             summary="endless textured rooms and open grounds with exact poses, depth, masks and edited truth",
         ),
+        Component(
+            name="transforms",
+            target="edit3r_training.transforms_dataset:TransformsDataset",
+            summary="posed photo folders: nerfstudio / DL3DV transforms.json, or cameras.json",
+        ),
+        Component(
+            name="re10k",
+            target="edit3r_training.re10k_dataset:Re10kDataset",
+            summary="RealEstate10K, ACID or DL3DV as pixelSplat chunks",
+        ),
     ]
 
 

@@ -1,0 +1,152 @@
+import io
+import json
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import torch
+from edit3r_training.photo_samples import make_sample
+from edit3r_training.procedural_dataset import ProceduralDataset
+from edit3r_training.re10k_dataset import Re10kDataset
+from edit3r_training.transforms_dataset import TransformsDataset
+from PIL import Image
+
+from edit3r.errors import InputError
+from edit3r.geometry.cameras import invert_rigid, project, unproject
+from edit3r.reporting import Report, collecting
+
+VIEWS = 5
+SCENE = ProceduralDataset(ProceduralDataset.Settings(image_size=64, context=VIEWS, targets=0, angles=(6, 8)))[3]
+PICTURES = [(image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8) for image in SCENE.context]
+
+
+def _write_transforms(folder) -> None:
+    """The scene in nerfstudio's layout (OpenGL axes)."""
+    folder.mkdir(parents=True)
+    k = SCENE.context_cameras.intrinsics[0, 0] * 64
+    frames = []
+    for view, picture in enumerate(PICTURES):
+        Image.fromarray(picture).save(folder / f"{view}.png")
+        pose = SCENE.context_cameras.c2w[0, view] @ torch.diag(torch.tensor([1.0, -1, -1, 1]))
+        frames.append({"file_path": f"{view}.png", "transform_matrix": pose.tolist()})
+    shared = {"fl_x": float(k[0, 0]), "fl_y": float(k[1, 1]), "cx": 32, "cy": 32, "w": 64, "h": 64}
+    (folder / "transforms.json").write_text(json.dumps(shared | {"frames": frames}))
+
+
+def _chunk_scene(key: str = "scene") -> dict:
+    files = []
+    for picture in PICTURES:
+        buffer = io.BytesIO()
+        Image.fromarray(picture).save(buffer, "JPEG", quality=95)
+        files.append(torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8))
+    k = SCENE.context_cameras.intrinsics[0]
+    w2c = invert_rigid(SCENE.context_cameras.c2w[0])[:, :3].reshape(VIEWS, 12)
+    head = torch.stack((k[:, 0, 0], k[:, 1, 1], k[:, 0, 2], k[:, 1, 2]), 1)
+    return {"key": key, "cameras": torch.cat((head, torch.zeros(VIEWS, 2), w2c), 1), "images": files}
+
+
+def _transforms(root, **settings) -> TransformsDataset:
+    defaults = {"image_size": 64, "targets": 1, "angles": (4, 30), "mirror": 0}
+    return TransformsDataset(TransformsDataset.Settings(root=str(root), **{**defaults, **settings}))
+
+
+def _re10k(root, **settings) -> Re10kDataset:
+    defaults = {"image_size": 64, "targets": 1, "gap": (2, 3), "mirror": 0}
+    return Re10kDataset(Re10kDataset.Settings(root=str(root), **{**defaults, **settings}))
+
+
+def _check_poses(sample) -> None:
+    """Relative pose and unit baseline equal the scene's own, up to scale: found by the pictures that were drawn."""
+    own = [min(range(VIEWS), key=lambda v: float((SCENE.context[v] - image).abs().mean())) for image in sample.context]
+    true = SCENE.context_cameras.c2w[0]
+    relative = torch.linalg.inv(true[own[0]]) @ true[own[1]]
+    given = sample.context_cameras.c2w[0, 1]
+    assert torch.allclose(given[:3, :3], relative[:3, :3], atol=1e-4)
+    assert torch.allclose(given[:3, 3], relative[:3, 3] / relative[:3, 3].norm(), atol=1e-4)
+
+
+def test_transforms_poses_and_pictures_are_those_of_the_files(tmp_path):
+    _write_transforms(tmp_path / "a")
+    sample = _transforms(tmp_path)[0]
+    assert sample.context.shape == (2, 3, 64, 64) and sample.target.shape == (1, 3, 64, 64)
+    _check_poses(sample)
+
+
+def test_re10k_poses_and_pictures_are_those_of_the_chunk(tmp_path):
+    torch.save([_chunk_scene()], tmp_path / "0.torch")
+    _check_poses(_re10k(tmp_path)[0])
+
+
+@pytest.mark.parametrize("kind", ["transforms", "re10k"])
+def test_broken_scenes_are_skipped_and_named(tmp_path, kind):
+    if kind == "transforms":
+        _write_transforms(tmp_path / "good")
+        (tmp_path / "bad").mkdir()
+        (tmp_path / "bad" / "transforms.json").write_text("{")
+        data = _transforms(tmp_path)
+    else:
+        bad = _chunk_scene("bad") | {"cameras": torch.zeros(2, 18)}
+        torch.save([bad, _chunk_scene("good")], tmp_path / "0.torch")
+        (tmp_path / "1.torch").write_bytes(b"no chunk")
+        data = _re10k(tmp_path)
+    report = Report()
+    with collecting(report):
+        names = {data[index].name.rsplit("-", 1)[0] for index in range(2)}
+    assert names == {"good"}
+    assert any("skipped" in warning and "bad" in warning for warning in report.warnings)
+
+
+def test_a_chunk_that_would_run_code_is_refused(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (print, ("owned",))
+
+    torch.save([Evil()], tmp_path / "0.torch")
+    with pytest.raises(InputError, match="no readable"):
+        len(_re10k(tmp_path))
+
+
+@pytest.mark.parametrize("make", [_transforms, _re10k])
+def test_an_empty_folder_is_an_error_that_names_it(tmp_path, make):
+    with pytest.raises(InputError, match=tmp_path.name):
+        len(make(tmp_path))
+
+
+def test_the_same_index_gives_the_same_sample(tmp_path):
+    _write_transforms(tmp_path / "a")
+    first, second = _transforms(tmp_path, mirror=0.5)[1], _transforms(tmp_path, mirror=0.5)[1]
+    assert torch.equal(first.context, second.context)
+    assert torch.equal(first.context_cameras.c2w, second.context_cameras.c2w)
+
+
+@pytest.mark.parametrize("mirror", [0, 1])
+def test_pictures_and_poses_fit_each_other_mirrored_or_not(mirror):
+    """A surface point of view 0 projects into view 1 to where the same colour is seen."""
+    sample = make_sample(
+        SCENE.context[:2],
+        SCENE.context_cameras.c2w[0, :2],
+        SCENE.context_cameras.intrinsics[0, :2],
+        2,
+        "scene",
+        np.random.default_rng(0),
+        mirror,
+    )
+    unit = 1 / SCENE.context_cameras.c2w[0, 1, :3, 3].norm()
+    depth = SCENE.context_depths[:1] * unit
+    depth = depth.flip(-1) if mirror else depth
+    cameras = sample.context_cameras
+    points = unproject(depth, cameras.intrinsics[0, :1], cameras.c2w[0, :1]).reshape(1, -1, 3)
+    places, _ = project(points, cameras.intrinsics[0, 1:], cameras.c2w[0, 1:])
+    grid = (places * 2 - 1).reshape(1, 64, 64, 2)
+    pulled = torch.nn.functional.grid_sample(sample.context[1:], grid, align_corners=False)[0]
+    gap = (pulled - sample.context[0]).abs().mean(0)[(grid[0].abs() < 1).all(-1)]
+    assert gap.median() < 0.04
+
+
+class TestSettings:
+    ranges: ClassVar = [{"context": 1}, {"targets": -1}, {"image_size": 2}]
+
+    @pytest.mark.parametrize("wrong", ranges)
+    def test_out_of_range_is_refused(self, tmp_path, wrong):
+        with pytest.raises(ValueError):
+            _transforms(tmp_path, **wrong)
