@@ -4,27 +4,29 @@ import numpy as np
 
 from edit3r_rasterizers.compiled import inlined, kernel
 from edit3r_rasterizers.records import FLATNESS, LEAN, NARROWNESS, REACH, RECORD, SLOPE, TILE, X, Y
-from edit3r_rasterizers.simd_memory import flat, shifted
+from edit3r_rasterizers.simd_memory import flat, prefetch, shifted
 
 U = np.uint64
 _DIGIT, _BUCKETS, _LAST = U(8), U(256), U(255)  # bits per pass of the sort
-_PASSES = 4
-COUNTS = _PASSES * 256
+_PASSES = U(4)
+COUNTS = 4 * 256
 """Length of the sort's table of counts."""
+_AHEAD = U(8)  # splats whose memory is asked for before it is their turn
 _EXACT_ABOVE = U(4)  # a box of more tiles than this is tested tile by tile
 
 
 @kernel
 def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts):
-    """Sort the splats that have a box by ascending key, equal keys in index order (radix sort, four passes of a byte).
+    """Sort the splats that have a box by ascending key, equal keys in index order (radix sort, a byte a pass).
 
-    `keys`: the bits of positive float32, which order as the numbers do. The result is in `index`; returns its length.
+    `keys`: the bits of positive float32, which order as the numbers do. Returns how many there are and whether the
+    result is in `other_index` instead of `index`: a pass over a byte that all keys share is left out.
     """
     size = U(len(keys))
     keys, boxes, counts = flat(keys), flat(boxes), flat(counts)
     index, values = flat(index), flat(values)
     other_index, other_values = flat(other_index), flat(other_values)
-    for bucket in range(U(_PASSES) * _BUCKETS):
+    for bucket in range(_PASSES * _BUCKETS):
         counts[bucket] = 0
     n = U(0)
     for i in range(size):
@@ -32,10 +34,13 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
             key = keys[i]
             index[n], values[n] = i, key
             n += U(1)
-            for digit in range(U(_PASSES)):
+            for digit in range(_PASSES):
                 counts[digit * _BUCKETS + ((U(key) >> (digit * _DIGIT)) & _LAST)] += 1
-    for digit in range(U(_PASSES)):
+    swapped = False
+    for digit in range(_PASSES):
         table = shifted(counts, digit * _BUCKETS)
+        if n == U(0) or U(table[(U(values[U(0)]) >> (digit * _DIGIT)) & _LAST]) == n:
+            continue
         total = 0
         for bucket in range(_BUCKETS):
             table[bucket], total = total, total + table[bucket]
@@ -47,7 +52,8 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
             other_index[place], other_values[place] = index[i], key
         index, other_index = other_index, index
         values, other_values = other_values, values
-    return n
+        swapped = not swapped
+    return n, swapped
 
 
 @inlined
@@ -69,51 +75,65 @@ def _exponent(record, x, y):
 
 
 @kernel
-def count_entries(order, boxes, records, columns, offsets):
-    """Number of splats on each tile, as offsets of the tiles' lists: tile t has [offsets[t], offsets[t + 1])."""
-    ranks, tiles, columns = U(len(order)), U(len(offsets)), U(columns)
-    order, boxes, records, offsets = flat(order), flat(boxes), flat(records), flat(offsets)
-    for tile in range(tiles):
-        offsets[tile] = 0
-    for rank in range(ranks):
-        i = U(order[rank])
-        record = shifted(records, i * U(RECORD))
-        left, top, right, bottom = _box(boxes, i)
-        exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
-        for row in range(top, bottom + U(1)):
-            for column in range(left, right + U(1)):
-                if not exact or touches_tile(record, column, row):
-                    offsets[row * columns + column + U(1)] += 1
-    for tile in range(U(1), tiles):
-        offsets[tile] += offsets[tile - U(1)]
+def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
+    """For the chunks [first, last): how many of its splats are on each tile, and on how many tiles each splat is.
+
+    Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
+    `numbers` [splats].
+    """
+    tiles, columns = U(counts.shape[1]), U(columns)
+    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
+    counts, numbers = flat(counts), flat(numbers)
+    for chunk in range(U(first), U(last)):
+        table = shifted(counts, chunk * tiles)
+        for tile in range(tiles):
+            table[tile] = 0
+        end = U(bounds[chunk + U(1)])
+        for rank in range(U(bounds[chunk]), end):
+            prefetch(boxes, U(4) * U(order[min(rank + _AHEAD, end - U(1))]))
+            i = U(order[rank])
+            record = shifted(records, i * U(RECORD))
+            left, top, right, bottom = _box(boxes, i)
+            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            number = 0
+            for row in range(top, bottom + U(1)):
+                for column in range(left, right + U(1)):
+                    if not exact or touches_tile(record, column, row):
+                        table[row * columns + column] += 1
+                        number += 1
+            numbers[i] = number
 
 
 @kernel
-def list_entries(order, boxes, records, columns, cursors, entries, positions, places):
-    """Fill each tile's list front to back; `cursors` (where each list begins) is used up.
+def list_entries(first, last, bounds, order, boxes, records, columns, cursors, places, entries, positions):
+    """For the chunks [first, last): put each splat at the end of its tiles' lists.
 
-    `entries[e]`: splat of entry e, entries grouped by tile. `positions[places[i, 0] : places[i, 1]]`: where splat i's
-    entries are.
+    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
+    entries grouped by tile, front to back. `positions[places[i] : places[i + 1]]`: where splat i's entries are.
     """
-    ranks, columns = U(len(order)), U(columns)
-    order, boxes, records, cursors = flat(order), flat(boxes), flat(records), flat(cursors)
-    entries, positions, places = flat(entries), flat(positions), flat(places)
-    done = U(0)
-    for rank in range(ranks):
-        i = U(order[rank])
-        record = shifted(records, i * U(RECORD))
-        left, top, right, bottom = _box(boxes, i)
-        exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
-        places[U(2) * i] = done
-        for row in range(top, bottom + U(1)):
-            for column in range(left, right + U(1)):
-                if not exact or touches_tile(record, column, row):
-                    tile = row * columns + column
-                    place = U(cursors[tile])
-                    cursors[tile] += 1
-                    entries[place], positions[done] = i, place
-                    done += U(1)
-        places[U(2) * i + U(1)] = done
+    tiles, columns = U(cursors.shape[1]), U(columns)
+    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
+    cursors, places, entries, positions = flat(cursors), flat(places), flat(entries), flat(positions)
+    for chunk in range(U(first), U(last)):
+        table = shifted(cursors, chunk * tiles)
+        end = U(bounds[chunk + U(1)])
+        for rank in range(U(bounds[chunk]), end):
+            coming = U(order[min(rank + _AHEAD, end - U(1))])
+            prefetch(boxes, U(4) * coming)
+            prefetch(places, coming)
+            i = U(order[rank])
+            record = shifted(records, i * U(RECORD))
+            left, top, right, bottom = _box(boxes, i)
+            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            done = U(places[i])
+            for row in range(top, bottom + U(1)):
+                for column in range(left, right + U(1)):
+                    if not exact or touches_tile(record, column, row):
+                        tile = row * columns + column
+                        place = U(table[tile])
+                        table[tile] += 1
+                        entries[place], positions[done] = i, place
+                        done += U(1)
 
 
 @inlined

@@ -1,6 +1,5 @@
 """The CPU rasterizer: projection, binning and blending compiled by numba, with a hand-derived backward pass."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +8,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.errors import InputError, RunError
+from edit3r.errors import InputError
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.binning import COUNTS, count_entries, list_entries, sort_by_depth
 from edit3r_rasterizers.checks import check_cameras, check_finite, resolve_background
+from edit3r_rasterizers.memory import aligned_empty, scratch
 from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
 from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
 from edit3r_rasterizers.raster_backward import BACKWARD_SCRATCH, differentiate_tiles
@@ -21,9 +20,8 @@ from edit3r_rasterizers.raster_forward import FORWARD_SCRATCH, shade_tiles
 from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings
 from edit3r_rasterizers.threads import even_bounds, run_slices, thread_count
+from edit3r_rasterizers.tile_lists import TileLists, list_tiles
 from edit3r_rasterizers.tiles import BATCH
-
-MAX_ENTRIES = 2**31 - 1
 
 
 class NumbaSettings(RasterizerSettings):
@@ -101,10 +99,7 @@ class _Frame:
     grid: TileGrid
     camera: np.ndarray  # see records.CAMERA
     records: np.ndarray  # [G, RECORD]
-    offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
-    entries: np.ndarray  # [E], splat of each entry
-    positions: np.ndarray  # [E], entries grouped by splat
-    places: np.ndarray  # [G, 2], each splat's range in positions
+    lists: TileLists
     transmittances: np.ndarray  # [H, W]
 
 
@@ -166,33 +161,15 @@ def _project_and_bin(
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
     limits = (float(grid.width), float(grid.height), settings.near, settings.far, settings.eps2d, settings.min_alpha)
-    scratch = _scratch(PROJECTION_SCRATCH, np.float64)
+    work = scratch(PROJECTION_SCRATCH, np.float64)
     sound = run_slices(
-        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, scratch, records, boxes, keys
+        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, work, records, boxes, keys
     )
     if not all(sound):
         return None
-    order = _sorted_by_depth(keys, boxes)
-    offsets = np.empty(grid.count + 1, np.int64)
-    count_entries(order, boxes, records, grid.columns, offsets)
-    total = int(offsets[-1])
-    if total > MAX_ENTRIES:
-        raise RunError(
-            f"rasterizer 'numba': {total} pairs of Gaussian and tile, more than {MAX_ENTRIES}; "
-            f"the Gaussians cover the picture too many times over."
-        )
-    entries, positions = np.empty(total, np.int32), np.empty(total, np.int32)
-    places = np.zeros((count, 2), np.int32)
-    list_entries(order, boxes, records, grid.columns, offsets.copy(), entries, positions, places)
+    lists = list_tiles(threads, grid, records, boxes, keys)
     transmittances = np.empty((grid.height, grid.width), np.float32)
-    return _Frame(grid, camera, records, offsets, entries, positions, places, transmittances)
-
-
-def _sorted_by_depth(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Indices of the splats that have a box, front to back."""
-    buffers = [np.empty(len(keys), kind) for kind in (np.int32, np.uint32, np.int32, np.uint32)]
-    length = sort_by_depth(keys.view(np.uint32), boxes, *buffers, np.empty(COUNTS, np.int64))
-    return buffers[0][:length]
+    return _Frame(grid, camera, records, lists, transmittances)
 
 
 def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.ndarray, pictures: list) -> None:
@@ -202,15 +179,15 @@ def _shade(settings: NumbaSettings, threads: int, frame: _Frame, background: np.
         _tile_bounds(frame, threads),
         threads,
         frame.grid.columns,
-        frame.offsets,
-        frame.entries,
+        frame.lists.offsets,
+        frame.lists.entries,
         frame.records,
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
         background,
-        _scratch(FORWARD_SCRATCH, np.float32),
-        _scratch(int(BATCH), np.uint64),
+        scratch(FORWARD_SCRATCH, np.float32),
+        scratch(int(BATCH), np.uint64),
         image,
         alpha[0],
         depth[0],
@@ -223,20 +200,20 @@ def _differentiate(
 ) -> None:
     image, _, depth = pictures
     by_image, by_alpha, by_depth = by_pictures
-    sums = aligned_empty((len(frame.entries) * SUMS,))
+    sums = aligned_empty((len(frame.lists.entries) * SUMS,))
     run_slices(
         differentiate_tiles,
         _tile_bounds(frame, threads),
         threads,
         frame.grid.columns,
-        frame.offsets,
-        frame.entries,
+        frame.lists.offsets,
+        frame.lists.entries,
         frame.records,
         settings.max_alpha,
         settings.min_alpha,
         settings.min_transmittance,
-        _scratch(BACKWARD_SCRATCH, np.float32),
-        _scratch(int(BATCH), np.uint64),
+        scratch(BACKWARD_SCRATCH, np.float32),
+        scratch(int(BATCH), np.uint64),
         image,
         depth[0],
         frame.transmittances,
@@ -253,11 +230,11 @@ def _differentiate(
         frame.camera,
         settings.eps2d,
         frame.records,
-        frame.places,
-        frame.positions,
+        frame.lists.places,
+        frame.lists.positions,
         sums,
-        _scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
-        _scratch(8, np.uint64),
+        scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
+        scratch(8, np.uint64),
         *totals,
     )
 
@@ -267,19 +244,6 @@ def _tile_bounds(frame: _Frame, threads: int) -> list[int]:
     if threads == 1:
         return [0, frame.grid.count]
     slices = min(frame.grid.count, 8 * threads)
-    work = frame.offsets + 16 * np.arange(frame.grid.count + 1)  # opening a tile costs as much as some entries
+    work = frame.lists.offsets + 16 * np.arange(frame.grid.count + 1)  # opening a tile costs as much as some entries
     cuts = np.searchsorted(work, work[-1] * np.arange(1, slices) / slices)
     return [0, *np.unique(cuts[cuts > 0]).tolist(), frame.grid.count]
-
-
-def _scratch(count: int, dtype: type) -> Callable[[], np.ndarray]:
-    """Work space that `run_slices` makes anew for every slice."""
-    return lambda: aligned_empty((count,), dtype)
-
-
-def aligned_empty(shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-    """Uninitialised memory that starts on a cache line, so that no vector straddles two."""
-    count, size = int(np.prod(shape)), np.dtype(dtype).itemsize
-    memory = np.empty(count + 64 // size, dtype)
-    start = (-memory.ctypes.data % 64) // size
-    return memory[start : start + count].reshape(shape)

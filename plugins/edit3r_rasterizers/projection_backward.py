@@ -49,9 +49,11 @@ from edit3r_rasterizers.records import (
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
-from edit3r_rasterizers.simd_memory import flat, shifted, store
+from edit3r_rasterizers.simd_memory import flat, prefetch, shifted, store
+from edit3r_rasterizers.tile_lists import LOOKAHEAD
 
 _PER_UNIT = 1.0 / UNIT
+_AHEAD = U(LOOKAHEAD)
 _MEAN, _SCALE, _QUAT, _OPACITY = INPUTS, INPUTS + U(3), INPUTS + U(6), INPUTS + U(10)
 _TOTALS = INPUTS + U(11)
 _BASIS = _TOTALS + U(SUMS)
@@ -87,7 +89,7 @@ def project_backward(
 ):
     """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
 
-    `positions[places[i, 0] : places[i, 1]]` are the rows of `sums` that belong to Gaussian i.
+    `positions[places[i] : places[i + 1]]` are the rows of `sums` that belong to Gaussian i.
     `scratch` and `group` (eight indices): work space.
     """
     count = U(harmonics.shape[1])
@@ -108,10 +110,10 @@ def project_backward(
     opacity_gradients, harmonic_gradients = flat(opacity_gradients), flat(harmonic_gradients)
     found = U(0)
     for i in range(U(first), U(last)):
-        if places[U(2) * i] < places[U(2) * i + U(1)]:
+        if places[i] < places[i + U(1)]:
             group[found] = i
             stage(scratch, found, i, means, scales, quats, opacities)
-            _add_up(scratch, found, places[U(2) * i], places[U(2) * i + U(1)], positions, sums)
+            _add_up(scratch, found, places[i], places[i + U(1)], positions, sums)
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
             for lane in range(found, GROUP):  # lanes of a short group hold some sound Gaussian, and are not read
@@ -137,6 +139,7 @@ def _add_up(totals, lane, start, end, positions, sums):
     for k in range(U(SUMS)):
         totals[(_TOTALS + k) * GROUP + lane] = 0.0
     for place in range(U(start), U(end)):
+        prefetch(sums, U(positions[place + _AHEAD]) * U(SUMS))
         row = U(positions[place]) * U(SUMS)
         for k in range(U(SUMS)):
             totals[(_TOTALS + k) * GROUP + lane] += np.float64(sums[row + k])

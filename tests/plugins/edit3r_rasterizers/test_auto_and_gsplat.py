@@ -42,7 +42,7 @@ def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
 def test_gsplat_without_cuda_says_what_to_use_instead(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(
-        MissingDependencyError, match="needs an NVIDIA GPU .* this machine has none; use 'numba' instead"
+        MissingDependencyError, match=r"needs an NVIDIA GPU .* this machine has none; use 'numba' instead"
     ):
         edit3r.build("rasterizer", "gsplat")
 
