@@ -33,9 +33,11 @@ class _Change:
 
 def read_prompt(prompt: str) -> Wish:
     """What `prompt` asks for; an empty prompt asks for a sampled recolouring of the object. Raises PromptError."""
-    clauses = [tokens for tokens in _clauses(prompt) if not _keeps(tokens)]
-    if not clauses:
+    if not prompt.strip():
         return Wish((Sample(),), "object")
+    clauses = [tokens for tokens in _clauses(prompt) if not _keeps(tokens) and not set(tokens) <= words.POLITENESS]
+    if not clauses:
+        raise PromptError(f"{prompt!r} asks for no change of colour. {ABILITIES}")
     steps: list[Step] = []
     places: list[tuple[Scope, tuple[str, ...]]] = []
     for tokens in clauses:

@@ -75,6 +75,8 @@ UNSUPPORTED = _words(
 
 NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
 
+POLITENESS = _words("please thanks thank you ok okay")
+
 KEPT_ANYWAY = _words(
     "keep leave everything else the rest of background surroundings picture image scene unchanged same as is it they "
     "are was intact untouched original its shape texture shading structure lighting light details all other objects"

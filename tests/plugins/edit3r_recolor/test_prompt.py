@@ -1,0 +1,123 @@
+import pytest
+from edit3r_recolor.prompt import read_prompt
+from edit3r_recolor.wish import Adjust, Paint, Sample, Tint
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edit3r.errors import PromptError
+
+
+@pytest.mark.parametrize(
+    "prompt, colour, subject",
+    [
+        ("paint the bike red", "red", ("bike",)),
+        ("Paint the bike RED, please!", "red", ("bike",)),
+        ("turn the wall light blue", "light blue", ("wall",)),
+        ("make the red bike blue", "blue", ("red", "bike")),
+        ("change the colour of the old chair to dark green", "dark green", ("old", "chair")),
+        ("I would like the bear to be gold", "gold", ("bear",)),
+        ("paint it #ff8800", "#ff8800", ()),
+        ("turn the orange blue", "blue", ("orange",)),
+        ("make the motorcycle look like it is made of gold", "gold", ("motorcycle",)),
+        ("paint the bike red, keep everything else unchanged", "red", ("bike",)),
+        ("red", "red", ()),
+    ],
+)
+def test_paints(prompt, colour, subject):
+    wish = read_prompt(prompt)
+    assert [step.colour for step in wish.steps if isinstance(step, Paint)] == [colour] and len(wish.steps) == 1
+    assert (wish.scope, tuple(word for word in wish.subject)) == ("object", subject)
+
+
+@pytest.mark.parametrize(
+    "prompt, what, sign, scope",
+    [
+        ("make it warmer", "warmth", 1, "everything"),
+        ("darken the wall", "brightness", -1, "object"),
+        ("make everything darker", "brightness", -1, "everything"),
+        ("black and white", "greyscale", 1, "everything"),
+        ("convert the photo to black-and-white", "greyscale", 1, "everything"),
+        ("make the house greyscale", "greyscale", 1, "object"),
+        ("increase the saturation of the wall", "saturation", 1, "object"),
+        ("less contrast", "contrast", -1, "everything"),
+        ("less saturated", "saturation", -1, "everything"),
+        ("make the background colder", "warmth", -1, "background"),
+        ("give the picture a sepia tone", "sepia", 1, "everything"),
+    ],
+)
+def test_adjustments(prompt, what, sign, scope):
+    wish = read_prompt(prompt)
+    assert wish.scope == scope and len(wish.steps) == 1
+    step = wish.steps[0]
+    assert isinstance(step, Adjust) and step.what == what and step.amount * sign > 0
+
+
+def test_degrees_scale_an_adjustment():
+    weak, plain, strong = (read_prompt(p).steps[0].amount for p in ("slightly brighter", "brighter", "a lot brighter"))
+    assert 0 < weak < plain < strong
+
+
+def test_tints():
+    for prompt in ("bluer", "make it more blue"):
+        step = read_prompt(prompt).steps[0]
+        assert isinstance(step, Tint) and step.colour == "blue"
+
+
+def test_steps_of_several_clauses_are_taken_together_paint_first():
+    wish = read_prompt("make the bike darker and paint the bike red")
+    assert [type(step) for step in wish.steps] == [Paint, Adjust]
+    assert len(read_prompt("make it brighter and warmer").steps) == 2
+
+
+@pytest.mark.parametrize("prompt", ["", "   ", "recolor the bike", "recolour"])
+def test_without_a_colour_a_recolouring_is_sampled(prompt):
+    assert read_prompt(prompt).steps == (Sample(),)
+
+
+@pytest.mark.parametrize(
+    "prompt",
+    [
+        "don't paint the bike red",
+        "paint everything red except the bike",
+        "make the bike less red",
+        "turn it into a Van Gogh painting",
+        "make it a polar bear",
+        "a red dragon",
+        "paint the bike red with flames",
+        "add a red hat",
+        "add snow",
+        "make it look like winter",
+        "turn red into blue",
+        "paint the bike red and the wall green",
+        "make it warmer and paint the bike red",
+        "paint the bike red and blue",
+        "remove the bike",
+        "paint the bike",
+        "rends le vélo rouge",
+        "把自行车涂成红色",
+        "???",
+        "keep everything unchanged",
+    ],
+)
+def test_what_it_cannot_do_is_an_error_that_says_what_it_can(prompt):
+    with pytest.raises(PromptError) as caught:
+        read_prompt(prompt)
+    assert any(way in str(caught.value) for way in ("paint the bike red", "one region at a time", "name one"))
+
+
+def test_a_misspelt_colour_is_suggested():
+    with pytest.raises(PromptError, match="Did you mean 'purple'"):
+        read_prompt("paint the bike purpel")
+
+
+KNOWN = "paint make turn the bike wall red light blue darker warmer more less it everything and , not background very"
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.one_of(st.text(max_size=30), st.lists(st.sampled_from(KNOWN.split()), max_size=9).map(" ".join)))
+def test_any_text_is_read_or_refused(text):
+    try:
+        wish = read_prompt(text)
+    except PromptError:
+        return
+    assert wish.steps and "not" not in text.split() and "less red" not in text
