@@ -7,15 +7,16 @@ import torch
 import torch.nn.functional as F
 from edit3r_classical.apron import apron
 from pydantic import Field
-from torch import Tensor
+from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
+from edit3r.errors import MissingDependencyError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Gaussians, Reconstruction, Views
 from edit3r_matched.assembly import AssemblySettings, assemble
-from edit3r_matched.network import MatchedEditNetwork, NetworkInputs, NetworkOutputs, network_grid
+from edit3r_matched.network import NetworkInputs, NetworkOutputs, network_grid
 from edit3r_matched.weights import load_network
 
 
@@ -31,10 +32,11 @@ class Edit3rReconstructor(Reconstructor):
             description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
         )
         geometry: Literal["matching", "network"] = Field(
-            "matching", description="where pose and depth come from; 'network' asks the reconstructor noposplat"
+            "matching", description="where pose and depth come from; 'network' hands over to noposplat"
         )
         weights: str = Field(
-            "shipped", description="'shipped', 'untrained', or a .safetensors file made by `edit3r train`"
+            "shipped",
+            description="'shipped', 'untrained' or a file of `edit3r train`; with geometry=network one of noposplat's",
         )
         network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
         fuse_edits: bool = Field(
@@ -52,23 +54,24 @@ class Edit3rReconstructor(Reconstructor):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher
-        self._network = load_network(settings.weights)
+        self._pose_free = _pose_free(settings.weights) if settings.geometry == "network" else None
+        self._network = None if self._pose_free else load_network(settings.weights)
 
     @property
-    def network(self) -> MatchedEditNetwork:
-        return self._network
+    def network(self) -> nn.Module | None:
+        return self._pose_free.network if self._pose_free else self._network
 
     def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
         """Reconstruct; without `source` the edited pictures must agree well enough to be matched themselves.
 
         Differentiable only while the network is in training mode.
         """
-        if self.settings.geometry == "network":
-            return self._by_network(views, source)
+        reporting.note("edit3r.geometry", self.settings.geometry)
+        if self._pose_free is not None:
+            return self._pose_free(views, source)
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
-        reporting.note("edit3r.geometry", "matching")
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
             return self._with_apron(reconstruction, source, geometry)
@@ -109,11 +112,17 @@ class Edit3rReconstructor(Reconstructor):
         rim = apron(Views(colours, source.intrinsics), geometry, self.settings.apron, self.settings.filled_opacity)
         return replace(reconstruction, gaussians=Gaussians.cat((reconstruction.gaussians, rim)))
 
-    def _by_network(self, views: Views, source: Views | None) -> Reconstruction:
-        from edit3r.registry import build
 
-        reporting.note("edit3r.geometry", "network")
-        return build("reconstructor", "noposplat")(views, source)
+def _pose_free(weights: str) -> Reconstructor:
+    """The full-size pose-free network with the given weights."""
+    if weights in ("shipped", "untrained"):
+        raise MissingDependencyError(
+            "reconstructor edit3r with geometry=network needs weights of a pose-free network, and none ship; give them "
+            "with --set reconstructor.weights=FILE, or leave geometry=matching."
+        )
+    from edit3r.registry import build
+
+    return build("reconstructor", "noposplat", weights=weights)
 
 
 def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:

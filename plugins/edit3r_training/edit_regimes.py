@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
+from edit3r_editors.mock_diffusion import apply_look, disagreeing, sample_look
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
@@ -25,6 +26,9 @@ class RegimeShares(Settings):
     disagreeing: float = Field(0.3, ge=0, description="every view is recoloured differently")
     agreeing: float = Field(0.15, ge=0, description="all views are recoloured alike")
     unedited: float = Field(0.15, ge=0, description="nothing is recoloured")
+    viewwise: float = Field(
+        0.0, ge=0, description="no recoloring: every picture edited on its own by mock-diffusion and asked for as such"
+    )
     whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole picture")
     mask_jitter: float = Field(0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little")
 
@@ -41,13 +45,16 @@ class EditedSample:
 
 def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> EditedSample:
     """Draw a regime and edit the sample; without masks only the whole picture can be edited."""
-    names = ("reference", "disagreeing", "agreeing", "unedited")
+    names = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
     weights = np.array([getattr(shares, name) for name in names])
     regime = str(rng.choice(names, p=weights / weights.sum()))
     everything = torch.cat((sample.context, sample.target))
     views = len(sample.context)
     if regime == "unedited":
         return EditedSample(sample.context, sample.context, sample.target, regime)
+    if regime == "viewwise":
+        pictures = _edited_one_by_one(everything, rng)
+        return EditedSample(pictures[:views], pictures[:views], pictures[views:], regime)
     masks = _regions(sample, shares, rng)
     chosen = [visible_parameters(rng, everything, mask) for mask in masks]
     truth = recolored(everything, masks, chosen)
@@ -61,6 +68,14 @@ def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Gener
         else:
             edited.append(_edited_view(sample.context, masks[:, :views], own, view, shares, rng))
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
+
+
+def _edited_one_by_one(images: Tensor, rng: np.random.Generator, disagreement: float = 0.5) -> Tensor:
+    """What training without recoloring has: pictures of one scene that a 2D editor edited independently."""
+    seeds = rng.integers(2**31, size=len(images) + 1)
+    shared, *own = (sample_look(torch.Generator().manual_seed(int(seed))) for seed in seeds)
+    looks = [disagreeing(shared, look, disagreement) for look in own]
+    return torch.cat([apply_look(image[None], look) for image, look in zip(images, looks)])
 
 
 def _regions(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> Tensor:

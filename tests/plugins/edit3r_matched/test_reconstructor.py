@@ -5,7 +5,7 @@ import torch
 from edit3r_matched.network import MatchedEditNetwork, network_grid
 from edit3r_matched.weights import load_network, save_network
 
-from edit3r.errors import InputError
+from edit3r.errors import InputError, MissingDependencyError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.registry import build
@@ -127,6 +127,11 @@ def test_a_view_that_could_not_be_placed_is_not_shown():
     result = build("reconstructor", "edit3r", parts={"matcher": Lost()}, network_size=64)(_views(3), _views(3))
     assert (result.gaussians.from_view(2).opacities == 0).all()
     assert (result.gaussians.from_view(1).opacities > 0).any()
+
+
+def test_network_geometry_without_weights_says_what_to_give():
+    with pytest.raises(MissingDependencyError, match="weights=FILE"):
+        _reconstructor(geometry="network")
 
 
 def test_untrained_weights_are_announced():

@@ -10,7 +10,7 @@ SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[
 
 
 def _edit(regime: str, seed: int = 0, **more):
-    shares = {name: float(name == regime) for name in ("reference", "disagreeing", "agreeing", "unedited")}
+    shares = {name: float(name == regime) for name in ("reference", "disagreeing", "agreeing", "unedited", "viewwise")}
     return apply_regime(SAMPLE, RegimeShares(**shares, **{"mask_jitter": 0, **more}), np.random.default_rng(seed))
 
 
@@ -37,6 +37,13 @@ def test_agreeing_regime_gives_the_truth():
 def test_unedited_regime_changes_nothing():
     edit = _edit("unedited")
     assert torch.equal(edit.edited, SAMPLE.context) and torch.equal(edit.target, SAMPLE.target)
+
+
+def test_viewwise_regime_asks_for_every_picture_s_own_edit():
+    edit = _edit("viewwise")
+    assert torch.equal(edit.edited, edit.truth)
+    changes = [(image - photo).mean((1, 2)) for image, photo in zip(edit.edited, SAMPLE.context)]
+    assert (changes[0] - changes[1]).abs().max() > 0.02
 
 
 def test_jittered_masks_spoil_the_input_but_not_the_truth():
