@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
@@ -93,14 +92,16 @@ class DptGaussianHead(GaussianHead):
     def _per_view(self, predictors: nn.ModuleList, features: Features, pixels: Tensor | None) -> Tensor:
         """Run the right predictor on each picture, one at a time: maps are large, and only one set is in memory."""
         batch, views = features.levels[0].shape[:2]
-        results = [[None] * views for _ in range(batch)]
+        maps: Tensor | None = None  # [batch, view, height, width, channel], as the Gaussians are ordered
         for predictor, role in zip(predictors, assign_roles(views)):
             for view in range(views)[role.own]:
                 for scene in range(batch):
-                    maps = [_on_grid(level[scene, view], features.grid) for level in features.levels]
+                    levels = [_on_grid(level[scene, view], features.grid) for level in features.levels]
                     extra = () if pixels is None else (pixels[scene, view, None],)
-                    results[scene][view] = predictor(maps, *extra)[0]
-        return torch.stack([torch.stack(row) for row in results])
+                    result = predictor(levels, *extra)[0].movedim(0, -1)
+                    maps = result.new_empty(batch, views, *result.shape) if maps is None else maps
+                    maps[scene, view] = result
+        return maps.movedim(-1, 2)
 
 
 class CentrePredictor(nn.Module):

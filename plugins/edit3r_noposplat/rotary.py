@@ -13,16 +13,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Rotation:
-    """Tables for one sequence of tokens, laid out to broadcast over [batch, token, head, axis, half, pair]."""
+    """Tables for one sequence of tokens, one value per channel so that they multiply whole heads at once."""
 
-    cos: Float[Tensor, "token 1 2 1 pair"]
-    sin: Float[Tensor, "token 1 2 2 pair"]  # negative for the first half of each axis
+    cos: Float[Tensor, "token 1 channel"]
+    sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
 
     def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
         """Turn queries or keys; dtype of `x` is kept."""
-        halves = x.unflatten(-1, (2, 2, self.cos.shape[-1]))
-        cos, sin = self.cos.to(x.dtype), self.sin.to(x.dtype)
-        return torch.addcmul(halves * cos, halves.flip(-2), sin).flatten(-3)
+        partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
+        return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
 
 
 def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
@@ -40,6 +39,7 @@ def make_rotation(
     """Tables for tokens at `positions`; computed in float64, kept in float32."""
     pairs = head_width // 4
     frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
-    angles = positions.double()[:, None, :, None, None] * frequencies
+    angles = positions.double()[:, None, :, None, None] * frequencies  # [token, 1, axis, 1, pair]
+    cos = angles.cos().expand(-1, -1, -1, 2, -1)
     sin = torch.cat((-angles.sin(), angles.sin()), -2)
-    return Rotation(angles.cos().float().to(device), sin.float().to(device))
+    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))

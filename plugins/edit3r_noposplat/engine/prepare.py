@@ -10,8 +10,9 @@ from edit3r_noposplat.engine.winograd import WinogradConv
 
 _ACTIVATIONS: dict[type, Activation] = {nn.GELU: "gelu", nn.ReLU: "relu"}
 _WINOGRAD_PARENTS = ("trunk.fuse.0.skip", "trunk.fuse.0.refine")
-MIN_CHANNELS = 64
-"""Narrower convolutions are too small for the int8 and Winograd forms to pay."""
+MIN_INT8_CHANNELS = 64
+MIN_WINOGRAD_CHANNELS = 128
+"""Narrower layers spend more on quantising or transforming than the products save."""
 
 
 def prepare_leaf(network: nn.Module, name: str, leaf: nn.Module, plan: EnginePlan, device: torch.device) -> None:
@@ -45,16 +46,16 @@ def _take_activation(network: nn.Module, name: str) -> Activation:
 
 
 def _linear(name: str, leaf: nn.Linear, precision: Precision, activation: Activation, plan: EnginePlan) -> nn.Module:
-    if precision == "int8" and min(leaf.in_features, leaf.out_features) >= MIN_CHANNELS:
+    if precision == "int8" and min(leaf.in_features, leaf.out_features) >= MIN_INT8_CHANNELS:
         return Int8Linear(leaf, activation)
     return PackedLinear(leaf, DTYPES.get(precision, torch.float32), activation)
 
 
 def _conv(name: str, leaf: nn.Conv2d, precision: Precision, activation: Activation, plan: EnginePlan) -> nn.Module:
-    wide = min(leaf.in_channels, leaf.out_channels) >= MIN_CHANNELS
-    if precision == "int8" and wide:
+    channels = min(leaf.in_channels, leaf.out_channels)
+    if precision == "int8" and channels >= MIN_INT8_CHANNELS:
         return Int8Conv(leaf, activation)
-    if plan.winograd and wide and _on_large_map(name, leaf):
+    if plan.winograd and channels >= MIN_WINOGRAD_CHANNELS and _on_large_map(name, leaf):
         return WinogradConv(leaf, activation)
     return FusedConv(leaf, DTYPES.get(precision, torch.float32), activation)
 
