@@ -88,7 +88,8 @@ def settings_table(settings: type) -> str:
     rows = ["| setting | type | range | default | |", "| --- | --- | --- | --- | --- |"]
     for line in settings_lines(settings):
         kind = line.type.replace("|", "\\|")
-        rows.append(f"| `{line.name}` | {kind} | {line.range} | `{line.default_yaml}` | {line.sentence} |")
+        default = "required" if line.required else f"`{line.default_yaml}`"
+        rows.append(f"| `{line.name}` | {kind} | {line.range} | {default} | {line.sentence} |")
     return "\n".join(rows)
 
 

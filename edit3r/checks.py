@@ -62,13 +62,11 @@ def _check_settings(cls: type, settings: type[Settings]) -> str:
     without = [name for name, field in settings.model_fields.items() if not field.description]
     if without:
         return f"setting {without[0]!r} of {cls.__name__} has no description"
-    required = [name for name, field in settings.model_fields.items() if field.is_required()]
-    if required:
-        return f"setting {required[0]!r} of {cls.__name__} has no default"
     try:
         settings()
     except ValidationError as error:
-        return f"the defaults of its settings are refused by themselves ({error.errors()[0]['msg']})"
+        refused = [problem["msg"] for problem in error.errors() if problem["type"] != "missing"]
+        return f"the defaults of its settings are refused by themselves ({refused[0]})" if refused else ""
     return ""
 
 

@@ -25,6 +25,12 @@ class SettingLine:
     range: str  # "≥ 0, ≤ 1"; "" where the type says it all
     default: Any
     sentence: str
+    required: bool = False  # it has no default
+
+    @property
+    def allowed(self) -> str:
+        """Type, range, and whether it must be given."""
+        return ", ".join(text for text in (self.type, self.range, "required" if self.required else "") if text)
 
     @property
     def default_yaml(self) -> str:
@@ -67,7 +73,8 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
 def _line(name: str, field: FieldInfo) -> SettingLine:
     default = None if field.is_required() else field.get_default(call_default_factory=True)
     sentence = (field.description or "").strip()
-    return SettingLine(name, type_in_words(field.annotation), _range(field), _plain(default), sentence)
+    words = type_in_words(field.annotation)
+    return SettingLine(name, words, _range(field), _plain(default), sentence, field.is_required())
 
 
 def type_in_words(annotation: Any) -> str:
@@ -118,8 +125,7 @@ def _flow(value: Any) -> str:
 
 
 def _comment(line: SettingLine) -> str:
-    allowed = ", ".join(text for text in (line.type, line.range) if text)
-    return f"{line.sentence} ({allowed})" if line.sentence else allowed
+    return f"{line.sentence} ({line.allowed})" if line.sentence else line.allowed
 
 
 def _under_its_key(kind: str, body: list[str]) -> list[str]:

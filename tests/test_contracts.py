@@ -41,6 +41,8 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("editor", "controlnet-depth"): "needs weights of 6 GB",
     ("segmenter", "sam2"): "needs weights of 0.2 GB",
     ("detector", "grounding-dino"): "needs weights of 0.7 GB",
+    ("dataset", "transforms"): "needs a folder of scenes",
+    ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""

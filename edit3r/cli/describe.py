@@ -57,8 +57,8 @@ def _settings(lines) -> str:
         return "  none"
     rows = []
     for line in lines:
-        allowed = ", ".join(text for text in (line.type, line.range) if text)
-        rows.append(f"  {line.name} = {line.default_yaml}\n      {allowed}\n      {line.sentence or 'no description'}")
+        value = "?" if line.required else line.default_yaml
+        rows.append(f"  {line.name} = {value}\n      {line.allowed}\n      {line.sentence or 'no description'}")
     return "\n".join(rows)
 
 

@@ -102,7 +102,8 @@ def test_the_yaml_of_every_component_is_its_defaults(offer):
         content = content["reconstructor"]
     values = content[offer.kind]
     assert values.pop("name") == offer.component.name
-    assert settings(**values) == settings()
+    required = {line.name: "given" for line in settings_lines(settings) if line.required}
+    assert settings(**{**values, **required}) == settings(**required)
 
 
 def test_all_there_is_to_know_is_shown(local, capsys):
@@ -119,6 +120,16 @@ def test_all_there_is_to_know_is_shown(local, capsys):
         assert words in said
     assert "needs a GPU             yes" in said
     assert "--set editor.strength=0.25" in said
+
+
+def test_a_setting_without_default_is_told_to_be_required():
+    class Rooted(Settings):
+        root: str = Field(description="folder")
+
+    (line,) = settings_lines(Rooted)
+    assert line.required and line.allowed == "text, required"
+    example = yaml_example(default_registry().find("dataset", "procedural"), Rooted)
+    assert "root: null" in example and "folder (text, required)" in example
 
 
 def test_yaml_alone_can_be_piped_into_a_file(local, capsys):
