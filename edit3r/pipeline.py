@@ -1,6 +1,7 @@
-"""One run end to end, as a table of contents: photos, edit, reconstruct, check.
+"""One run end to end, as a table of contents: photos, edit, reconstruct, check, simplify, refine.
 
     photos --> editor --> composite with the masks --> reconstructor (photos beside) --> Gaussians, cameras
+                                          Gaussians --> simplify --> refine --> Gaussians   (both when asked for)
 
 Writing the results to disk is `edit3r.results`; the command line is a thin shell over both.
 """
@@ -15,9 +16,12 @@ from torch import Tensor
 
 from edit3r.config import PartChoice
 from edit3r.errors import InputError
-from edit3r.interfaces import Editor, Reconstructor
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.refine import refine as refine_gaussians
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
+from edit3r.simplify import simplify
+from edit3r.simplify.budget import Budget
 from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r.wording import confine
@@ -50,6 +54,9 @@ def run(
     edit_views: Literal["all", "first"] = "all",
     seed: int = 0,
     device: str | torch.device | None = None,
+    gaussians: Budget = "all",
+    refine: int = 0,
+    rasterizer: str | PartChoice | Rasterizer = "auto",
     settings: Mapping[str, Mapping[str, Any]] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
@@ -60,8 +67,9 @@ def run(
     (`{"editor": {...}, "reconstructor": {...}}`) for those given by name. `masks` in [0, 1] say where pixels may
     change: outside (exactly 0) they stay bit-equal whatever the editor does. With `edit_views="first"` only view 0 is
     edited and the reconstructor carries the edit to the others. A `segmenter` is a part of editors that use one; for
-    others, without masks, it finds what the prompt is about and confines the edit there. Same inputs and seed, same
-    result.
+    others, without masks, it finds what the prompt is about and confines the edit there. `gaussians` is how many may
+    be left: all, those the scene requires (`"auto"`), or a number; `refine` is the most photometric steps after that;
+    only these two use the `rasterizer`. Same inputs and seed, same result.
     """
     registry = registry or default_registry()
     settings = settings or {}
@@ -87,8 +95,21 @@ def run(
             with blaming(recon):
                 reconstruction = recon(edited, source=views)
             check_reconstruction(recon, edited, reconstruction)
-            cameras = _cameras(reconstruction, edited)
-    return RunResult(views, edited, reconstruction.gaussians, cameras, request, editor, recon, report)
+            cameras, scene = _cameras(reconstruction, edited), reconstruction.gaussians
+        if gaussians != "all" or refine:
+            rasterizer = _built(registry, "rasterizer", rasterizer, settings, {})
+        if gaussians != "all":
+            with report.stage("simplify"):
+                scene = simplify(scene, cameras, rasterizer, None if gaussians == "auto" else gaussians).gaussians
+        if refine:
+            with report.stage("refine"):
+                # Photos that were not edited would pull the edit back out.
+                shown = range(edited.count if edit_views == "all" else 1)
+                images = edited.select(shown).images
+                refined = refine_gaussians(scene, cameras.select(shown), images, rasterizer, refine)
+                scene = refined.gaussians
+                note("refine", refined.facts)
+    return RunResult(views, edited, scene, cameras, request, editor, recon, report)
 
 
 def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts: Mapping[str, Any]) -> Any:

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge
+from edit3r.simplify.budget import Budget, parse_budget
 
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
@@ -28,6 +29,15 @@ class RunConfig(Settings):
     )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
     frames: int = Field(48, ge=2, le=2000, description="frames of the camera path between and around the input views")
+    gaussians: Budget = Field(
+        "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
+    )
+    refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
+
+    @field_validator("gaussians", mode="before")
+    @classmethod
+    def _parse_gaussians(cls, value: Any) -> Budget:
+        return parse_budget(value)
 
 
 def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:

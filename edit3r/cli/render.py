@@ -68,27 +68,18 @@ def main(args: argparse.Namespace) -> int:
 
 def _cameras(args: argparse.Namespace):
     """The file's cameras as one scene, at one picture size, and a name for each."""
-    import numpy as np
-    import torch
+    from dataclasses import replace
 
     from edit3r.errors import InputError
-    from edit3r.io.cameras import read_cameras
-    from edit3r.types import Cameras
+    from edit3r.io.cameras import read_scene_cameras
 
     file = Path(args.cameras) if args.cameras else Path(args.scene).parent / "cameras.json"
-    if not file.is_file():
-        raise InputError(f"{file}: no such camera file; say where to look from with --cameras FILE.")
-    posed = [camera for camera in read_cameras(file) if camera.c2w is not None and camera.K is not None]
-    if not posed:
-        raise InputError(f"{file}: no camera in it has both intrinsics and a pose.")
-    width, height = posed[0].width, posed[0].height
+    cameras, posed = read_scene_cameras(file)
     if args.size is not None:
         if not 1 <= args.size <= 8192:
             raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
-        scale = args.size / max(width, height)
-        width, height = max(1, round(width * scale)), max(1, round(height * scale))
-    stack = lambda arrays: torch.from_numpy(np.stack(arrays)).float()[None]  # noqa: E731
-    cameras = Cameras(stack([c.c2w for c in posed]), stack([c.intrinsics for c in posed]), (height, width))
+        scale = args.size / max(cameras.image_size)
+        cameras = replace(cameras, image_size=tuple(max(1, round(side * scale)) for side in cameras.image_size))
     return cameras, _unique([Path(camera.file).stem for camera in posed])
 
 

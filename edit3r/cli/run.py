@@ -26,6 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--device", metavar="D", help="torch device of learned parts (default cpu)")
     add("--seed", type=int, metavar="N", help="one seed for all views (default 0)")
     add("--frames", type=int, metavar="N", help="frames of the camera path (default 48)")
+    add("--gaussians", metavar="auto|all|N", help="only those the scene requires, all (default), or at most N")
+    add("--refine", type=int, metavar="STEPS", help="photometric steps on the input views at most (default 0)")
     add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
     add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
     add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
@@ -52,6 +54,7 @@ def main(args: argparse.Namespace) -> int:
             masks = load_masks(args.mask, photos) if args.mask else None
             hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in args.mask}
         with atomic_folder(args.out) as folder:
+            rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
             result = pipeline.run(
                 photos.views,
                 config.prompt,
@@ -62,10 +65,12 @@ def main(args: argparse.Namespace) -> int:
                 edit_views=config.edit_views,
                 seed=config.seed,
                 device=config.device,
+                gaussians=config.gaussians,
+                refine=config.refine,
+                rasterizer=rasterizer,
                 registry=registry,
                 report=report,
             )
-            rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
             results.write(folder, result, photos, hashes, rasterizer, config)
     if not args.quiet:
         print(results.summary(Path(args.out), result))
@@ -93,6 +98,8 @@ def _config(args: argparse.Namespace):
         "device": args.device,
         "seed": args.seed,
         "frames": args.frames,
+        "gaussians": args.gaussians,
+        "refine": args.refine,
     }
     named = {
         key: {"name": flags.pop(key)} for key in ("editor", "reconstructor", "rasterizer", "segmenter") if flags[key]

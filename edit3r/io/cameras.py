@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float64
 
 from edit3r.errors import InputError
@@ -69,6 +70,20 @@ def read_cameras(path: str | Path) -> list[PosedCamera]:
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: camera {index} cannot be used ({error}).") from None
     return cameras
+
+
+def read_scene_cameras(path: str | Path) -> tuple[Cameras, list[PosedCamera]]:
+    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's picture size."""
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such camera file; say where to look from with --cameras FILE.")
+    posed = [camera for camera in read_cameras(path) if camera.c2w is not None and camera.K is not None]
+    if not posed:
+        raise InputError(f"{path}: no camera in it has both intrinsics and a pose.")
+    c2w, intrinsics = (
+        torch.from_numpy(np.stack(matrices)).float()[None]
+        for matrices in ([camera.c2w for camera in posed], [camera.intrinsics for camera in posed])
+    )
+    return Cameras(c2w, intrinsics, (posed[0].height, posed[0].width)), posed
 
 
 def posed_cameras(cameras: Cameras, files: Sequence[str]) -> list[PosedCamera]:

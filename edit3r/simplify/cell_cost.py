@@ -7,6 +7,7 @@ from torch import Tensor
 from edit3r.simplify.settings import SimplifySettings
 
 STEEPEST = 3.0  # tangent between a surface and the picture plane; beyond it is a step in depth, not a slanted surface
+LEAST_FILL = 0.5  # Gaussians per pixel; an emptier cell joins things that are apart
 STILL = 0.25  # steps that move by less than this between the views do no harm [pixels]
 
 
@@ -32,14 +33,14 @@ def pixel_sums(
 
 
 def merging_cost(
-    sums: Float[Tensor, "view row column channel"], parallax: float, focal: float, settings: SimplifySettings
+    sums: Float[Tensor, "view row column channel"], area: int, parallax: float, focal: float, settings: SimplifySettings
 ) -> Float[Tensor, "view row column"]:
     """Squared error, summed over the cell's pixels, of one Gaussian in place of the cell's; infinite: must not merge.
 
     Colour: what its mean leaves over, where a linear change counts `gradient_share` only, because neighbouring
     Gaussians blend into each other. Depth: what no plane explains (a plane's disparity is linear in the picture), as
-    pixels that the surface moves by between the views. `parallax` and `focal` [pixels]: distance between the views
-    and one scene unit, each at camera z = 1.
+    pixels that the surface moves by between the views. `area` [pixels] is that of each cell; `parallax` and `focal`
+    [pixels] are the distance between the views and one scene unit, each at camera z = 1.
     """
     weight = sums[..., 1].clamp(min=1e-12)
     mean_x, mean_y, xx, yy, xy = (sums[..., i] / weight for i in range(2, 7))
@@ -61,4 +62,5 @@ def merging_cost(
     bent = (spread - fitted(disparity, disparity_x, disparity_y)).clamp(min=0)
     error = weight * (colour + (settings.edge * parallax) ** 2 * bent)
     steep = spread.sqrt() * focal > STEEPEST * (var_x + var_y).sqrt() * disparity
-    return torch.where(steep & (spread.sqrt() * parallax > STILL), torch.inf, error)
+    refused = (steep & (spread.sqrt() * parallax > STILL)) | (sums[..., 0] < LEAST_FILL * area)
+    return torch.where(refused, torch.inf, error)

@@ -63,9 +63,9 @@ def measure_cells(
         wide = dense
         for by_x in range(levels + 1):
             count[by_y, by_x] = wide[..., 0].float()
-            error[by_y, by_x] = merging_cost(wide, parallax, focal, settings).float()
-            wide = _pairs(wide, COLUMNS)
-        dense = _pairs(dense, ROWS)
+            error[by_y, by_x] = merging_cost(wide, 1 << by_y + by_x, parallax, focal, settings).float()
+            wide = _pairs(wide, COLUMNS) if by_x < levels else wide
+        dense = _pairs(dense, ROWS) if by_y < levels else dense
     return Cells(inside, pixel, count, error, placement.view.numel())
 
 

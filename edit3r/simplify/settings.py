@@ -12,7 +12,7 @@ class SimplifySettings(Settings):
         0.02, ge=0, description="drop a Gaussian whose blending weight sums to less over the pictures [pixels]"
     )
     price: float = Field(
-        0.02, ge=0, description="squared error, summed over pixels, that may be made to save one Gaussian"
+        0.005, ge=0, description="squared error, summed over pixels, that may be made to save one Gaussian"
     )
     gradient_share: float = Field(
         0.5, ge=0, le=1, description="share of a linear change of colour that counts as error within a merged cell"
@@ -26,5 +26,11 @@ class SimplifySettings(Settings):
     duplicate_colour: float = Field(
         0.06, ge=0, le=1, description="difference of colour up to which two views show the same surface"
     )
+    polish: int = Field(
+        10, ge=0, le=1000, description="most steps that bring the pictures back towards those of all Gaussians"
+    )
     largest_cell: int = Field(5, ge=0, le=8, description="merged cells have sides of at most 2^this pixels")
-    spread: float = Field(1.6, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")
+    spread: float = Field(1.9, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")
+    behind: float = Field(
+        0.25, ge=0, le=2, description="how far a merged Gaussian moves away from its camera [its largest scale]"
+    )

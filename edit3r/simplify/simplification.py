@@ -1,16 +1,20 @@
-"""Drop what no picture needs, then merge what is flat; say how much the pictures changed."""
+"""Drop what no picture needs, merge what is flat, polish what is left; say how much the pictures changed."""
 
 from dataclasses import dataclass
+from math import isfinite
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.errors import InputError
 from edit3r.evaluation.metrics import psnr
 from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
+from edit3r.refine import refine
+from edit3r.reporting import note
 from edit3r.simplify.contribution import contributions
 from edit3r.simplify.duplicates import duplicates
 from edit3r.simplify.merging import merge_groups
@@ -19,7 +23,7 @@ from edit3r.simplify.placement import Placement, place
 from edit3r.simplify.settings import SimplifySettings
 from edit3r.types import Cameras, Gaussians
 
-PATH_CAMERAS = 4  # pictures from between and around, per input view
+PATH_CAMERAS = 2  # pictures from between and around, per input view
 LONE_BASELINE = 0.1  # how far new views of a lone picture are taken to be [its median depth]
 
 
@@ -49,6 +53,8 @@ def simplify(
     of the settings.
     """
     settings = settings or SimplifySettings()
+    if gaussians.means.shape[0] != 1:
+        raise InputError(f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}.")
     if gaussians.count <= (1 if most is None else most):
         return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
     weight = visible_weight(gaussians, cameras, rasterizer)
@@ -60,8 +66,20 @@ def simplify(
     if most is not None and fewer.count > most:
         fewer = _most_visible(fewer, cameras, rasterizer, most)
     merged = kept.count - fewer.count
-    fidelity = _psnr_between(gaussians, fewer, cameras, rasterizer)
-    return Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, fidelity)
+    pictures = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
+    fewer = refine(fewer, cameras, pictures, rasterizer, settings.polish).gaussians
+    again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
+    fidelity = psnr(again.cpu().numpy(), pictures.cpu().numpy())
+    result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, fidelity)
+    _tell(result)
+    return result
+
+
+def _tell(result: Simplified) -> None:
+    for name in ("before", "unseen", "doubled", "merged"):
+        note(f"simplify.{name}", getattr(result, name))
+    note("simplify.left", result.gaussians.count)
+    note("simplify.psnr_of_input_views_against_all", round(result.psnr, 3) if isfinite(result.psnr) else None)
 
 
 def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
@@ -82,17 +100,12 @@ def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: S
     parallax = _parallax(placement, cameras)
     cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
     price = settings.price if most is None else price_for(cells, most)
-    return merge_groups(gaussians, partition(cells, price), settings)
+    return merge_groups(gaussians, partition(cells, price), cameras, settings)
 
 
 def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, most: int) -> Gaussians:
     weight = visible_weight(gaussians, cameras, rasterizer)
     return gaussians.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
-
-
-def _psnr_between(one: Gaussians, other: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> float:
-    pictures = [rasterizer.render(g, cameras).images.clamp(0, 1).cpu().numpy() for g in (one, other)]
-    return psnr(*pictures)
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:

@@ -1,0 +1,18 @@
+"""How many Gaussians a user asks for: `auto`, `all` or a number."""
+
+from typing import Any, Literal
+
+Budget = Literal["auto", "all"] | int
+
+
+def parse_budget(value: Any) -> Budget:
+    """`"auto"`, `"all"`, or a number of at least 1, also as text. Raises ValueError for anything else."""
+    if value in ("auto", "all"):
+        return value
+    try:
+        number = int(str(value))
+    except ValueError:
+        number = 0
+    if number < 1 or isinstance(value, bool):
+        raise ValueError("expected auto, all or a number of at least 1")
+    return number
