@@ -85,7 +85,8 @@ class Contract:
             return function(*args, **kwargs)
         except Exception as error:
             reason = " ".join(str(error).split())
-            self.require(False, f"{what} raised {type(error).__name__}: {reason}. It must handle this input.")
+            fix = "Return the shape expected" if "expected shape" in reason else "It must handle this input"
+            self.require(False, f"{what} raised {type(error).__name__}: {reason}. {fix}.")
 
     def require_tensor(
         self, name: str, tensor: Any, shape: tuple[int, ...], dtype: torch.dtype = torch.float32

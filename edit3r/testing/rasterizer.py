@@ -11,6 +11,7 @@ from edit3r.testing.contract import Contract
 from edit3r.testing.scenes import broad_gaussians, cameras_around, gaussian_cloud
 from edit3r.types import Cameras, Gaussians, Rendering
 
+REFERENCE = "rasterizers:torch"  # by its whole name, so that another plugin's `torch` disturbs no contract
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
@@ -73,11 +74,11 @@ class RasterizerContract(Contract):
         cameras = cameras_around(2, (12, 16))
         generator = torch.Generator().manual_seed(1)
         scene = broad_gaussians()
-        for field in FIELDS:
+        for field, gradient in zip(FIELDS, self._gradients(self.subject, scene, cameras)):
             value = getattr(scene, field)
             direction = torch.randn(value.shape, generator=generator)
             direction = direction / direction.norm() * (0.5 if field == "scales" else 1.0)
-            slope = self._slope(scene, cameras, field, direction)
+            slope = (gradient.cpu().double() * direction.double()).sum().item()
             measured = self._finite_difference(scene, cameras, field, direction)
             error = abs(slope - measured) / max(abs(measured), 0.05)
             self.require(
@@ -103,10 +104,10 @@ class RasterizerContract(Contract):
     def _reference(self) -> Rasterizer:
         """The plain rasterizer with the settings of the one under test, as far as it has them."""
         registry = default_registry()
-        known = registry.settings_class(registry.find("rasterizer", "torch")).model_fields
+        known = registry.settings_class(registry.find("rasterizer", REFERENCE)).model_fields
         given = getattr(self.subject, "settings", None)
         same = {name: getattr(given, name) for name in known if hasattr(given, name) and name in SCENE_SETTINGS}
-        return registry.build("rasterizer", "torch", **same)
+        return registry.build("rasterizer", REFERENCE, **same)
 
     def _require_agreement(self, case: str, mine: Rendering, reference: Rendering) -> None:
         for name in ("images", "alphas"):
@@ -139,10 +140,6 @@ class RasterizerContract(Contract):
         absent = [field for field, gradient in zip(FIELDS, gradients) if gradient is None]
         self.require(not absent, f"no gradient reaches {', '.join(absent)}; the rendering must depend on every field.")
         return list(gradients)
-
-    def _slope(self, scene: Gaussians, cameras: Cameras, field: str, direction: Tensor) -> float:
-        gradient = self._gradients(self.subject, scene, cameras)[FIELDS.index(field)]
-        return (gradient.cpu().double() * direction.double()).sum().item()
 
     def _finite_difference(self, scene: Gaussians, cameras: Cameras, field: str, direction: Tensor) -> float:
         """Central difference along `direction`, Richardson-extrapolated from two step sizes."""

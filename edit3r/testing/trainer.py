@@ -14,6 +14,7 @@ from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Dataset, Loss, LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
 from edit3r.registry import default_registry
 from edit3r.testing.contract import Contract
+from edit3r.testing.rasterizer import REFERENCE
 from edit3r.testing.scenes import photograph
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
@@ -115,6 +116,6 @@ class _MeanSquares(Loss):
 
 
 def _tiny_job(out: Path) -> TrainingJob:
-    rasterizer = default_registry().build("rasterizer", "torch")
+    rasterizer = default_registry().build("rasterizer", REFERENCE)
     losses = {"mean-squares": (1.0, _MeanSquares())}
     return TrainingJob(_PixelReconstructor(), rasterizer, _FormulaScenes(), _FormulaScenes(), losses, out)
