@@ -43,7 +43,7 @@ class Edit3rReconstructor(Reconstructor):
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
         )
         depth_repair: float = Field(0.5, ge=0, le=1, description="share of the network's depth correction that counts")
-        opacity_repair: float = Field(0.0, ge=0, le=1, description="share of its corrections of opacity and size")
+        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
         opacity: float = Field(0.7, gt=0, lt=1, description="before correction, where two views measured the depth")
         filled_opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where the depth was filled in")
         apron: float = Field(

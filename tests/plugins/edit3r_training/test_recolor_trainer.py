@@ -91,7 +91,7 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
 
 def test_training_lowers_the_error_it_is_given(tmp_path):
     job = _job(tmp_path)
-    _trainer(steps=16, render_every=0, validate_every=4, lr=3e-3, batch=4, average=0).train(job)
+    _trainer(steps=9, render_every=0, validate_every=3, lr=3e-3, average=0).train(job)
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     scores = [line["score"] for line in lines if line["kind"] == "validation"]
     assert min(scores[1:]) < scores[0]
