@@ -30,6 +30,7 @@ from edit3r_rasterizers.records import (
     GREEN,
     HIGH_X,
     HIGH_Y,
+    LOOKAHEAD,
     LOW_X,
     LOW_Y,
     RECORD,
@@ -50,7 +51,6 @@ from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
 from edit3r_rasterizers.simd_memory import flat, prefetch, shifted, store
-from edit3r_rasterizers.tile_lists import LOOKAHEAD
 
 _PER_UNIT = 1.0 / UNIT
 _AHEAD = U(LOOKAHEAD)

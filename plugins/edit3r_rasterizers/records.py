@@ -11,6 +11,9 @@ TILE = 16
 BLOCK = 4
 """Side of a block [pixels]; one block is one vector of sixteen lanes."""
 
+LOOKAHEAD = 32
+"""Spare places after lists of entries, so that kernels may ask ahead for the memory of entries to come."""
+
 # Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
 # log2(alpha) = LOG_OPACITY - (NARROWNESS * (d_x - SLOPE * d_y))^2 - (FLATNESS * d_y)^2.
 X, X_REST, Y, Y_REST = 0, 1, 2, 3  # mean as a sum of two float32 [pixels]

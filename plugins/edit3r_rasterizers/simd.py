@@ -4,8 +4,6 @@
 processor has (one AVX-512 register, two of AVX2, four of SSE or NEON). They exist only inside compiled functions, where
 `+ - * /`, comparisons, `&` and the functions below map to LLVM vector instructions; a scalar operand must be of the
 lanes' type and is broadcast. Products and sums may fuse, nothing else is reordered: results depend on no thread.
-
-numba's on-disk cache watches a kernel's own file only: after a change here, delete the `__pycache__` folder.
 """
 
 import operator

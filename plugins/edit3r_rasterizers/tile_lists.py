@@ -6,12 +6,10 @@ import numpy as np
 
 from edit3r.errors import RunError
 from edit3r_rasterizers.binning import COUNTS, count_entries, list_entries, sort_by_depth
-from edit3r_rasterizers.records import TileGrid
+from edit3r_rasterizers.records import LOOKAHEAD, TileGrid
 from edit3r_rasterizers.threads import even_bounds, run_slices
 
 MAX_ENTRIES = 2**31 - 1
-LOOKAHEAD = 32
-"""Spare places after `TileLists.positions`, so that kernels may look ahead without a check."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,7 @@ class TileLists:
     """Entries: one for each splat on each tile, grouped by tile, front to back."""
 
     offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
-    entries: np.ndarray  # [E], splat of each entry
+    entries: np.ndarray  # [E + LOOKAHEAD], splat of each entry
     positions: np.ndarray  # [E + LOOKAHEAD], entries grouped by splat
     places: np.ndarray  # [G + 1], where each splat's positions begin
 
@@ -42,8 +40,8 @@ def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndar
     offsets = np.zeros(grid.count + 1, np.int64)
     np.cumsum(counts.sum(0), out=offsets[1:])
     cursors = offsets[:-1] + np.cumsum(counts, 0) - counts
-    entries = np.empty(places[-1], np.int32)
-    positions = np.zeros(places[-1] + LOOKAHEAD, np.int32)
+    entries, positions = (np.empty(places[-1] + LOOKAHEAD, np.int32) for _ in range(2))
+    entries[-LOOKAHEAD:] = positions[-LOOKAHEAD:] = 0
     run_slices(list_entries, slices, threads, *shared, cursors, places, entries, positions)
     return TileLists(offsets, entries, positions, places)
 

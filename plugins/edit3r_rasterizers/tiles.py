@@ -12,6 +12,7 @@ from edit3r_rasterizers.records import (
     BLOCK,
     FLATNESS,
     LEAN,
+    LOOKAHEAD,
     NARROWNESS,
     REACH,
     RECORD,
@@ -24,7 +25,7 @@ from edit3r_rasterizers.records import (
     Y,
 )
 from edit3r_rasterizers.simd import broadcast, lane_columns, lane_rows, mask_bits, maximum, minimum, select
-from edit3r_rasterizers.simd_memory import load, load_block, store, store_block
+from edit3r_rasterizers.simd_memory import load, load_block, prefetch, store, store_block
 
 F = np.float32
 U = np.uint64
@@ -89,6 +90,7 @@ def find_touched(first, last, entries, records, tile_x, tile_y, touched):
     y nearest is given and the other follows from the ellipse's axes.
     """
     for entry in range(first, last):
+        prefetch(records, U(entries[entry + U(LOOKAHEAD)]) * U(RECORD))
         start = U(entries[entry]) * U(RECORD)
         x = (records[start + U(X)] - F(tile_x)) + records[start + U(X_REST)]
         y = (records[start + U(Y)] - F(tile_y)) + records[start + U(Y_REST)]

@@ -78,7 +78,7 @@ def test_numba_gradients_agree_with_the_reference(numba, reference, degree):
 
 
 def test_reference_gradients_agree_with_finite_differences(reference):
-    scene, views = cloud(4, degree=1, dtype=torch.float64), cameras((3, 4), dtype=torch.float64)
+    scene, views = cloud(3, degree=1, dtype=torch.float64), cameras((3, 4), dtype=torch.float64)
     background = torch.tensor([0.2, 0.5, 0.8], dtype=torch.float64)
 
     def render(means, scales, quats, opacities, harmonics, background):

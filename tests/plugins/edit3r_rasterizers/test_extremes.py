@@ -172,7 +172,7 @@ def test_the_largest_floats_make_no_infinite_picture(rasterizer):
 finite = {"allow_nan": False, "allow_infinity": False, "width": 32}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     position=st.tuples(*[st.floats(-1e4, 1e4, **finite)] * 3),
     scales=st.tuples(*[st.floats(-8, 4, **finite)] * 3),
@@ -192,7 +192,7 @@ def test_any_gaussian_gives_finite_pictures_and_gradients(position, scales, quat
     assert_gradients_finite(NUMBA, scene, views)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), spread=st.floats(-3, 0.5), ratio=st.floats(-2, 0), degree=st.integers(0, 4))
 def test_any_cloud_agrees_with_the_naive_renderer(seed, spread, ratio, degree):
     scene = cloud(25, degree, seed, scales=(10 ** (spread + ratio), 10**spread))

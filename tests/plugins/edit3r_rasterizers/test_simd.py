@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from edit3r_rasterizers.compiled import inlined
 from edit3r_rasterizers.simd import broadcast, flag_negative, lowest_bit, magnitude, mask_bits, maximum, minimum, select
 from edit3r_rasterizers.simd_math import exp2, log2
 from edit3r_rasterizers.simd_memory import flat, load, load_block, store, store_block, store_sums
+from numba import njit
 
 F, U = np.float32, np.uint64
 
 
-@inlined
+@njit
 def arithmetic(x, y, out):
     x, y, out = flat(x), flat(y), flat(out)
     a, b = load(x, U(0)), load(y, U(0))
@@ -20,32 +20,32 @@ def arithmetic(x, y, out):
     return mask_bits(positive)
 
 
-@inlined
+@njit
 def powers(x, out):
     x, out = flat(x), flat(out)
     store(out, U(0), exp2(load(x, U(0))))
 
 
-@inlined
+@njit
 def logarithms(x, out):
     x, out = flat(x), flat(out)
     store(out, U(0), log2(load(x, U(0))))
 
 
-@inlined
+@njit
 def sums(x, out):
     x, out = flat(x), flat(out)
     a, b, c = load(x, U(0)), load(x, U(16)), load(x, U(32))
     store_sums(out, U(1), (a, b, c))
 
 
-@inlined
+@njit
 def move_block(picture, out, offset, stride):
     picture, out = flat(picture), flat(out)
     store_block(out, U(offset), U(stride), load_block(picture, U(offset), U(stride)))
 
 
-@inlined
+@njit
 def first_set(bits):
     return lowest_bit(bits)
 
