@@ -52,6 +52,8 @@ def _quantised(lab: np.ndarray) -> np.ndarray:
     """Palette index per pixel: k-means from seeded centres, lightness counting half."""
     weighted = (lab * np.array([0.5, 1, 1], np.float32)).reshape(-1, 3)
     sample = weighted[:: max(1, len(weighted) // 4000)]
+    if len(sample) == 1:  # cv2 takes a single row for a column
+        return np.zeros(lab.shape[:2], np.int64)
     clusters = min(PALETTE, len(np.unique(sample, axis=0)))
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 15, 0.5)

@@ -15,7 +15,9 @@ from edit3r_classical.segmenter_masks import overlap, snapped, softened
 from edit3r_classical.tracking_features import affine_between
 from edit3r_classical.tracking_flow import Flow, carry, flow_between
 
-MIN_CONSISTENT = 0.35  # share of the object's pixels that flow must carry there and back
+GOOD_SCORE = 0.8  # consistent share times likeness above which nothing else is tried
+MIN_CONSISTENT = 0.35  # share under which flow says nothing
+UNCHECKED = 0.3  # what counts as consistent share where only features say where the object is
 MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
 MAX_GROWTH = 2.5  # change of area, either way, between two views beyond which an object counts as lost
 MAX_TOTAL_GROWTH = 6.0  # the same between the first view and any other
@@ -52,7 +54,16 @@ def follow(pictures: list[np.ndarray], masks: np.ndarray, size: int) -> Followed
         for number, mask in enumerate(row):
             if mask is not None:
                 soft[index, number] = masks[number] if index == 0 else softened(pictures[index], mask)
-    return Followed(soft, np.array([[mask is not None for mask in row] for row in found]).reshape(len(views), -1))
+    present = np.array([[mask is not None for mask in row] for row in found], dtype=bool)
+    return Followed(soft, present.reshape(len(views), len(masks)))
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """Where an object may be."""
+
+    mask: np.ndarray  # bool [h, w]
+    consistent: float  # share of it that flow carries there and back, in [0, 1]
 
 
 class _Step:
@@ -66,25 +77,28 @@ class _Step:
         """Mask of object `number` in this view, None when it is lost."""
         if self.found[0][number] is None:
             return None
-        sources = self._sources(number)
+        best, best_score = None, 0.0
         for way in (self._by_flow, self._by_features):
-            for source in sources:
-                mask = way(source, number)
-                if mask is not None and self._is_same(mask, source, number):
-                    return mask
-        return None
+            for source in self._sources(number):
+                guess = way(source, number)
+                score = self._score(guess, source, number) if guess is not None else 0.0
+                if score > best_score:
+                    best, best_score = guess.mask, score
+            if best_score >= GOOD_SCORE:
+                break
+        return best
 
     def _sources(self, number: int) -> list[int]:
         """The last view the object was seen in, then the first view."""
         last = max(index for index, row in enumerate(self.found) if row[number] is not None)
         return [last, 0] if last else [0]
 
-    def _by_flow(self, source: int, number: int) -> np.ndarray | None:
+    def _by_flow(self, source: int, number: int) -> _Guess | None:
         if source not in self.flows:
             self.flows[source] = flow_between(self.views[source].grey, self.views[self.index].grey)
         return self._carried(self.found[source][number], self.flows[source])
 
-    def _by_features(self, source: int, number: int) -> np.ndarray | None:
+    def _by_features(self, source: int, number: int) -> _Guess | None:
         """By an affine map, and flow for what it leaves; by the map alone where flow does not agree."""
         grey, mask, here = self.views[source].grey, self.found[source][number], self.views[self.index].grey
         matrix = affine_between(grey, here, mask)
@@ -95,14 +109,13 @@ class _Step:
         if not moved.any():
             return None
         rest = flow_between(cv2.warpAffine(grey, matrix, size, borderMode=cv2.BORDER_REPLICATE), here)
-        refined = self._carried(moved, rest)
-        return refined if refined is not None else self._snapped(moved, 3 * SNAP_BAND)
+        return self._carried(moved, rest) or _Guess(self._snapped(moved, 3 * SNAP_BAND), UNCHECKED)
 
-    def _carried(self, mask: np.ndarray, flow: Flow) -> np.ndarray | None:
+    def _carried(self, mask: np.ndarray, flow: Flow) -> _Guess | None:
         carried = carry(mask, flow)
         if carried.consistent < MIN_CONSISTENT:
             return None
-        return self._snapped(carried.mask, SNAP_BAND, carried.mask & ~carried.sure)
+        return _Guess(self._snapped(carried.mask, SNAP_BAND, carried.mask & ~carried.sure), carried.consistent)
 
     def _snapped(self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None) -> np.ndarray:
         """The outline on the colours of this view; as carried where graph cut would change the object itself."""
@@ -110,16 +123,16 @@ class _Step:
         sure = mask if unsure is None else mask & ~unsure
         return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
 
-    def _is_same(self, mask: np.ndarray, source: int, number: int) -> bool:
-        before = self.found[source][number]
-        first = self.found[0][number]
-        if _growth(before, mask) > MAX_GROWTH or _growth(first, mask) > MAX_TOTAL_GROWTH:
-            return False
-        references = ((source, before), (0, first))
-        likeness = [
-            _likeness(self.views[view].pixels, seen, self.views[self.index].pixels, mask) for view, seen in references
-        ]
-        return max(likeness) >= MIN_LIKENESS
+    def _score(self, guess: _Guess, source: int, number: int) -> float:
+        """Trust in a guess, in [0, 1]; 0 when it cannot be the object that earlier views show."""
+        before, first = self.found[source][number], self.found[0][number]
+        if _growth(before, guess.mask) > MAX_GROWTH or _growth(first, guess.mask) > MAX_TOTAL_GROWTH:
+            return 0.0
+        here = self.views[self.index].pixels
+        likeness = max(
+            _likeness(self.views[view].pixels, seen, here, guess.mask) for view, seen in ((source, before), (0, first))
+        )
+        return guess.consistent * likeness if likeness >= MIN_LIKENESS else 0.0
 
 
 def _view(picture: np.ndarray, size: int) -> _View:

@@ -1,0 +1,122 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from edit3r.io.images import load_views
+from edit3r.io.packaged import packaged_pair
+from edit3r.registry import build
+
+sys.path.insert(0, str(Path(__file__).parent))  # pytest in importlib mode finds no neighbours
+
+from segmenter_scenes import backdrop, ellipse, iou, tensor, with_object
+
+SEGMENTER = build("segmenter", "classical")
+HEIGHT, WIDTH = 120, 160
+LARGE = ellipse(HEIGHT, WIDTH, (70, 60), (30, 24))
+SMALL = ellipse(HEIGHT, WIDTH, (132, 30), (9, 7))
+PICTURE = tensor(with_object(with_object(backdrop(), LARGE), SMALL, (0.2, 0.25, 0.8), seed=4))
+
+
+def test_the_object_in_the_middle_is_the_most_salient():
+    assert iou(SEGMENTER.propose(PICTURE)[0].soft_mask, LARGE) > 0.93
+
+
+def test_other_objects_are_proposed_too():
+    assert max(iou(proposal.soft_mask, SMALL) for proposal in SEGMENTER.propose(PICTURE)) > 0.8
+
+
+def test_proposals_do_not_repeat_an_object():
+    masks = [proposal.soft_mask for proposal in SEGMENTER.propose(PICTURE)]
+    pairs = [(a, b) for index, a in enumerate(masks) for b in masks[:index]]
+    assert pairs and all(iou(a, b.numpy()) < 0.75 for a, b in pairs)
+
+
+def test_fields_agree_with_the_mask():
+    proposal = SEGMENTER.propose(PICTURE)[0]
+    inside = proposal.soft_mask > 0.5
+    rows, columns = torch.nonzero(inside, as_tuple=True)
+    assert proposal.area == pytest.approx(float(inside.float().mean()), abs=1e-6)
+    x, y, width, height = proposal.box
+    assert (x, y) == (columns.min(), rows.min()) and (x + width, y + height) == (columns.max() + 1, rows.max() + 1)
+    assert proposal.soft_mask.min() >= 0 and proposal.soft_mask.max() <= 1
+    assert ((proposal.soft_mask > 0.05) & (proposal.soft_mask < 0.95)).any()
+
+
+def test_a_clear_outline_scores_higher_than_a_faint_one():
+    faint = tensor(with_object(backdrop(), LARGE, (0.42, 0.5, 0.37)))
+    clear = SEGMENTER.segment(PICTURE, [(70 / WIDTH, 60 / HEIGHT)])
+    weak = SEGMENTER.segment(faint, [(70 / WIDTH, 60 / HEIGHT)])
+    assert clear.predicted_iou > 1.3 * weak.predicted_iou
+
+
+def test_the_same_picture_gives_the_same_proposals():
+    first, second = SEGMENTER.propose(PICTURE), SEGMENTER.propose(PICTURE)
+    assert len(first) == len(second)
+    assert all(torch.equal(a.soft_mask, b.soft_mask) and a.box == b.box for a, b in zip(first, second))
+
+
+@pytest.mark.parametrize("mask", [LARGE, SMALL])
+def test_a_point_gives_the_object_under_it(mask):
+    rows, columns = np.nonzero(mask)
+    point = ((columns.mean() + 0.5) / WIDTH, (rows.mean() + 0.5) / HEIGHT)
+    assert iou(SEGMENTER.segment(PICTURE, [point]).soft_mask, mask) > 0.8
+
+
+def test_two_points_give_one_object_with_both():
+    proposal = SEGMENTER.segment(PICTURE, [(50 / WIDTH, 60 / HEIGHT), (90 / WIDTH, 60 / HEIGHT)])
+    assert iou(proposal.soft_mask, LARGE) > 0.9
+
+
+@pytest.mark.parametrize("mask", [LARGE, SMALL])
+def test_a_box_gives_the_object_in_it(mask):
+    rows, columns = np.nonzero(mask)
+    box = (
+        (columns.min() - 3) / WIDTH,
+        (rows.min() - 3) / HEIGHT,
+        (np.ptp(columns) + 7) / WIDTH,
+        (np.ptp(rows) + 7) / HEIGHT,
+    )
+    assert iou(SEGMENTER.segment(PICTURE, box=box).soft_mask, mask) > 0.85
+
+
+def test_a_point_or_a_box_is_needed():
+    with pytest.raises(ValueError, match="at least one point or a box"):
+        SEGMENTER.segment(PICTURE)
+
+
+@pytest.mark.parametrize("height, width", [(1, 1), (1, 9), (5, 3), (17, 200)])
+def test_pictures_of_any_size(height, width):
+    image = torch.rand(3, height, width, generator=torch.Generator().manual_seed(0))
+    for proposal in SEGMENTER.propose(image):
+        assert proposal.soft_mask.shape == (height, width)
+    assert SEGMENTER.segment(image, [(0.5, 0.5)]).soft_mask.shape == (height, width)
+    assert SEGMENTER.segment(image, box=(0.2, 0.2, 0.5, 0.5)).soft_mask.shape == (height, width)
+    tracks = SEGMENTER.track(image.expand(2, 3, height, width), torch.ones(1, height, width))
+    assert tracks.logits.shape == (2, 1, height, width)
+
+
+def test_a_large_picture_is_answered_at_its_own_size():
+    large = torch.nn.functional.interpolate(PICTURE[None], scale_factor=5, mode="bilinear")[0]
+    mask = SEGMENTER.propose(large)[0].soft_mask
+    assert mask.shape == (5 * HEIGHT, 5 * WIDTH)
+    assert iou(mask, np.kron(LARGE, np.ones((5, 5)))) > 0.93
+
+
+def test_it_reads_no_words():
+    assert SEGMENTER.segment_text(PICTURE, "the ball") is None
+
+
+def test_the_packaged_motorcycle_is_what_its_picture_is_about():
+    """Its red tank and seat: the largest part of it in one colour."""
+    paths, _ = packaged_pair()
+    images = load_views(paths, size=384).images[0]
+    proposal = SEGMENTER.propose(images[0])[0]
+    tracks = SEGMENTER.track(images, proposal.soft_mask[None])
+    for image, mask in ((images[0], proposal.soft_mask > 0.5), (images[1], tracks.logits[1, 0] > 0)):
+        red, green, blue = image[:, mask].median(1).values
+        assert red > 2 * max(green, blue)
+    assert bool(tracks.present.all())
+    assert float((tracks.logits[1] > 0).float().mean()) == pytest.approx(proposal.area, rel=0.2)

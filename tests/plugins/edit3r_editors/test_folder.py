@@ -1,0 +1,93 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from edit3r.errors import InputError, SettingsError
+from edit3r.io.images import save_image
+from edit3r.registry import build
+from edit3r.reporting import Report, collecting
+from edit3r.types import EditRequest, Views
+
+VIEWS = Views(torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right"))
+
+
+def flat(level: float, height: int = 6, width: int = 8) -> torch.Tensor:
+    return torch.full((3, height, width), round(level * 255) / 255)
+
+
+def edit(folder: Path, views: Views = VIEWS) -> tuple[torch.Tensor, Report]:
+    with collecting(Report()) as report:
+        edited = build("editor", "folder", path=str(folder)).edit(views, EditRequest(""))
+    return edited.images[0], report
+
+
+def test_pictures_are_matched_by_name_whatever_their_order_and_suffix(tmp_path):
+    save_image(flat(0.2), tmp_path / "right.png")
+    save_image(flat(0.8), tmp_path / "Left.webp")
+    images, report = edit(tmp_path)
+    assert torch.allclose(images[0], flat(0.8), atol=0.02) and torch.equal(images[1], flat(0.2))
+    assert report.warnings == []
+
+
+def test_pictures_without_the_views_names_are_matched_in_natural_order_and_that_is_said(tmp_path):
+    save_image(flat(0.2), tmp_path / "out10.png")
+    save_image(flat(0.8), tmp_path / "out9.png")
+    images, report = edit(tmp_path)
+    assert torch.equal(images[0], flat(0.8)) and torch.equal(images[1], flat(0.2))
+    assert "left <- out9.png, right <- out10.png" in report.warnings[0]
+
+
+def test_another_size_is_resampled(tmp_path):
+    save_image(flat(0.4, 12, 16), tmp_path / "left.png")
+    save_image(flat(0.6, 3, 4), tmp_path / "right.png")
+    images, report = edit(tmp_path)
+    assert torch.equal(images, torch.stack((flat(0.4), flat(0.6)))) and report.warnings == []
+
+
+def test_another_shape_is_cropped_around_its_middle_and_that_is_said(tmp_path):
+    wide = flat(0.0, 6, 16)
+    wide[:, :, 4:12] = 1
+    save_image(wide, tmp_path / "left.png")
+    save_image(flat(0.5), tmp_path / "right.png")
+    images, report = edit(tmp_path)
+    assert (images[0] == 1).all()
+    assert "left.png is 16x6 but view 'left' is 8x6" in report.warnings[0]
+
+
+def test_a_missing_view_is_named(tmp_path):
+    save_image(flat(0.2), tmp_path / "left.png")
+    with pytest.raises(InputError, match=r"no picture for 'right'; found left\.png"):
+        edit(tmp_path)
+
+
+def test_a_wrong_number_of_pictures_is_an_error(tmp_path):
+    for name in "abc":
+        save_image(flat(0.2), tmp_path / f"{name}.png")
+    with pytest.raises(InputError, match="3 pictures cannot be matched to 2 views"):
+        edit(tmp_path)
+
+
+def test_two_pictures_of_one_name_are_an_error(tmp_path):
+    for name in ("left.png", "left.jpg", "right.png"):
+        save_image(flat(0.2), tmp_path / name)
+    with pytest.raises(InputError, match=r"left\.jpg, left\.png all fit one view"):
+        edit(tmp_path)
+
+
+def test_an_unreadable_picture_is_named(tmp_path):
+    save_image(flat(0.2), tmp_path / "left.png")
+    (tmp_path / "right.png").write_bytes(b"not a picture")
+    with pytest.raises(InputError, match=r"right\.png"):
+        edit(tmp_path)
+
+
+@pytest.mark.parametrize("path, error", [("", SettingsError), ("/nowhere/at/all", InputError)])
+def test_a_folder_must_be_given_and_exist(path, error):
+    with pytest.raises(error, match=r"editor\.path"):
+        build("editor", "folder", path=path).edit(VIEWS, EditRequest(""))
+
+
+def test_an_empty_folder_is_an_error(tmp_path):
+    with pytest.raises(InputError, match="no pictures"):
+        edit(tmp_path)
