@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from edit3r_classical.camera import Picture, pixel_rays, project
 from edit3r_classical.depth_map import RawDepth
@@ -44,7 +45,7 @@ def cross_check(
 def without_speckles(agrees: np.ndarray, raw: RawDepth) -> np.ndarray:
     """`agrees` without lone pixels and small islands of one depth, which agree by chance."""
     height, width = agrees.shape
-    kept = cv2.morphologyEx(agrees.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    kept = binary_opening(agrees, np.ones((2, 2)))
     quarter_planes = np.clip((raw.inverse - raw.inverse.min()) / raw.step * 4 + 16, 1, 32000).astype(np.int16)
     quarter_planes[~kept] = 0
     cv2.filterSpeckles(quarter_planes, 0, max(12, height * width // 1200), 6)

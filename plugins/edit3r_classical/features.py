@@ -31,7 +31,8 @@ def detect(image: np.ndarray, limit: int) -> Keypoints:
     scale = min(DETECTION_SIZE / max(grey.shape), 4.0)
     size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
     filtering = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    sift = cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
+    # Without the precise enlargement every point lies a quarter of a pixel off.
+    sift = cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(cv2.resize(grey, size, interpolation=filtering), None)
     if not found:
         return Keypoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
@@ -60,9 +61,14 @@ def match(a: Keypoints, b: Keypoints, ratio: float) -> np.ndarray:
     first = similarity[rows, best]
     similarity[rows, best] = -1
     second = similarity.max(axis=1)
-    distinct = np.sqrt(np.maximum(2 - 2 * first, 0)) < ratio * np.sqrt(np.maximum(2 - 2 * second, 1e-12))
+    distinct = _distance(first) < ratio * _distance(second)
     pairs = np.stack([rows, best], axis=1)[mutual & distinct]
     return _without_duplicates(a, b, pairs)
+
+
+def _distance(similarity: np.ndarray) -> np.ndarray:
+    """Between unit vectors; never quite 0, so that of two perfect matches neither is the better one."""
+    return np.sqrt(np.maximum(2 - 2 * similarity, 1e-6))
 
 
 def _without_duplicates(a: Keypoints, b: Keypoints, pairs: np.ndarray) -> np.ndarray:
