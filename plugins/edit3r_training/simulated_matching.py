@@ -63,8 +63,8 @@ def seen_by_partner(
     height, width = depths.shape[1:]
     points = unproject(depths, intrinsics, c2w).reshape(len(depths), -1, 3)
     places, z = project(points, intrinsics[index], c2w[index])
-    column = (places[..., 0] * width).long()
-    row = (places[..., 1] * height).long()
+    column = (places[..., 0] * width).floor().long()
+    row = (places[..., 1] * height).floor().long()
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     flat = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
     there = depths[index].flatten(1).gather(1, flat)
