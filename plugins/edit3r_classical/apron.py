@@ -44,7 +44,9 @@ def _widened(
     blocks = (math.ceil(full[0] / BLOCK), math.ceil(full[1] / BLOCK))
     maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
     reach = 2 * min(pad // 2, height // 2, width // 2) // 2  # an average over the border's surroundings, not one row
-    smooth = F.avg_pool2d(maps, 2 * reach + 1, stride=1, padding=reach, count_include_pad=False)
+    smooth = maps
+    for kernel, padding in (((2 * reach + 1, 1), (reach, 0)), ((1, 2 * reach + 1), (0, reach))):  # the square, by turns
+        smooth = F.avg_pool2d(smooth, kernel, stride=1, padding=padding, count_include_pad=False)
     coarse = F.interpolate(F.pad(smooth, (pad,) * 4, mode="replicate"), blocks, mode="area")
     coarse = coarse.view(*views.images.shape[:2], 4, *blocks)
     intrinsics = to_pixels(views.intrinsics, views.image_size)
