@@ -13,6 +13,7 @@ from edit3r.stage_checks import component_name
 from edit3r_recolor.wish import Wish
 
 Box = tuple[float, float, float, float]
+FAINT = 0.01  # a sigmoid never reaches 0; below this a pixel is outside and keeps its exact value
 ADVICE = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
 
 
@@ -35,12 +36,14 @@ def choose_region(
     """Given masks first, then a point or box on view 0 (normalised), then what the wish says."""
     if given is not None:
         return Region(given.to(images), "masks")
-    if point is not None or box is not None:
-        first = segmenter.segment(images[0], [point] if point is not None else (), box)
-        return Region(_follow(images, first, segmenter), "point" if point is not None else "box")
-    if wish.scope == "everything":
+    marked = point is not None or box is not None
+    if wish.scope == "everything" and not marked:
         return Region(torch.ones_like(images[:, 0]), "everything")
-    first, how = _object(images[0], wish, segmenter)
+    if marked:
+        first = segmenter.segment(images[0], [point] if point is not None else (), box)
+        how = "point" if point is not None else "box"
+    else:
+        first, how = _object(images[0], wish, segmenter)
     masks = _follow(images, first, segmenter)
     return Region(1 - masks, f"all but the {how}") if wish.scope == "background" else Region(masks, how)
 
@@ -77,5 +80,6 @@ def _follow(
     if lost:
         reporting.warn(f"The object was not found again in view {', '.join(lost)}; it keeps its colours there.")
     masks = tracks.logits[:, 0].sigmoid() * tracks.present[:, :1, None].to(images)
+    masks = torch.where(masks < FAINT, 0, masks)
     masks[0] = first.soft_mask.to(images)
     return masks

@@ -1,7 +1,9 @@
 import shlex
+import shutil
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 import torch
@@ -9,6 +11,7 @@ from edit3r_editors.command import parse_command
 
 from edit3r.errors import RunError, SettingsError
 from edit3r.registry import build
+from edit3r.testing import EditorContract
 from edit3r.types import EditRequest, Views
 
 VIEWS = Views(torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right"))
@@ -21,6 +24,7 @@ ImageOps.invert(Image.open(sys.argv[1])).save(sys.argv[2])
 INVERT_FOLDER = """
 import sys
 from pathlib import Path
+from typing import ClassVar
 from PIL import Image, ImageOps
 for file in Path(sys.argv[1]).iterdir():
     ImageOps.invert(Image.open(file)).save(Path(sys.argv[2]) / file.name)
@@ -103,3 +107,9 @@ def test_a_command_that_cannot_work_is_a_settings_error(command, message):
 def test_braces_written_twice_stay():
     arguments, together = parse_command("tool '{{\"a\": 1}}' {input} {output}")
     assert arguments[1].format() == '{"a": 1}' and not together
+
+
+@pytest.mark.skipif(shutil.which("cp") is None, reason="copies files with cp")
+class TestCommandKeepsTheContract(EditorContract):
+    component = "command"
+    settings: ClassVar = {"command": "cp {input} {output}"}

@@ -78,7 +78,7 @@ def test_a_soft_mask_blends_between_photo_and_colour():
 def test_an_object_is_taken_from_the_segmenter_and_said_to_be_a_guess():
     images, report = edit("paint the bike red")
     assert changed(images)[..., : WIDTH // 2].all()
-    assert torch.allclose(images[..., WIDTH // 2 :], photos().images[..., WIDTH // 2 :], atol=1e-3)
+    assert torch.equal(images[..., WIDTH // 2 :], photos().images[..., WIDTH // 2 :])
     assert report.notes["editor.region"] == "most salient object"
     assert "does not understand 'bike'" in report.warnings[0] and "--mask" in report.warnings[0]
 
@@ -104,6 +104,12 @@ def test_global_words_change_the_whole_picture():
 def test_the_background_is_all_but_the_object():
     images, _ = edit("make the background darker")
     assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[:, 0, :, : WIDTH // 2].any()
+
+
+def test_the_background_of_a_marked_object_is_all_but_that():
+    images, report = edit("make the background darker", point=(0.2, 0.5))
+    assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[:, 0, :, : WIDTH // 2].any()
+    assert report.notes["editor.region"] == "all but the point"
 
 
 @pytest.mark.parametrize("mark", [{"point": (0.2, 0.5)}, {"box": (0.1, 0.1, 0.5, 0.5)}])
