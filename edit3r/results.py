@@ -1,5 +1,7 @@
 """What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,12 +91,14 @@ def _clipped(rendering: Rendering) -> list[torch.Tensor]:
 
 def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: Rendering) -> None:
     views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
-    for index, name in enumerate(result.photos.names):
-        save_image(views[0][index], folder.inputs / f"{name}.png")
-        save_image(views[1][index], folder.edited / f"{name}.png")
-        save_image(views[2][index], folder.renders / f"{name}.png")
-    for index, frame in enumerate(_clipped(frames)):
-        save_image(frame, folder.renders / f"path_{index:04d}.png")
+    jobs = [
+        (picture, directory / f"{name}.png")
+        for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
+        for name, picture in zip(result.photos.names, pictures)
+    ]
+    jobs += [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(_clipped(frames))]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
+        list(pool.map(lambda job: save_image(*job), jobs))
     subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"
     title = result.request.prompt or "no prompt"
     save_before_after(folder.before_after, *views, names=result.photos.names, title=title, subtitle=subtitle)
