@@ -15,14 +15,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    from edit3r.cli._console import StageConsole
     from edit3r.config import find_config, merge, parse_assignments, read_yaml
     from edit3r.registry import default_registry
+    from edit3r.reporting import Report, collecting
     from edit3r.training.job import prepare
 
     values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
     if args.out:
         values = merge(values, {"out": args.out})
-    prepared = prepare(values, default_registry(), resume=args.resume)
-    best = prepared.trainer.train(prepared.job)
+    with StageConsole(quiet=False) as console:
+        report = Report(on_event=console)
+        with collecting(report), report.stage("train"):
+            prepared = prepare(values, default_registry(), resume=args.resume)
+            best = prepared.trainer.train(prepared.job)
     print(f"best checkpoint: {best}")
     return 0
