@@ -1,7 +1,4 @@
-"""Project Gaussians into packed records, eight at a time, in float64 (EWA splatting, Zwicker et al. 2001).
-
-The maths is written once for scalars and vectors alike: the small functions here work on float64 and on `DOUBLES`.
-"""
+"""Project Gaussians into packed records (EWA splatting, Zwicker et al. 2001)."""
 
 import math
 
@@ -9,9 +6,23 @@ import numpy as np
 
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers.compiled import inlined, kernel
+from edit3r_rasterizers.projection_maths import (
+    GROUP,
+    INPUTS,
+    OPACITY,
+    SCALE,
+    U,
+    camera_position,
+    conditional_form,
+    image_rows,
+    offset_from_camera,
+    rotation_matrix,
+    stage,
+    staged_row,
+    unit_quats,
+)
 from edit3r_rasterizers.records import (
     BLUE,
-    CENTRE,
     CENTRE_X,
     CENTRE_Y,
     DEPTH,
@@ -19,12 +30,8 @@ from edit3r_rasterizers.records import (
     FOCAL_X,
     FOCAL_Y,
     GREEN,
-    HIGH_X,
-    HIGH_Y,
     LEAN,
     LOG_OPACITY,
-    LOW_X,
-    LOW_Y,
     NARROWNESS,
     REACH,
     RECORD,
@@ -39,108 +46,20 @@ from edit3r_rasterizers.records import (
 )
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
-from edit3r_rasterizers.simd import broadcast, mask_bits, maximum, minimum, select, square_root
+from edit3r_rasterizers.simd import broadcast, mask_bits, maximum, minimum, square_root
 from edit3r_rasterizers.simd_math import log2
-from edit3r_rasterizers.simd_memory import flat, load, shifted, store
+from edit3r_rasterizers.simd_memory import flat, shifted, store
 
-SHORTEST_QUAT = 1e-12
-"""A quaternion not longer than this is taken as the identity."""
 UNIT = math.sqrt(0.5 / math.log(2.0))
 """The records' squares are exponents of two: standard deviations times this."""
 _DEVIATIONS = 1 / UNIT
 
-U = np.uint64
-GROUP = U(8)
-MEAN, SCALE, QUAT, OPACITY, INPUTS = U(0), U(3), U(6), U(10), U(11)
-"""Rows of the staged inputs, one lane per Gaussian."""
 _X, _Y, _SLOPE, _NARROWNESS, _FLATNESS, _LEAN, _LOG_OPACITY, _REACH, _DEPTH = (INPUTS + U(row) for row in range(9))
 _LEFT, _TOP, _RIGHT, _BOTTOM, _EAST, _DOWN, _AHEAD = (INPUTS + U(row) for row in range(9, 16))
 """Rows of the staged results; the last three are the direction seen."""
 _BASIS = INPUTS + U(16)
 PROJECTION_SCRATCH = int(_BASIS * GROUP) + 25
 """Doubles of scratch memory that `project` needs: the rows above, then one direction's harmonics basis."""
-
-
-@inlined
-def stage(staged, lane, i, means, scales, quats, opacities):
-    """Copy the geometry of Gaussian `i` to one lane of the staged inputs."""
-    for k in range(U(3)):
-        staged[(MEAN + k) * GROUP + lane] = means[U(3) * i + k]
-        staged[(SCALE + k) * GROUP + lane] = scales[U(3) * i + k]
-    for k in range(U(4)):
-        staged[(QUAT + k) * GROUP + lane] = quats[U(4) * i + k]
-    staged[OPACITY * GROUP + lane] = opacities[i]
-
-
-@inlined
-def staged_row(staged, row):
-    """Eight lanes of one row."""
-    return load(staged, row * GROUP)
-
-
-@inlined
-def offset_from_camera(staged, camera):
-    """World offset of the means from the camera's centre; subtracted first, which is exact far from the origin."""
-    x = staged_row(staged, MEAN) - camera[CENTRE]
-    y = staged_row(staged, MEAN + U(1)) - camera[CENTRE + 1]
-    z = staged_row(staged, MEAN + U(2)) - camera[CENTRE + 2]
-    return x, y, z
-
-
-@inlined
-def camera_position(camera, dx, dy, dz):
-    """Camera coordinates of a world offset from the camera's centre."""
-    x = dx * camera[0] + dy * camera[3] + dz * camera[6]
-    y = dx * camera[1] + dy * camera[4] + dz * camera[7]
-    z = dx * camera[2] + dy * camera[5] + dz * camera[8]
-    return x, y, z
-
-
-@inlined
-def image_rows(camera, u, v, per_z):
-    """Jacobian of the picture position by the world position [pixels / scene unit], tangents clamped."""
-    u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
-    v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
-    gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
-    j0, j1, j2 = (camera[0] - u * camera[2]) * gx, (camera[3] - u * camera[5]) * gx, (camera[6] - u * camera[8]) * gx
-    k0, k1, k2 = (camera[1] - v * camera[2]) * gy, (camera[4] - v * camera[5]) * gy, (camera[7] - v * camera[8]) * gy
-    return j0, j1, j2, k0, k1, k2
-
-
-@inlined
-def unit_quats(staged):
-    """Unit quaternions and 1 / norm, or the identity and 0 for one not longer than SHORTEST_QUAT."""
-    a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
-    c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
-    norm = square_root(a * a + b * b + c * c + d * d)
-    sound = norm > SHORTEST_QUAT
-    inverse = select(sound, 1.0 / maximum(norm, SHORTEST_QUAT), broadcast(0.0))
-    return select(sound, a * inverse, broadcast(1.0)), b * inverse, c * inverse, d * inverse, inverse
-
-
-@inlined
-def rotation_matrix(a, b, c, d):
-    """Rotation matrix, row-major, of a unit wxyz quaternion."""
-    r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
-    r3, r4, r5 = 2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)
-    r6, r7, r8 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)
-    return r0, r1, r2, r3, r4, r5, r6, r7, r8
-
-
-@inlined
-def conditional_form(a0, a1, a2, b0, b1, b2, eps2d):
-    """(slope, narrowness, flatness, variance_x, variance_y) of the covariance of rows a (x) and b (y).
-
-    The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
-    """
-    square = a0 * a0 + a1 * a1 + a2 * a2
-    variance_x, variance_y = square + eps2d, b0 * b0 + b1 * b1 + b2 * b2 + eps2d
-    flatness = 1.0 / square_root(variance_y)
-    b0, b1, b2 = b0 * flatness, b1 * flatness, b2 * flatness
-    e0, e1, e2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    given = e0 * e0 + e1 * e1 + e2 * e2 + (square * flatness * flatness + 1.0) * eps2d
-    slope = (a0 * b0 + a1 * b1 + a2 * b2) * flatness
-    return slope, 1.0 / square_root(given), flatness, variance_x, variance_y
 
 
 @kernel

@@ -6,12 +6,12 @@ import numpy as np
 
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers.compiled import inlined, kernel
-from edit3r_rasterizers.projection import (
+from edit3r_rasterizers.projection import UNIT
+from edit3r_rasterizers.projection_maths import (
     GROUP,
     INPUTS,
     OPACITY,
     SCALE,
-    UNIT,
     U,
     camera_position,
     conditional_form,

@@ -1,9 +1,21 @@
 """Spherical harmonics of one direction inside numba kernels; basis and signs as in `edit3r.geometry.harmonics`."""
 
-from edit3r.geometry import harmonics
+from math import pi, sqrt
+
+from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers.compiled import inlined
 
-_C0, _C1, _C2, _C3, _C4 = harmonics.DC, harmonics._L1, harmonics._L2, harmonics._L3, harmonics._L4
+_C0 = DC
+_C1 = 0.5 * sqrt(3 / pi)
+_C2 = tuple(a * sqrt(b / pi) for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15)))
+_C3 = tuple(
+    a * sqrt(b / pi)
+    for a, b in ((-0.25, 17.5), (0.5, 105), (-0.25, 10.5), (0.25, 7), (-0.25, 10.5), (0.25, 105), (-0.25, 17.5))
+)
+_C4 = tuple(
+    a * sqrt(b / pi) / 16
+    for a, b in ((12, 35), (-12, 17.5), (12, 5), (-12, 2.5), (3, 1), (-12, 2.5), (6, 5), (-12, 17.5), (3, 35))
+)
 
 
 @inlined

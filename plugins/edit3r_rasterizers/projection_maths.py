@@ -1,0 +1,101 @@
+"""The projection's maths for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
+
+Gaussians are staged first: eight of them side by side in scratch memory, one row per number, so that a row is a vector.
+"""
+
+import numpy as np
+
+from edit3r_rasterizers.compiled import inlined
+from edit3r_rasterizers.records import CENTRE, FOCAL_X, FOCAL_Y, HIGH_X, HIGH_Y, LOW_X, LOW_Y
+from edit3r_rasterizers.simd import broadcast, maximum, minimum, select, square_root
+from edit3r_rasterizers.simd_memory import load
+
+SHORTEST_QUAT = 1e-12
+"""A quaternion not longer than this is taken as the identity."""
+
+U = np.uint64
+GROUP = U(8)
+MEAN, SCALE, QUAT, OPACITY, INPUTS = U(0), U(3), U(6), U(10), U(11)
+"""Rows of the staged inputs."""
+
+
+@inlined
+def stage(staged, lane, i, means, scales, quats, opacities):
+    """Copy the geometry of Gaussian `i` to one lane of the staged inputs."""
+    for k in range(U(3)):
+        staged[(MEAN + k) * GROUP + lane] = means[U(3) * i + k]
+        staged[(SCALE + k) * GROUP + lane] = scales[U(3) * i + k]
+    for k in range(U(4)):
+        staged[(QUAT + k) * GROUP + lane] = quats[U(4) * i + k]
+    staged[OPACITY * GROUP + lane] = opacities[i]
+
+
+@inlined
+def staged_row(staged, row):
+    """Eight lanes of one row."""
+    return load(staged, row * GROUP)
+
+
+@inlined
+def offset_from_camera(staged, camera):
+    """World offset of the means from the camera's centre; subtracted first, which is exact far from the origin."""
+    x = staged_row(staged, MEAN) - camera[CENTRE]
+    y = staged_row(staged, MEAN + U(1)) - camera[CENTRE + 1]
+    z = staged_row(staged, MEAN + U(2)) - camera[CENTRE + 2]
+    return x, y, z
+
+
+@inlined
+def camera_position(camera, dx, dy, dz):
+    """Camera coordinates of a world offset from the camera's centre."""
+    x = dx * camera[0] + dy * camera[3] + dz * camera[6]
+    y = dx * camera[1] + dy * camera[4] + dz * camera[7]
+    z = dx * camera[2] + dy * camera[5] + dz * camera[8]
+    return x, y, z
+
+
+@inlined
+def image_rows(camera, u, v, per_z):
+    """Jacobian of the picture position by the world position [pixels / scene unit], tangents clamped."""
+    u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
+    v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
+    gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
+    j0, j1, j2 = (camera[0] - u * camera[2]) * gx, (camera[3] - u * camera[5]) * gx, (camera[6] - u * camera[8]) * gx
+    k0, k1, k2 = (camera[1] - v * camera[2]) * gy, (camera[4] - v * camera[5]) * gy, (camera[7] - v * camera[8]) * gy
+    return j0, j1, j2, k0, k1, k2
+
+
+@inlined
+def unit_quats(staged):
+    """Unit quaternions and 1 / norm, or the identity and 0 for one not longer than SHORTEST_QUAT."""
+    a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
+    c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
+    norm = square_root(a * a + b * b + c * c + d * d)
+    sound = norm > SHORTEST_QUAT
+    inverse = select(sound, 1.0 / maximum(norm, SHORTEST_QUAT), broadcast(0.0))
+    return select(sound, a * inverse, broadcast(1.0)), b * inverse, c * inverse, d * inverse, inverse
+
+
+@inlined
+def rotation_matrix(a, b, c, d):
+    """Rotation matrix, row-major, of a unit wxyz quaternion."""
+    r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
+    r3, r4, r5 = 2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)
+    r6, r7, r8 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)
+    return r0, r1, r2, r3, r4, r5, r6, r7, r8
+
+
+@inlined
+def conditional_form(a0, a1, a2, b0, b1, b2, eps2d):
+    """(slope, narrowness, flatness, variance_x, variance_y) of the covariance of rows a (x) and b (y).
+
+    The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
+    """
+    square = a0 * a0 + a1 * a1 + a2 * a2
+    variance_x, variance_y = square + eps2d, b0 * b0 + b1 * b1 + b2 * b2 + eps2d
+    flatness = 1.0 / square_root(variance_y)
+    b0, b1, b2 = b0 * flatness, b1 * flatness, b2 * flatness
+    e0, e1, e2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    given = e0 * e0 + e1 * e1 + e2 * e2 + (square * flatness * flatness + 1.0) * eps2d
+    slope = (a0 * b0 + a1 * b1 + a2 * b2) * flatness
+    return slope, 1.0 / square_root(given), flatness, variance_x, variance_y
