@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
     from edit3r.run_config import RunConfig
 
-VIDEO_FPS = 24
+VIDEO_FPS = 18
 
 
 def write(

@@ -28,7 +28,7 @@ class RunConfig(Settings):
         None, gt=1, lt=170, description="horizontal field of view [degrees] of photos that do not tell their own"
     )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
-    frames: int = Field(48, ge=2, le=2000, description="frames of the camera path between and around the input views")
+    frames: int = Field(36, ge=2, le=2000, description="frames of the camera path between and around the input views")
     gaussians: Budget = Field(
         "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )

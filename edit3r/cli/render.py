@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
     add("--make", nargs="+", choices=("pictures", "video", "viewer"), default=["pictures", "video", "viewer"])
     add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
-    add("--frames", type=int, default=48, metavar="N", help="frames of the video's camera path (default 48)")
+    add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
     add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
     add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
     add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--size", type=int, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
     add("--device", metavar="D", help="torch device of learned parts (default cpu)")
     add("--seed", type=int, metavar="N", help="one seed for all views (default 0)")
-    add("--frames", type=int, metavar="N", help="frames of the camera path (default 48)")
+    add("--frames", type=int, metavar="N", help="frames of the camera path (default 36)")
     add("--gaussians", metavar="auto|all|N", help="only those the scene requires, all (default), or at most N")
     add("--refine", type=int, metavar="STEPS", help="photometric steps on the input views at most (default 0)")
     add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
