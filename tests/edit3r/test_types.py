@@ -25,13 +25,13 @@ def test_public_names_are_the_core_types():
 def test_a_wrong_shape_is_an_error_that_names_field_expected_and_given():
     with pytest.raises(ValueError, match=r"Views.intrinsics: expected shape \[1, 2, 3, 3\], got \[1, 3, 3, 3\]"):
         Views(torch.zeros(1, 2, 3, 4, 5), torch.zeros(1, 3, 3, 3))
-    with pytest.raises(ValueError, match="Cameras.image_size"):
+    with pytest.raises(ValueError, match=r"Cameras\.image_size"):
         Cameras(torch.zeros(1, 1, 4, 4), torch.zeros(1, 1, 3, 3), (0, 4))
     with pytest.raises(ValueError, match="harmonics: expected K in"):
         gaussians(coefficients=5)
-    with pytest.raises(ValueError, match="Features.levels"):
+    with pytest.raises(ValueError, match=r"Features\.levels"):
         Features((torch.zeros(1, 2, 5, 8),), grid=(2, 3))
-    with pytest.raises(ValueError, match="EditRequest.masks"):
+    with pytest.raises(ValueError, match=r"EditRequest\.masks"):
         EditRequest("x", masks=torch.zeros(2, 4, 4))
 
 
