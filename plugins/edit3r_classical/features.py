@@ -27,8 +27,8 @@ class Keypoints:
 def detect(image: np.ndarray, limit: int, detection_size: int) -> Keypoints:
     """At most about `limit` of the strongest features of `image` `[height, width, 3]` in [0, 1].
 
-    SIFT looks at the photo at a long side of `detection_size` [pixels]; a small one is enlarged, at most fourfold, which
-    doubles the matches of photos of 256 pixels.
+    SIFT looks at the photo at a long side of `detection_size` [pixels]; a small one is enlarged, at most fourfold,
+    which doubles the matches of photos of 256 pixels.
     """
     grey = cv2.cvtColor((np.clip(image, 0, 1) * 255).round().astype(np.uint8), cv2.COLOR_RGB2GRAY)
     scale = min(detection_size / max(grey.shape), _LARGEST_ENLARGEMENT)
@@ -39,9 +39,8 @@ def detect(image: np.ndarray, limit: int, detection_size: int) -> Keypoints:
     if not found:
         return Keypoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     # SIFT counts from pixel centres, we from the corner; the two axes were scaled by slightly different whole sizes.
-    points = (
-        (np.array([point.pt for point in found]) + 0.5 - _DOUBLING_SHIFT) * np.array(grey.shape[::-1]) / np.array(size)
-    )
+    places = np.array([point.pt for point in found]) + 0.5 - _DOUBLING_SHIFT
+    points = places * np.array(grey.shape[::-1]) / np.array(size)
     return Keypoints(points, _square_root(descriptors))
 
 
