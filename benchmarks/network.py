@@ -137,7 +137,7 @@ def _reconstructor(size: str, settings: dict):
     backbone = AsymmetricViT(AsymmetricViT.Settings(**backbone_settings, seed=None))
     head = DptGaussianHead(DptGaussianHead.Settings(**head_settings, seed=None), backbone)
     built = Reconstructor(Reconstructor.Settings(weights="random", device="cpu", **settings), backbone, head)
-    return built._run
+    return built.network
 
 
 def _plain(size: str) -> Callable:

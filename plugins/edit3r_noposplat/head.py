@@ -40,7 +40,7 @@ class DptGaussianHead(GaussianHead):
         scale_factor: float = Field(0.001, gt=0, description="of softplus(raw scale) [scene units]")
         max_scale: float = Field(0.3, gt=0, description="largest standard deviation [scene units]")
         strip_rows: int = Field(
-            32,
+            16,
             ge=1,
             description="picture rows computed at a time in the last layers; fewer need less memory, results are equal",
         )

@@ -13,6 +13,7 @@ from edit3r.reporting import note
 from edit3r.types import Gaussians, Reconstruction, Views
 from edit3r_noposplat.check_views import check_views
 from edit3r_noposplat.engine import Precision
+from edit3r_noposplat.engine.regional import compile_regions
 from edit3r_noposplat.fit import fit_views
 from edit3r_noposplat.memory import check_fits, estimate_bytes, explaining_exhaustion
 from edit3r_noposplat.regrid import finer_grid, regrid
@@ -66,7 +67,7 @@ class NoPoSplatReconstructor(Reconstructor):
         engine: Literal["packed", "eager", "compile"] = Field(
             "packed",
             description="packed: oneDNN layouts on a CPU, inference only; eager: plain layers, trainable; compile: "
-            "torch.compile, slow to start",
+            "torch.compile of each kind of block, slow to start",
         )
         device: str = Field("auto", description="cpu, cuda, cuda:1, ...; auto: cuda where there is one")
         seed: int = Field(0, description="of weights that are drawn rather than loaded")
@@ -80,7 +81,8 @@ class NoPoSplatReconstructor(Reconstructor):
             )
         self.loaded, self._network = load_network(settings, backbone, head)
         self.resolution = settings.resolution or (self.loaded.config.resolution if self.loaded else 256)
-        self._run = torch.compile(self._network) if settings.engine == "compile" else self._network
+        if settings.engine == "compile":
+            compile_regions(self._network)
 
     @property
     def network(self) -> nn.Module:
@@ -105,7 +107,7 @@ class NoPoSplatReconstructor(Reconstructor):
         note("reconstructor.network_input_size", list(size))
         with explaining_exhaustion(what):
             inputs = fitted.views.to(self.device, torch.float32)
-            gaussians = self._run(inputs.images, inputs.intrinsics).to(views.images.device)
+            gaussians = self._network(inputs.images, inputs.intrinsics).to(views.images.device)
         _require_finite(gaussians)
         gaussians = fitted.drop_padding(gaussians)
         if self.settings.grid_resolution is not None:

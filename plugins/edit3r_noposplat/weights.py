@@ -12,12 +12,15 @@ from edit3r.interfaces import Backbone, GaussianHead
 from edit3r.reporting import note, progress, warn
 from edit3r_noposplat.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_noposplat.checkpoints.loaded import PartConfig
+from edit3r_noposplat.checkpoints.pages import release_heap
 from edit3r_noposplat.engine import make_plan, prepare_leaf
 from edit3r_noposplat.engine.plan import EnginePlan
 from edit3r_noposplat.initialise import draw_leaf, leaf_names
 from edit3r_noposplat.network import GaussianNetwork
 
 RANDOM = "random"
+LEAVES_PER_RELEASE = 16
+"""How often what conversion freed goes back to the system; otherwise it adds up to a tenth of the network."""
 
 
 def load_network(
@@ -93,6 +96,8 @@ def _prepare(
     for done, (name, leaf) in enumerate(source, start=1):
         prepare_leaf(network, name, leaf, plan, device)
         progress("loading weights", done, total)
+        if done % LEAVES_PER_RELEASE == 0 or done == total:
+            release_heap()
 
 
 def _tell(loaded: LoadedWeights, network: GaussianNetwork) -> None:

@@ -1,4 +1,4 @@
-"""Hand memory of a mapped weight file back to the system once its values are copied."""
+"""Hand memory back to the system while weights load: pages of the mapped file, and what the heap has freed."""
 
 import ctypes
 import mmap
@@ -23,3 +23,10 @@ def release_pages(tensor: Tensor) -> None:
     length = (tensor.data_ptr() + tensor.nbytes) // page * page - start
     if length > 0:
         ctypes.CDLL(None).madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), _PAGEOUT)
+
+
+def release_heap() -> None:
+    """Return freed heap memory to the system (glibc keeps it otherwise); nothing happens elsewhere."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform.startswith("linux") else None
+    if trim is not None:
+        trim(0)

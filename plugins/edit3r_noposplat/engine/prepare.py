@@ -11,7 +11,7 @@ from edit3r_noposplat.engine.winograd import WinogradConv
 _ACTIVATIONS: dict[type, Activation] = {nn.GELU: "gelu", nn.ReLU: "relu"}
 _WINOGRAD_PARENTS = ("trunk.fuse.0.skip", "trunk.fuse.0.refine")
 MIN_INT8_CHANNELS = 64
-MIN_WINOGRAD_CHANNELS = 128
+MIN_WINOGRAD_CHANNELS = 192
 """Narrower layers spend more on quantising or transforming than the products save."""
 
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from edit3r_noposplat.engine.packed import Activation
 
 TILE, PATCH = 4, 6
-TILES_AT_ONCE = 256
+TILES_AT_ONCE = 128
 """Patches transformed together; large enough for fast products, small enough to stay in the cache."""
 
 # Interpolation points 0, 1, -1, 2, -2 and infinity.

@@ -212,7 +212,7 @@ def test_running_out_of_memory_says_what_to_lower(reconstructor, monkeypatch):
     def exhausted(images, intrinsics):
         raise RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried to allocate 9 bytes")
 
-    monkeypatch.setattr(reconstructor, "_run", exhausted)
+    monkeypatch.setattr(reconstructor.network, "forward", exhausted)
     with pytest.raises(RunError, match=r"ran out of memory; lower reconstructor\.resolution"):
         reconstructor(views_of(torch.rand(1, 2, 3, 32, 32)))
 
