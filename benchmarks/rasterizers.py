@@ -163,7 +163,7 @@ def plot(timings: list[Timing], path: Path) -> None:
     panels[1].minorticks_off()
     for panel in panels:
         panel.grid(True, which="major", alpha=0.3)
-    panels[0].legend()
+    panels[1].legend(loc="center left")
     figure.tight_layout()
     figure.savefig(path, dpi=120)
 
