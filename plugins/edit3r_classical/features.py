@@ -7,11 +7,10 @@ import numpy as np
 
 __all__ = ["Keypoints", "detect", "match"]
 
-DETECTION_SIZE = 768
-"""Long side at which SIFT looks; small photos are enlarged, at most fourfold, which doubles the matches at 256²."""
-
+_LARGEST_ENLARGEMENT = 4.0
 _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both ways agree
 _EDGE = 15.0
+_DOUBLING_SHIFT = 0.25  # OpenCV's SIFT doubles the picture first and forgets that this moves pixel centres
 
 
 @dataclass(frozen=True)
@@ -25,19 +24,23 @@ class Keypoints:
         return len(self.points)
 
 
-def detect(image: np.ndarray, limit: int) -> Keypoints:
-    """At most about `limit` of the strongest features of `image` `[height, width, 3]` in [0, 1]."""
+def detect(image: np.ndarray, limit: int, detection_size: int) -> Keypoints:
+    """At most about `limit` of the strongest features of `image` `[height, width, 3]` in [0, 1].
+
+    SIFT looks at the photo at a long side of `detection_size` [pixels]; a small one is enlarged, at most fourfold,
+    which doubles the matches of photos of 256 pixels.
+    """
     grey = cv2.cvtColor((np.clip(image, 0, 1) * 255).round().astype(np.uint8), cv2.COLOR_RGB2GRAY)
-    scale = min(DETECTION_SIZE / max(grey.shape), 4.0)
+    scale = min(detection_size / max(grey.shape), _LARGEST_ENLARGEMENT)
     size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
     filtering = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    # Without the precise enlargement every point lies a quarter of a pixel off.
-    sift = cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE, enable_precise_upscale=True)
+    sift = cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
     found, descriptors = sift.detectAndCompute(cv2.resize(grey, size, interpolation=filtering), None)
     if not found:
         return Keypoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     # SIFT counts from pixel centres, we from the corner; the two axes were scaled by slightly different whole sizes.
-    points = (np.array([point.pt for point in found]) + 0.5) * np.array(grey.shape[::-1]) / np.array(size)
+    places = np.array([point.pt for point in found]) + 0.5 - _DOUBLING_SHIFT
+    points = places * np.array(grey.shape[::-1]) / np.array(size)
     return Keypoints(points, _square_root(descriptors))
 
 
@@ -55,14 +58,14 @@ def match(a: Keypoints, b: Keypoints, ratio: float) -> np.ndarray:
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), int)
     similarity = a.descriptors @ b.descriptors.T
-    rows = np.arange(len(a))
-    best = similarity.argmax(axis=1)
-    mutual = similarity.argmax(axis=0)[best] == rows
+    rows, best = np.arange(len(a)), similarity.argmax(axis=1)
     first = similarity[rows, best]
     similarity[rows, best] = -1
     second = similarity.max(axis=1)
-    distinct = _distance(first) < ratio * _distance(second)
-    pairs = np.stack([rows, best], axis=1)[mutual & distinct]
+    similarity[rows, best] = first
+    distinct = np.flatnonzero(_distance(first) < ratio * _distance(second))
+    mutual = similarity[:, best[distinct]].argmax(axis=0) == distinct
+    pairs = np.stack([distinct, best[distinct]], axis=1)[mutual]
     return _without_duplicates(a, b, pairs)
 
 

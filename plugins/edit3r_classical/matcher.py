@@ -29,6 +29,8 @@ class ClassicalMatcher(Matcher):
 
     Confidence is 1 where two views measured the same surface and 0 where the depth was filled in, between the two only
     along the border of such regions where depth was carried to a larger picture.
+
+    Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at 256².
     """
 
     class Settings(config.Settings):
@@ -38,6 +40,9 @@ class ClassicalMatcher(Matcher):
         planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
         neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
         keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
+        detection_size: int = Field(
+            640, ge=128, le=4096, description="long side at which features are looked for [pixels]; larger finds more"
+        )
         ratio: float = Field(
             0.85, gt=0, le=1, description="a match must be this much nearer than its second choice (Lowe's test)"
         )
@@ -66,7 +71,9 @@ class ClassicalMatcher(Matcher):
         chosen = self.settings
         photos = _pictures(views, scene)
         names = views.names or tuple(f"view {index}" for index in range(views.count))
-        options = RegistrationOptions(chosen.keypoints, chosen.ratio, chosen.threshold, chosen.seed)
+        options = RegistrationOptions(
+            chosen.keypoints, chosen.detection_size, chosen.ratio, chosen.threshold, chosen.seed
+        )
         registration = register(photos, names, options)
         _report(registration, names)
         small = [_reduced(photo, chosen.working_size) for photo in photos]

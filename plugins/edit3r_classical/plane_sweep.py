@@ -122,26 +122,26 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
     return moments, difference
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _correlation_cost(moments, mean, variance):  # pragma: no cover - compiled
-    """1 - normalised cross-correlation, at most 1; flat windows in both pictures agree weakly."""
-    covariance = moments[2] - mean * moments[0]
-    other = max(moments[1] - moments[0] * moments[0], np.float32(0))
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _correlation_cost(value, square, product, mean, variance):  # pragma: no cover - compiled
+    """1 - normalised cross-correlation, in [0, 1]; flat windows in both pictures agree weakly."""
+    other = max(square - value * value, np.float32(0))
     norm = np.sqrt((variance + np.float32(4e-5)) * (other + np.float32(4e-5)))
-    return min(max(np.float32(1) - (covariance + np.float32(2e-5)) / norm, np.float32(0)), np.float32(1))
+    cost = np.float32(1) - (product - mean * value + np.float32(2e-5)) / norm
+    return min(max(cost, np.float32(0)), np.float32(1))
 
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen, out):  # pragma: no cover - compiled
     height, width = out.shape
+    weight_s, weight_l = np.float32(_SMALL_WEIGHT), np.float32(_LARGE_WEIGHT)
+    weight_c, unseen = np.float32(_COLOUR_WEIGHT), np.float32(_UNSEEN_COST)
     for y in range(height):
         for x in range(width):
-            cost = np.float32(_UNSEEN_COST)
-            if seen[y, x]:
-                cost = np.float32(_SMALL_WEIGHT) * _correlation_cost(small[y, x], mean_s[y, x], variance_s[y, x])
-                cost += np.float32(_LARGE_WEIGHT) * _correlation_cost(large[y, x], mean_l[y, x], variance_l[y, x])
-                cost += np.float32(_COLOUR_WEIGHT) * colour[y, x]
-            out[y, x] = cost
+            near = _correlation_cost(small[y, x, 0], small[y, x, 1], small[y, x, 2], mean_s[y, x], variance_s[y, x])
+            wide = _correlation_cost(large[y, x, 0], large[y, x, 1], large[y, x, 2], mean_l[y, x], variance_l[y, x])
+            cost = weight_s * near + weight_l * wide + weight_c * colour[y, x]
+            out[y, x] = cost if seen[y, x] else unseen
 
 
 @njit(cache=True, nogil=True)

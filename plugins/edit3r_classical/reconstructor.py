@@ -22,9 +22,9 @@ class ClassicalReconstructor(Reconstructor):
 
     class Settings(config.Settings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
-        footprint: float = Field(0.5, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
-        opacity: float = Field(0.7, gt=0, le=1, description="opacity where two views measured the depth")
-        guessed_opacity: float = Field(0.6, ge=0, le=1, description="opacity where the depth was filled in")
+        footprint: float = Field(0.35, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
+        opacity: float = Field(0.85, gt=0, le=1, description="opacity where two views measured the depth")
+        guessed_opacity: float = Field(0.8, ge=0, le=1, description="opacity where the depth was filled in")
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )

@@ -70,6 +70,7 @@ class RegistrationOptions:
     """See the matcher's settings of the same names; `threshold` in pixels at a long side of 256."""
 
     keypoints: int
+    detection_size: int
     ratio: float
     threshold: float
     seed: int
@@ -77,7 +78,7 @@ class RegistrationOptions:
 
 def register(photos: Sequence[Picture], names: Sequence[str], options: RegistrationOptions) -> Registration:
     """Place the photos. Raises MatchingError with the reason when view 0 cannot be placed with any other."""
-    keypoints = [detect(photo.image, options.keypoints) for photo in photos]
+    keypoints = [detect(photo.image, options.keypoints, options.detection_size) for photo in photos]
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
     for a, b in combinations(range(len(photos)), 2):
