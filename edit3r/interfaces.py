@@ -119,6 +119,9 @@ class Reconstructor(Configured, ABC):
     def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
         """Reconstruct `views`; `source` is the same photos before editing, which agree with each other.
 
+        One declared with a part of kind editor, which edits while it reconstructs, is also given the `EditRequest` of
+        the run as `request`. Poses that somebody knows are `views.c2w`; it may ignore them, and give its own.
+
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
 

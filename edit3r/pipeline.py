@@ -21,7 +21,7 @@ from edit3r.refine import refine as refine_gaussians
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.simplify import simplify
-from edit3r.simplify.budget import Budget
+from edit3r.simplify.budget import Budget, passes
 from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r.wording import confine
@@ -55,6 +55,7 @@ def run(
     seed: int = 0,
     device: str | torch.device | None = None,
     gaussians: Budget = "all",
+    max_gaussians: int | None = None,
     refine: int = 0,
     rasterizer: str | PartChoice | Rasterizer = "auto",
     settings: Mapping[str, Mapping[str, Any]] | None = None,
@@ -66,10 +67,11 @@ def run(
     `editor`, `recon` and `segmenter` are names, `PartChoice`s or built objects; `settings` holds settings by kind
     (`{"editor": {...}, "reconstructor": {...}}`) for those given by name. `masks` in [0, 1] say where pixels may
     change: outside (exactly 0) they stay bit-equal whatever the editor does. With `edit_views="first"` only view 0 is
-    edited and the reconstructor carries the edit to the others. A `segmenter` is a part of editors that use one; for
+    edited and the reconstructor carries the edit to the others. A reconstructor that edits too (it has a part of kind
+    editor) is built with this editor and given the request. A `segmenter` is a part of editors that use one; for
     others, without masks, it finds what the prompt is about and confines the edit there. `gaussians` is how many may
-    be left: all, those the scene requires (`"auto"`), or a number; `refine` is the most photometric steps after that;
-    only these two use the `rasterizer`. Same inputs and seed, same result.
+    be left: all, those the scene requires (`"auto"`), or a number; `max_gaussians` bounds that on top; `refine` is the
+    most photometric steps after that; only these use the `rasterizer`. Same inputs and seed, same result.
     """
     registry = registry or default_registry()
     settings = settings or {}
@@ -78,7 +80,7 @@ def run(
         with report.stage("load components"):
             parts = {"segmenter": segmenter} if segmenter is not None else {}
             editor = _built(registry, "editor", editor, settings, parts)
-            recon = _built(registry, "reconstructor", recon, settings, {})
+            recon = _built(registry, "reconstructor", recon, settings, {"editor": editor})
             if device is not None:
                 views = views.to(device)
                 masks = masks.to(device) if masks is not None else None
@@ -92,15 +94,18 @@ def run(
         with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
             edited = _edit(editor, views, request, edit_views)
         with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
+            asked = {"request": request} if takes_part(recon, "editor") else {}
             with blaming(recon):
-                reconstruction = recon(edited, source=views)
+                reconstruction = recon(edited, source=views, **asked)
             check_reconstruction(recon, edited, reconstruction)
             cameras, scene = _cameras(reconstruction, edited), reconstruction.gaussians
-        if gaussians != "all" or refine:
+        budgets = passes(gaussians, max_gaussians)
+        if budgets or refine:
             rasterizer = _built(registry, "rasterizer", rasterizer, settings, {})
-        if gaussians != "all":
+        if budgets:
             with report.stage("simplify"):
-                scene = simplify(scene, cameras, rasterizer, None if gaussians == "auto" else gaussians).gaussians
+                for most in budgets:
+                    scene = simplify(scene, cameras, rasterizer, most).gaussians
         if refine:
             with report.stage("refine"):
                 # Photos that were not edited would pull the edit back out.

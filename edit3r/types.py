@@ -44,11 +44,12 @@ class _Tensors:
 
 @dataclass(frozen=True)
 class Views(_Tensors):
-    """Input pictures of B scenes with their intrinsics; no poses are known."""
+    """Input pictures of B scenes with their intrinsics; poses only where somebody knows them."""
 
     images: Float[Tensor, "batch view 3 height width"]  # sRGB in [0, 1]
     intrinsics: Float[Tensor, "batch view 3 3"]  # normalised
     names: tuple[str, ...] = ()  # one per view, for messages and file names; () when unnamed
+    c2w: Float[Tensor, "batch view 4 4"] | None = None  # known poses in any common frame; None: not known
 
     def __post_init__(self) -> None:
         _check("Views.images", self.images, (None, None, 3, None, None))
@@ -56,6 +57,8 @@ class Views(_Tensors):
         _check("Views.intrinsics", self.intrinsics, (batch, views, 3, 3))
         if self.names and len(self.names) != views:
             raise ValueError(f"Views.names: expected {views} names, got {len(self.names)}")
+        if self.c2w is not None:
+            _check("Views.c2w", self.c2w, (batch, views, 4, 4))
 
     @property
     def count(self) -> int:
@@ -71,7 +74,8 @@ class Views(_Tensors):
         """The views at `indices`, in that order."""
         index = list(indices)
         names = tuple(self.names[i] for i in index) if self.names else ()
-        return Views(self.images[:, index], self.intrinsics[:, index], names)
+        c2w = None if self.c2w is None else self.c2w[:, index]
+        return Views(self.images[:, index], self.intrinsics[:, index], names, c2w)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """The pipeline's promises, with small editors and reconstructors made here."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -124,6 +126,20 @@ def test_an_edit_that_does_nothing_is_reported(views):
     report = Report()
     run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
     assert any("changed the photos very little" in text for text in report.warnings)
+
+
+def test_a_reconstructor_with_an_editor_part_is_given_the_request(views):
+    class Editing(Flat):
+        offer = SimpleNamespace(component=SimpleNamespace(name="editing", parts=("editor",)))
+
+        def __call__(self, views, source=None, request=None):
+            self.request = request
+            return super().__call__(views, source)
+
+    editing, masks = Editing(), torch.ones(1, 2, 6, 8)
+    run(views, "warmer", editor=Invert(), recon=editing, masks=masks, seed=7)
+    assert (editing.request.prompt, editing.request.seed) == ("warmer", 7)
+    assert torch.equal(editing.request.masks, masks)
 
 
 def test_stages_are_timed_in_order(views):

@@ -65,3 +65,12 @@ def test_views_select_keeps_names_with_their_pictures():
     views = Views(torch.arange(3.0).view(1, 3, 1, 1, 1).expand(1, 3, 3, 2, 2), torch.zeros(1, 3, 3, 3), ("a", "b", "c"))
     chosen = views.select([2, 0])
     assert chosen.names == ("c", "a") and chosen.images[0, :, 0, 0, 0].tolist() == [2, 0]
+    assert chosen.c2w is None
+
+
+def test_views_select_keeps_poses_with_their_pictures():
+    poses = torch.arange(3.0).view(1, 3, 1, 1) * torch.eye(4)
+    views = Views(torch.zeros(1, 3, 3, 2, 2), torch.zeros(1, 3, 3, 3), c2w=poses)
+    assert torch.equal(views.select([2, 0]).c2w, poses[:, [2, 0]])
+    with pytest.raises(ValueError, match=r"Views.c2w: expected shape \[1, 3, 4, 4\], got \[1, 2, 4, 4\]"):
+        Views(views.images, views.intrinsics, c2w=poses[:, :2])
