@@ -27,11 +27,15 @@ class RunConfig(Settings):
     fov: float | None = Field(
         None, gt=1, lt=170, description="horizontal field of view [degrees] of photos that do not tell their own"
     )
+    views: int | None = Field(
+        None, ge=2, description="most photos that are used, evenly spaced among those given; default: all"
+    )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
     frames: int = Field(36, ge=2, le=2000, description="frames of the camera path between and around the input views")
     gaussians: Budget = Field(
         "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
+    max_gaussians: int | None = Field(None, ge=1, description="most Gaussians there may be, whatever `gaussians` says")
     refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
 
     @field_validator("gaussians", mode="before")

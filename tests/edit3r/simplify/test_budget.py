@@ -2,7 +2,7 @@ import pytest
 
 from edit3r.errors import SettingsError
 from edit3r.run_config import make_run_config
-from edit3r.simplify.budget import parse_budget
+from edit3r.simplify.budget import parse_budget, passes
 
 
 @pytest.mark.parametrize(("given", "parsed"), [("auto", "auto"), ("all", "all"), ("500", 500), (7, 7)])
@@ -15,3 +15,18 @@ def test_a_budget_is_auto_all_or_a_number(given, parsed):
 def test_another_budget_is_one_sentence(given):
     with pytest.raises(SettingsError, match=r"run\.gaussians: expected auto, all or a number of at least 1, got"):
         make_run_config({"gaussians": given})
+
+
+@pytest.mark.parametrize(
+    ("wish", "most", "steps"),
+    [
+        ("all", None, []),
+        ("auto", None, [None]),
+        (7, None, [7]),
+        ("all", 9, [9]),
+        ("auto", 9, [None, 9]),
+        (7, 9, [7, 9]),
+    ],
+)
+def test_a_limit_comes_on_top_of_the_wish(wish, most, steps):
+    assert passes(wish, most) == steps

@@ -1,6 +1,7 @@
 """`edit3r simplify` and the two dials of a run."""
 
 import pytest
+import torch
 
 from edit3r.cli.main import main
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
@@ -76,6 +77,16 @@ def test_a_run_leaves_what_was_asked_for_and_tells_the_harm(views, rasterizer):
     assert notes["simplify.psnr_of_input_views_against_all"] > 15
     assert 0 <= notes["refine"]["steps"] <= 2
     assert [stage.name for stage in result.report.stages][-2:] == ["simplify", "refine"]
+
+
+def test_a_limit_holds_whatever_was_wished(views, rasterizer):
+    result = run(views, editor=Keep(), recon=Known(), rasterizer=rasterizer, gaussians="auto", max_gaussians=150)
+    assert result.gaussians.count <= 150
+
+
+def test_a_limit_above_what_there_is_changes_nothing(views, rasterizer):
+    result = run(views, editor=Keep(), recon=Known(), rasterizer=rasterizer, max_gaussians=10**6)
+    assert torch.equal(result.gaussians.means, textured()[0].means)
 
 
 def test_a_run_keeps_everything_unless_asked(views):
