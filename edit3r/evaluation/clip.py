@@ -1,4 +1,4 @@
-"""CLIP image-text similarity: how well edited pictures show what the prompt says (the paper's CLIP t2i).
+"""CLIP image-text similarity (the paper's CLIP t2i) and direction: do edited pictures show what the prompt says?
 
 The raw cosine, about 0.2 to 0.3 for good pairs; some tools report it times 100. Needs transformers and CLIP weights.
 """
@@ -42,6 +42,22 @@ class ClipSimilarity:
         tokens = tokens.to(self.model.device)
         pooled = self.model.text_model(tokens.input_ids, attention_mask=tokens.attention_mask).pooler_output
         return F.normalize(self.model.text_projection(pooled), dim=-1)
+
+
+def direction_similarity(
+    clip: ClipSimilarity,
+    before: Float[Tensor, "n 3 height width"],
+    after: Float[Tensor, "n 3 height width"],
+    text_before: str,
+    text_after: str,
+) -> Float[Tensor, "n"]:
+    """Cosine between how each picture moved and how the text did (Gal et al., StyleGAN-NADA, 2022), in [-1, 1].
+
+    Unlike t2i it is about the change: 0 for a picture that was left alone, or that changed in another way.
+    """
+    moved = clip.embed_images(after) - clip.embed_images(before)
+    start, end = clip.embed_texts([text_before, text_after]).to(moved)
+    return F.cosine_similarity(moved, (end - start)[None], dim=-1)
 
 
 def central_square(images: Float[Tensor, "n 3 height width"], side: int) -> Float[Tensor, "n 3 side side"]:

@@ -39,6 +39,7 @@ class ProceduralDataset(Dataset):
         edit: Literal["none", "recolor", "add", "remove", "global", "any"] = Field(
             "none", description="the edited truth that comes along"
         )
+        edit_seed: int = Field(0, ge=0, description="other numbers edit the same scenes in other ways")
         keep: bool = Field(False, description="keep samples in memory once made (about 0.3 MB each at 64 pixels)")
 
     def __init__(self, settings: Settings) -> None:
@@ -72,6 +73,8 @@ class ProceduralDataset(Dataset):
             avoid=poses[:, :3, 3],
             outdoor=bool(rng.random() < chosen.outdoor),
         )
+        if chosen.edit_seed:
+            rng = np.random.default_rng((chosen.seed, index, chosen.edit_seed))
         edit = str(rng.choice(EDITS)) if chosen.edit == "any" else chosen.edit
         return self._sample(scene, poses, k, rng, edit, name=f"procedural-{chosen.seed}-{index}")
 
