@@ -1,0 +1,54 @@
+"""Optimisation-based editing: fit 3D Gaussians to the photos, edit, fit again; what feed-forward is compared with."""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+_PARTS = ("reconstructor", "editor", "rasterizer")
+
+
+@hookimpl
+def register_reconstructors():
+    return [
+        Component(
+            "refit",
+            "edit3r_refit.refit:RefitReconstructor",
+            "fits Gaussians to the photos, then again to the edited photos or to edited renders; minutes, not one pass",
+            parts=_PARTS,
+            citation="Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Rendering, SIGGRAPH 2023",
+        ),
+        Component(
+            "instruct-nerf2nerf",
+            "edit3r_refit.instruct_nerf2nerf:InstructNerf2NerfReconstructor",
+            "iterative dataset update: while Gaussians are fitted, one view after the other is edited anew",
+            parts=_PARTS,
+            citation="Haque et al., Instruct-NeRF2NeRF: Editing 3D Scenes with Instructions, ICCV 2023",
+        ),
+        Component(
+            "gaussctrl",
+            "edit3r_refit.gaussctrl:GaussCtrlReconstructor",
+            "edits renders of all views together, aligned by attention (editor controlnet-depth), then fits again",
+            parts=_PARTS,
+            citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
+        ),
+        Component(
+            "editsplat",
+            "edit3r_refit.editsplat:EditSplatReconstructor",
+            "edits again from the fused edits of neighbours, trims Gaussians that the edit attends to, fits again",
+            parts=_PARTS,
+            citation="Lee et al., EditSplat: Multi-View Fusion and Attention-Guided Optimization, CVPR 2025",
+        ),
+    ]
+
+
+@hookimpl
+def register_matchers():
+    return [
+        Component(
+            "posed",
+            "edit3r_refit.posed_matcher:PosedMatcher",
+            "depth by plane sweep from the poses that the views carry; without poses, what its matcher says",
+            parts=("matcher",),
+            min_views=2,
+        )
+    ]

@@ -1,0 +1,82 @@
+"""Checkpoints of fits: written whole or not at all, found again by what they were made from."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from edit3r.errors import InputError, RunError
+from edit3r.io.run_folder import atomic_write
+from edit3r.reporting import note
+
+__all__ = ["Checkpoints", "Keeper", "fingerprint"]
+
+
+def fingerprint(*parts: Any) -> str:
+    """A name for exactly these inputs: tensors by their bytes, anything else by its text."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Tensor):
+            array = part.detach().cpu().contiguous()
+            digest.update(f"{array.dtype}{tuple(array.shape)}".encode())
+            digest.update(array.numpy().tobytes())
+        else:
+            digest.update(repr(part).encode())
+    return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Keeper:
+    """One fit's checkpoint file."""
+
+    path: Path
+    every: int  # steps
+
+    def load(self) -> dict[str, Any] | None:
+        """What was saved last, None when nothing was."""
+        if not self.path.is_file():
+            return None
+        try:
+            content = torch.load(self.path, weights_only=True)
+        except Exception as error:
+            reason = " ".join(str(error).split())[:200]
+            raise InputError(f"{self.path}: not a checkpoint of a fit ({reason}); delete it to begin anew.") from None
+        note("refit.resumed_from", {"file": self.path.name, "step": content["step"]})
+        return content
+
+    def save(self, content: Mapping[str, Any]) -> None:
+        """Replace the file; raises RunError when it cannot be written."""
+        try:
+            with atomic_write(self.path) as partial:
+                torch.save(dict(content), partial)
+        except (OSError, RuntimeError) as error:
+            raise RunError(
+                f"{self.path}: the checkpoint could not be written ({error}); free some disk space."
+            ) from error
+
+
+@dataclass
+class Checkpoints:
+    """The checkpoints of one call of a method."""
+
+    folder: Path | None  # None: none are kept
+    every: int  # steps
+    _used: list[Path] = field(default_factory=list)
+
+    def keeper(self, name: str, *made_from: Any) -> Keeper | None:
+        """Where the fit `name`, made from these inputs, is kept."""
+        if self.folder is None:
+            return None
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{name}-{fingerprint(*made_from)}.pt"
+        self._used.append(path)
+        return Keeper(path, self.every)
+
+    def discard(self) -> None:
+        """Delete what was used: the work is done."""
+        for path in self._used:
+            path.unlink(missing_ok=True)

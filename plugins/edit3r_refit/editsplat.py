@@ -1,0 +1,75 @@
+"""The reconstructor `editsplat`: edits are fused across views and redone, attended Gaussians trimmed, then a fit."""
+
+from dataclasses import replace
+
+import torch
+from pydantic import Field
+
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.reporting import note, track
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r_refit.edits import edited, edited_from, for_views
+from edit3r_refit.fitting import FixedPictures
+from edit3r_refit.fusion import fuse, nearest_views
+from edit3r_refit.renders import depths_of
+from edit3r_refit.scenes import Scene, Workshop, each_scene
+from edit3r_refit.settings import MethodSettings
+from edit3r_refit.trimming import attention_maps, attention_of, trim
+
+__all__ = ["EditSplatReconstructor"]
+
+
+class EditSplatReconstructor(Reconstructor):
+    """Multi-view fusion guidance and attention-guided trimming (Lee et al. 2025) around a second fit.
+
+    First edits are the views it is given, or its own where those are not edited. Each view is then edited again,
+    starting from what its neighbours' edits look like from there.
+    """
+
+    class Settings(MethodSettings):
+        neighbours: int = Field(5, ge=1, le=64, description="nearest views fused into each (paper: 5)")
+        guidance: float = Field(
+            0.5, ge=0, le=1, description="share of the fused picture that an edit redraws; 0 takes it as it is"
+        )
+        trim: float = Field(0.15, ge=0, le=1, description="share of the attended Gaussians that is removed")
+        attended: float = Field(
+            0.5, ge=0, le=1, description="attention from which a Gaussian counts as attended; the most is 1"
+        )
+
+    def __init__(
+        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
+    ) -> None:
+        self.settings, self.reconstructor = settings, reconstructor
+        self.editor, self.rasterizer = editor, rasterizer
+
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
+        return each_scene(self.settings, views, source, request, self._scene)
+
+    @torch.no_grad()
+    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        workshop = Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        gaussians, cameras = workshop.fit_photos(scene)
+        first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
+        guided = self._guided(scene, first, gaussians, cameras)
+        trimmed = self._trimmed(scene, guided, gaussians, cameras)
+        gaussians = workshop.fit_edits(trimmed, cameras, FixedPictures(guided.images[0]))
+        workshop.checkpoints.discard()
+        return gaussians, cameras
+
+    def _guided(self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras) -> Views:
+        """Every view edited again from the fusion of its neighbours' first edits."""
+        depths, _ = depths_of(gaussians, cameras, self.rasterizer)
+        images = first.images.clone()
+        for view in track(range(first.count), "edit from fused neighbours"):
+            around = nearest_views(cameras, view, self.settings.neighbours)
+            start = fuse(view, around, first.images[0], depths, cameras).image[None, None]
+            photo, request = scene.photos.select([view]), for_views(scene.request, [view])
+            images[:, [view]] = edited_from(self.editor, photo, start, request, self.settings.guidance).images
+        return replace(first, images=images)
+
+    def _trimmed(self, scene: Scene, edits: Views, gaussians: Gaussians, cameras: Cameras) -> Gaussians:
+        maps, told_by = attention_maps(self.editor, scene.photos, edits, scene.request)
+        attention = attention_of(gaussians, cameras, maps, self.rasterizer)[0]
+        kept = trim(attention, self.settings.trim, self.settings.attended)
+        note("editsplat.trimmed", {"gaussians": int((~kept).sum()), "attention_told_by": told_by})
+        return gaussians.select(kept) if kept.any() else gaussians

@@ -1,0 +1,115 @@
+"""The reconstructor `gaussctrl`: all views are edited together, held by depth and aligned to reference views."""
+
+from copy import copy
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.reporting import note, warn
+from edit3r.stage_checks import component_name
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r_refit.edits import edited, for_views
+from edit3r_refit.fitting import FixedPictures
+from edit3r_refit.renders import FittedGeometry, depths_of, rendered
+from edit3r_refit.scenes import Scene, Workshop, each_scene
+from edit3r_refit.settings import MethodSettings
+
+__all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "takes_depth", "with_geometry"]
+
+
+class GaussCtrlReconstructor(Reconstructor):
+    """Renders of the fitted scene, its depths as condition, attention across views, then a second fit (Wu et al. 2024).
+
+    Depth and alignment are the editor's to use: `controlnet-depth` does both. With another editor the views are edited
+    as that editor edits, and the run says what is missing. It edits by itself: the edited views it is given are not
+    looked at.
+    """
+
+    class Settings(MethodSettings):
+        references: int = Field(4, ge=1, le=64, description="views, spread evenly, that come first in every edit")
+        together: int = Field(
+            12, ge=2, description="most views edited in one call, the reference views among them; more need more memory"
+        )
+
+    def __init__(
+        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
+    ) -> None:
+        self.settings, self.reconstructor = settings, reconstructor
+        self.editor, self.rasterizer = editor, rasterizer
+
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
+        return each_scene(self.settings, views, source, request, self._scene)
+
+    @torch.no_grad()
+    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        workshop = Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        gaussians, cameras = workshop.fit_photos(scene)
+        views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
+        geometry = depths_of(gaussians, cameras, self.rasterizer)
+        images = self._edited(views, cameras, geometry, scene.request)
+        gaussians = workshop.fit_edits(gaussians, cameras, FixedPictures(images))
+        workshop.checkpoints.discard()
+        return gaussians, cameras
+
+    def _edited(
+        self, views: Views, cameras: Cameras, geometry: tuple[Tensor, Tensor], request: EditRequest
+    ) -> Float[Tensor, "view 3 height width"]:
+        """All views, a few at a time, the reference views first in every call."""
+        self._say_what_is_missing()
+        references = reference_views(views.count, min(self.settings.references, self.settings.together - 1))
+        images = views.images[0].clone()
+        for chunk in chunks(views.count, references, self.settings.together):
+            around = FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk])
+            editor = with_geometry(self.editor, around) or self.editor
+            answer = edited(editor, views.select(chunk), for_views(request, chunk))
+            images[chunk] = answer.images[0]
+        return images
+
+    def _say_what_is_missing(self) -> None:
+        name, aligns = component_name(self.editor), aligns_views(self.editor)
+        conditioned = takes_depth(self.editor)
+        note("gaussctrl.editor", {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned})
+        missing = [text for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH)) if not done]
+        if missing:
+            warn(f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor 'controlnet-depth' does both.")
+
+
+ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
+DEPTH = "edits are not conditioned on the fitted depth"
+
+
+def aligns_views(editor: Editor) -> bool:
+    """Whether the editor's views look at each other (setting `cross_view` of controlnet-depth)."""
+    return getattr(getattr(editor, "settings", None), "cross_view", 0) > 0
+
+
+def takes_depth(editor: Editor) -> bool:
+    """Whether the editor reads depth from a matcher part that can be replaced."""
+    matcher = getattr(editor, "parts", {}).get("matcher")
+    own_network = getattr(getattr(editor, "settings", None), "depth_model", "")
+    return matcher is not None and getattr(editor, "matcher", None) is matcher and not own_network
+
+
+def with_geometry(editor: Editor, geometry: FittedGeometry) -> Editor | None:
+    """The same editor, weights shared, with the fitted scene in place of its matcher; None where it has none."""
+    if not takes_depth(editor):
+        return None
+    twin = copy(editor)
+    twin.matcher = geometry
+    return twin
+
+
+def reference_views(count: int, wanted: int) -> list[int]:
+    """`wanted` of `count` views, spread evenly."""
+    return sorted(set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist()))
+
+
+def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
+    """Calls of at most `together` views that between them edit every view; the references lead each of them."""
+    others = [view for view in range(count) if view not in references]
+    room = max(1, together - len(references))
+    parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]
+    return [[*references, *part] for part in parts]
