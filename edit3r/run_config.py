@@ -7,6 +7,7 @@ from pydantic import Field, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge
 from edit3r.simplify.budget import Budget, parse_budget
+from edit3r.tradeoff.quality import under
 
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
@@ -35,7 +36,18 @@ class RunConfig(Settings):
     gaussians: Budget = Field(
         "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
-    max_gaussians: int | None = Field(None, ge=1, description="most Gaussians there may be, whatever `gaussians` says")
+    max_gaussians: int | None = Field(
+        None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
+    )
+    quality: Literal["fast", "balanced", "best"] | None = Field(
+        None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
+    )
+    budget_ms: float | None = Field(
+        None, gt=0, description="take the best measured settings expected to need no more time [ms], editor left out"
+    )
+    max_memory: float | None = Field(
+        None, gt=0, description="take the best measured settings expected to need no more memory [MiB]"
+    )
     refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
 
     @field_validator("gaussians", mode="before")
@@ -44,11 +56,16 @@ class RunConfig(Settings):
         return parse_budget(value)
 
 
-def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
-    """Merge layers, later over earlier, and validate; a component may be given by name alone in any layer."""
+def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
+    """Merge layers, later over earlier, and validate; a component may be given by name alone in any layer.
+
+    A wish (quality, budget_ms, max_gaussians, max_memory) brings the measured settings that fit it for so many
+    `photos`; they lie under all layers.
+    """
     merged: dict[str, Any] = {}
     for layer in layers:
         merged = merge(merged, {key: _named(key, value) for key, value in layer.items()})
+    merged = under(merged, photos)
     defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
     for key, default in defaults.items():
         if isinstance(merged.get(key), dict) and "name" not in merged[key] and default is not None:

@@ -5,6 +5,8 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from edit3r.tradeoff.front import PRESETS
+
 HELP = "edit photos of a scene and reconstruct them in 3D"
 DEFAULT_PROMPT = "paint the motorcycle blue"
 
@@ -28,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--frames", type=int, metavar="N", help="frames of the camera path (default 36)")
     add("--gaussians", metavar="auto|all|N", help="only those the scene requires, all (default), or at most N")
     add("--refine", type=int, metavar="STEPS", help="photometric steps on the input views at most (default 0)")
+    add("--quality", choices=PRESETS, help="measured preset of size, matching, network and Gaussians")
+    add("--budget-ms", type=float, metavar="MS", help="best settings that are expected to take no longer")
+    add("--max-gaussians", type=int, metavar="N", help="best settings with so few Gaussians, and never more")
+    add("--max-memory", type=float, metavar="MIB", help="best settings that are expected to need no more memory")
+    add("--views", type=int, metavar="N", help="most photos used, evenly spaced (default all)")
     add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
     add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
     add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
@@ -37,22 +44,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     from edit3r import pipeline, results
     from edit3r.cli._console import StageConsole
-    from edit3r.io.images import load_masks, load_photos
+    from edit3r.io.images import evenly, find_photos, load_masks, load_photos
     from edit3r.io.packaged import packaged_pair
     from edit3r.io.run_folder import atomic_folder
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
+    from edit3r.tradeoff.quality import tell
 
-    config = _config(args)
+    images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
+    paths = find_photos(images)
+    config = _config(args, len(paths))
     registry = default_registry(tuple(args.plugin))
     _check_names(registry, config)
-    paths, cameras = (args.images, args.cameras) if args.images else packaged_pair()
     with StageConsole(quiet=args.quiet) as console:
         report = Report(on_event=console)
         with collecting(report), report.stage("read photos"):
-            photos = load_photos(paths, fov=config.fov, size=config.size, cameras=cameras)
-            masks = load_masks(args.mask, photos) if args.mask else None
-            hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in args.mask}
+            given = args.mask if len(args.mask) != len(paths) else evenly(args.mask, config.views)
+            photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
+            masks = load_masks(given, photos) if given else None
+            hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
+            tell(config.model_dump(), len(paths))
         with atomic_folder(args.out) as folder:
             rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
             result = pipeline.run(
@@ -66,6 +77,7 @@ def main(args: argparse.Namespace) -> int:
                 seed=config.seed,
                 device=config.device,
                 gaussians=config.gaussians,
+                max_gaussians=config.max_gaussians,
                 refine=config.refine,
                 rasterizer=rasterizer,
                 registry=registry,
@@ -77,8 +89,8 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _config(args: argparse.Namespace):
-    """Preset or file, then `--set`, then flags."""
+def _config(args: argparse.Namespace, photos: int):
+    """What the wished quality stands for with so many photos, then preset or file, then `--set`, then flags."""
     from edit3r.config import find_config, parse_assignments, read_yaml
     from edit3r.run_config import make_run_config
 
@@ -100,6 +112,11 @@ def _config(args: argparse.Namespace):
         "frames": args.frames,
         "gaussians": args.gaussians,
         "refine": args.refine,
+        "quality": args.quality,
+        "budget_ms": args.budget_ms,
+        "max_gaussians": args.max_gaussians,
+        "max_memory": args.max_memory,
+        "views": args.views,
     }
     named = {
         key: {"name": flags.pop(key)} for key in ("editor", "reconstructor", "rasterizer", "segmenter") if flags[key]
@@ -107,7 +124,7 @@ def _config(args: argparse.Namespace):
     layers += [{key: value for key, value in flags.items() if value is not None}, named]
     if not args.images and not any("prompt" in layer for layer in layers):
         layers.insert(0, {"prompt": DEFAULT_PROMPT})
-    return make_run_config(*layers)
+    return make_run_config(*layers, photos=photos)
 
 
 def _check_names(registry, config) -> None:

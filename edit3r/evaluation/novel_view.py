@@ -19,7 +19,7 @@ from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.reporting import track
 from edit3r.types import Cameras, Reconstruction, Views
 
-__all__ = ["NovelViewScore", "evaluate_folder", "score_triple", "views_of"]
+__all__ = ["NovelViewScore", "evaluate_folder", "predict", "score_triple", "views_of"]
 
 COVERED = 0.5
 """Alpha above which a pixel of the prediction counts as covered."""
@@ -83,7 +83,7 @@ def score_triple(
     except MatchingError as error:
         return NovelViewScore(*named, failure=str(error))
     seconds = time.process_time() - start
-    image, covered = _predict(reconstruction, rasterizer, first, second, target)
+    image, covered = predict(reconstruction, rasterizer, first, second, target)
     photos = (first.image, second.image)
     blurred = best_blurred_copy(photos, target.image)
     rotation_error, direction_error = _pose_errors(reconstruction, first, second)
@@ -121,7 +121,7 @@ def _predicted_pose(reconstruction: Reconstruction) -> np.ndarray:
     return reconstruction.cameras.c2w[0, 1].double().cpu().numpy()
 
 
-def _predict(
+def predict(
     reconstruction: Reconstruction, rasterizer: Rasterizer, first: Photo, second: Photo, target: Photo
 ) -> tuple[np.ndarray, np.ndarray]:
     """The predicted target picture, and which of its pixels are covered."""

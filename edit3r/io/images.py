@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -29,6 +30,7 @@ from edit3r.types import Views
 __all__ = [
     "LoadedPhotos",
     "Photo",
+    "evenly",
     "find_photos",
     "load_masks",
     "load_photos",
@@ -36,6 +38,8 @@ __all__ = [
     "read_image",
     "save_image",
 ]
+
+Item = TypeVar("Item")
 
 SUFFIXES = (
     *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif"),
@@ -126,6 +130,13 @@ def find_photos(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     if not files:
         raise InputError("No photos given: name two or more picture files, or a folder of them.")
     return files
+
+
+def evenly(items: Sequence[Item], most: int | None) -> list[Item]:
+    """At most `most` of the items, spread evenly from the first to the last; all of them for None."""
+    if most is None or len(items) <= most:
+        return list(items)
+    return [items[index] for index in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None:
