@@ -114,9 +114,17 @@ def commands_page() -> str:
 
 def commands() -> dict[str, object]:
     """Command name to its module."""
+    from edit3r import cli
     from edit3r.cli.main import command_modules
 
-    return {name: importlib.import_module(f"edit3r.cli.{module}") for name, module in command_modules().items()}
+    found = {}
+    for name, module in command_modules().items():
+        command = importlib.import_module(f"{cli.__name__}.{module}")
+        inner = command_modules(command) if hasattr(command, "__path__") else {}
+        found |= {f"{name} {sub}": importlib.import_module(f"{command.__name__}.{m}") for sub, m in inner.items()}
+        if not inner:
+            found[name] = command
+    return found
 
 
 class _Narrow(argparse.HelpFormatter):

@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 from pydantic import Field
 
-from edit3r.bench.loading import change_masks, hash_of_sample, load_sample
+from edit3r.bench.loading import hash_of_sample, load_sample
 from edit3r.bench.manifest import EDITS_PER_SCENE, ItemRecord, Manifest, SampleRecord, SceneRecord
 from edit3r.config import Settings
 from edit3r.errors import InputError
@@ -69,7 +68,7 @@ def build_generated(scenes: int, settings: GeneratedSettings, registry: Registry
 def _items(name: str, index: int, settings: GeneratedSettings, registry: Registry) -> list[ItemRecord] | None:
     """The five edits of scene `index`; None as soon as one of them is hardly to be seen."""
     items = []
-    for suffix, kind, edit, prompt in KINDS:
+    for number, (suffix, kind, edit, prompt) in enumerate(KINDS):
         record = SampleRecord(
             dataset=settings.dataset, settings=_dataset_settings(settings, edit), index=index, sha256=""
         )
@@ -82,7 +81,7 @@ def _items(name: str, index: int, settings: GeneratedSettings, registry: Registr
                 scene=name,
                 type=kind,
                 prompt=prompt,
-                seed=1000 + index,
+                seed=EDITS_PER_SCENE * index + number,
                 inputs=(0, settings.frames - 1),
                 held_back=tuple(range(1, settings.frames - 1)),
                 sample=record.model_copy(update={"sha256": hash_of_sample(sample)}),

@@ -93,6 +93,10 @@ class Manifest(Settings):
         """The scene called `name`."""
         return next(scene for scene in self.scenes if scene.id == name)
 
+    def item(self, name: str) -> ItemRecord:
+        """The item called `name`."""
+        return next(item for item in self.items if item.id == name)
+
     def limited(self, scenes: int | None, edits: int | None, types: tuple[str, ...] = ()) -> "Manifest":
         """Only the first scenes, the first edits of each, and edits of the given types."""
         kept = self.scenes[:scenes]

@@ -57,7 +57,7 @@ def measure(item: LoadedItem, shown: Shown, instruments: Instruments) -> dict[st
     return {
         **_changes(item, shown),
         **_consistency(item, shown),
-        **(_truth(item, shown, instruments) if shown.has_truth else {}),
+        **(_truth(item, shown.images, instruments.lpips) if shown.has_truth else {}),
         **_distributions(item, shown, instruments),
         **_clip(item, shown, instruments),
     }
@@ -66,11 +66,8 @@ def measure(item: LoadedItem, shown: Shown, instruments: Instruments) -> dict[st
 def measure_failure(item: LoadedItem, has_truth: bool) -> dict[str, float]:
     """A failed item shows nothing: black pictures against the truth, none of the wish; the rest is not known."""
     if not has_truth:
-        return {"edit-uptake": 0.0}
-    black = torch.zeros_like(item.photos.images[0])
-    cameras = item.cameras
-    nothing = Shown(black, item.photos.images[0, : item.inputs], black[:, 0], cameras, has_truth=True)
-    return {**_truth(item, nothing, Instruments()), "edit-uptake": 0.0}
+        return {"edit-uptake-2d": 0.0}
+    return {**_truth(item, torch.zeros_like(item.truth), None), "edit-uptake": 0.0}
 
 
 def _changes(item: LoadedItem, shown: Shown) -> dict[str, float]:
@@ -102,10 +99,10 @@ def _consistency(item: LoadedItem, shown: Shown) -> dict[str, float]:
     }
 
 
-def _truth(item: LoadedItem, shown: Shown, instruments: Instruments) -> dict[str, float]:
+def _truth(item: LoadedItem, shown: Float[Tensor, "frame 3 height width"], lpips: Loss | None) -> dict[str, float]:
     """Means over the held-back frames: pictures of places that the method was given no picture of."""
     chosen = slice(item.inputs, None)
-    photos, images, masks = _arrays(item.photos.images[0], shown.images, item.masks)
+    photos, images, masks = _arrays(item.photos.images[0], shown, item.masks)
     truth = item.truth.permute(0, 2, 3, 1).numpy()
     photos, images, truth = photos[chosen], images[chosen], truth[chosen]
     inside = np.ones(truth.shape[:3]) if masks is None else masks[chosen]
@@ -115,9 +112,8 @@ def _truth(item: LoadedItem, shown: Shown, instruments: Instruments) -> dict[str
         "ssim": np.mean([ssim(a, b) for a, b in zip(images, truth)]),
         "edit-uptake": edit_uptake(images, photos, truth, inside),
     }
-    if instruments.lpips is not None:
-        inputs = LossInputs(rendered=shown.images[None, chosen], target=item.truth[None, chosen])
-        result["lpips"] = instruments.lpips(inputs)
+    if lpips is not None:
+        result["lpips"] = lpips(LossInputs(rendered=shown[None, chosen], target=item.truth[None, chosen]))
     return {name: float(value) for name, value in result.items()}
 
 

@@ -6,6 +6,7 @@ import pkgutil
 import sys
 import traceback
 from collections.abc import Sequence
+from types import ModuleType
 
 import edit3r
 from edit3r import cli
@@ -46,10 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return known.exit_code
 
 
-def _dispatch(argv: list[str]) -> int:
-    commands = command_modules()
+def _dispatch(argv: list[str], package: ModuleType = cli, called: str = "edit3r") -> int:
+    """Find the command in `package`; one that is a package itself has commands of its own."""
+    commands = command_modules(package)
     if not argv or argv[0] in ("-h", "--help", "help"):
-        print(_overview(commands))
+        print(_overview(commands, package, called))
         return 0 if argv else 2
     if argv[0] in ("-V", "--version"):
         print(f"edit3r {edit3r.__version__}")
@@ -57,23 +59,27 @@ def _dispatch(argv: list[str]) -> int:
     name, *rest = argv
     if name not in commands:
         raise UsageError(f"no command {name!r}.{suggest(name, commands)} Commands: {', '.join(commands)}.")
-    command = importlib.import_module(f"{cli.__name__}.{commands[name]}")
-    parser = Parser(prog=f"edit3r {name}", description=command.HELP)
+    command = importlib.import_module(f"{package.__name__}.{commands[name]}")
+    if hasattr(command, "__path__"):
+        return _dispatch(rest, command, f"{called} {name}")
+    parser = Parser(prog=f"{called} {name}", description=command.HELP)
     command.add_arguments(parser)
     parser.add_argument("--debug", action="store_true", help="show the full traceback of an error")
     return command.main(parser.parse_intermixed_args(rest)) or 0
 
 
-def command_modules() -> dict[str, str]:
+def command_modules(package: ModuleType = cli) -> dict[str, str]:
     """Command name to module name."""
-    modules = sorted(module.name for module in pkgutil.iter_modules(cli.__path__))
+    modules = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
     return {m.replace("_", "-"): m for m in modules if not m.startswith("_") and m != "main"}
 
 
-def _overview(commands: dict[str, str]) -> str:
-    rows = [(name, importlib.import_module(f"{cli.__name__}.{module}").HELP) for name, module in commands.items()]
+def _overview(commands: dict[str, str], package: ModuleType, called: str) -> str:
+    rows = [(name, importlib.import_module(f"{package.__name__}.{module}").HELP) for name, module in commands.items()]
     width = max(len(name) for name, _ in rows)
     listed = "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
+    if package is not cli:
+        return f"{called}: {package.HELP}.\n\nusage: {called} COMMAND [options]\n\n{listed}"
     return (
         f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
         "usage: edit3r COMMAND [options]\n\n"

@@ -1,4 +1,4 @@
-"""How sure a mean over scenes is: a bootstrap that draws whole scenes, for edits of one scene are no independent proof."""
+"""How sure a mean over scenes is: a bootstrap that draws whole scenes, since edits of one scene resemble each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

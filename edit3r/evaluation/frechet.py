@@ -6,9 +6,7 @@ from jaxtyping import Float
 __all__ = ["frechet_distance"]
 
 
-def frechet_distance(
-    first: Float[np.ndarray, "first feature"], second: Float[np.ndarray, "second feature"]
-) -> float:
+def frechet_distance(first: Float[np.ndarray, "first feature"], second: Float[np.ndarray, "second feature"]) -> float:
     """|m1 - m2|^2 + tr(S1 + S2 - 2 (S1 S2)^(1/2)) of the sets' means and unbiased covariances, in float64.
 
     The trace of the root is the nuclear norm of the product of the centred sets, which needs no matrix of feature

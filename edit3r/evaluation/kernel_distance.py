@@ -8,9 +8,7 @@ __all__ = ["kernel_distance"]
 DEGREE, OFFSET = 3, 1.0
 
 
-def kernel_distance(
-    first: Float[np.ndarray, "first feature"], second: Float[np.ndarray, "second feature"]
-) -> float:
+def kernel_distance(first: Float[np.ndarray, "first feature"], second: Float[np.ndarray, "second feature"]) -> float:
     """Unbiased squared maximum mean discrepancy under the kernel (x·y / features + 1)^3, in float64.
 
     All rows at once; tools that average over random subsets estimate the same number with more noise. Unbiased:
