@@ -1,17 +1,17 @@
 """Reconstructor `edit3r`: geometry from matching the unedited photos, the edit from a small trained network."""
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
 from edit3r_classical.apron import apron
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
-from edit3r.errors import MissingDependencyError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Gaussians, Reconstruction, Views
@@ -32,12 +32,9 @@ class Edit3rReconstructor(Reconstructor):
             description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
         )
         geometry: Literal["matching", "network"] = Field(
-            "matching", description="where pose and depth come from; 'network' hands over to noposplat"
+            "matching", description="where pose and depth come from; 'network' is short for matcher=network"
         )
-        weights: str = Field(
-            "shipped",
-            description="'shipped', 'untrained' or a file of `edit3r train`; with geometry=network one of noposplat's",
-        )
+        weights: str = Field("shipped", description="'shipped', 'untrained' or a file of `edit3r train`")
         network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
         fuse_edits: bool = Field(
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
@@ -51,24 +48,31 @@ class Edit3rReconstructor(Reconstructor):
         )
         footprint: float = Field(0.5, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
+        @model_validator(mode="before")
+        @classmethod
+        def _matcher_by_geometry(cls, values: Any) -> Any:
+            if not isinstance(values, Mapping) or values.get("geometry") != "network":
+                return values
+            matcher = PartChoice.model_validate(values.get("matcher", "network"))
+            if matcher.name != "network":
+                raise ValueError(f"geometry=network asks for matcher=network, but matcher is {matcher.name!r}")
+            return {**values, "matcher": matcher}
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher
-        self._pose_free = _pose_free(settings.weights) if settings.geometry == "network" else None
-        self._network = None if self._pose_free else load_network(settings.weights)
+        self._network = load_network(settings.weights)
 
     @property
-    def network(self) -> nn.Module | None:
-        return self._pose_free.network if self._pose_free else self._network
+    def network(self) -> nn.Module:
+        return self._network
 
     def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
         """Reconstruct; without `source` the edited pictures must agree well enough to be matched themselves.
 
         Differentiable only while the network is in training mode.
         """
-        reporting.note("edit3r.geometry", self.settings.geometry)
-        if self._pose_free is not None:
-            return self._pose_free(views, source)
+        reporting.note("edit3r.geometry", "network" if self.settings.matcher.name == "network" else "matching")
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
@@ -111,18 +115,6 @@ class Edit3rReconstructor(Reconstructor):
         colours = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0]).reshape(shape).permute(0, 1, 4, 2, 3)
         rim = apron(Views(colours, source.intrinsics), geometry, self.settings.apron, self.settings.filled_opacity)
         return replace(reconstruction, gaussians=Gaussians.cat((reconstruction.gaussians, rim)))
-
-
-def _pose_free(weights: str) -> Reconstructor:
-    """The full-size pose-free network with the given weights."""
-    if weights in ("shipped", "untrained"):
-        raise MissingDependencyError(
-            "reconstructor edit3r with geometry=network needs weights of a pose-free network, and none ship; give them "
-            "with --set reconstructor.weights=FILE, or leave geometry=matching."
-        )
-    from edit3r.registry import build
-
-    return build("reconstructor", "noposplat", weights=weights)
 
 
 def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:

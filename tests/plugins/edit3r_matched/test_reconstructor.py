@@ -3,9 +3,11 @@ from typing import ClassVar
 import pytest
 import torch
 from edit3r_matched.network import MatchedEditNetwork, network_grid
+from edit3r_matched.reconstructor import Edit3rReconstructor
 from edit3r_matched.weights import load_network, save_network
 
-from edit3r.errors import InputError, MissingDependencyError
+from edit3r.config import make_settings
+from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.registry import build
@@ -129,9 +131,11 @@ def test_a_view_that_could_not_be_placed_is_not_shown():
     assert (result.gaussians.from_view(1).opacities > 0).any()
 
 
-def test_network_geometry_without_weights_says_what_to_give():
-    with pytest.raises(MissingDependencyError, match="weights=FILE"):
-        _reconstructor(geometry="network")
+def test_network_geometry_is_the_network_matcher():
+    chosen = Edit3rReconstructor.Settings(geometry="network")
+    assert chosen.matcher.name == "network"
+    with pytest.raises(SettingsError, match="asks for matcher=network, but matcher is 'classical'"):
+        make_settings(Edit3rReconstructor.Settings, {"geometry": "network", "matcher": "classical"}, "reconstructor")
 
 
 def test_untrained_weights_are_announced():
