@@ -29,14 +29,23 @@ def load_masks(paths: Sequence[str | Path], photos: "LoadedPhotos") -> Float[Ten
     paths = [Path(path) for path in paths]
     if len(paths) != len(photos.photos):
         raise InputError(f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(paths)}.")
-    return torch.stack([_load(path, photo.frame) for path, photo in zip(paths, photos.photos)])[None]
+    masks = [read_mask(path, photo.frame) for path, photo in zip(paths, photos.photos)]
+    for path, mask in zip(paths, masks):
+        if not mask.any():
+            warn(f"{path}: this mask is all black, so nothing may change in its view.")
+    return torch.stack(masks)[None]
 
 
-def _load(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
+def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
+    """One mask file on the view that `frame` cuts from its photo."""
     decoded = decode(path)
     if decoded.transparent:  # a hole may mean black to one program and white to another
         raise InputError(f"{path}: this mask has transparent parts; expected black (keep) and white (may change).")
-    picture = _stretched(decoded.pixels.convert("L"), path)
+    return fitted_mask(_stretched(decoded.pixels.convert("L"), path), frame, path)
+
+
+def fitted_mask(picture: Image.Image, frame: Frame, path: Path) -> Float[Tensor, "height width"]:
+    """A grey picture, of the photo's shape or the view's size, as the view's mask; `path` is named in errors."""
     height, width = frame.source
     if picture.size != frame.target[::-1]:
         if abs(picture.width / picture.height * height / width - 1) > SHAPE_TOLERANCE:
@@ -45,10 +54,7 @@ def _load(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
                 f"({width}x{height}) or the size of its view ({frame.target[1]}x{frame.target[0]})."
             )
         picture = frame.cut(picture, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
-    mask = torch.from_numpy(np.array(picture, dtype=np.float32) / 255)
-    if not mask.any():
-        warn(f"{path}: this mask is all black, so nothing may change in its view.")
-    return mask
+    return torch.from_numpy(np.array(picture, dtype=np.float32) / 255)
 
 
 def _stretched(mask: Image.Image, path: Path) -> Image.Image:

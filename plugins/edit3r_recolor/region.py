@@ -10,10 +10,10 @@ from edit3r import reporting
 from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter
 from edit3r.stage_checks import component_name
+from edit3r_recolor.tracked_regions import soft_masks
 from edit3r_recolor.wish import Wish
 
 Box = tuple[float, float, float, float]
-FAINT = 0.01  # a sigmoid never reaches 0; below this a pixel is outside and keeps its exact value
 ADVICE = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
 
 
@@ -79,7 +79,6 @@ def _follow(
     lost = [str(view + 1) for view in range(len(images)) if not bool(tracks.present[view, 0])]
     if lost:
         reporting.warn(f"The object was not found again in view {', '.join(lost)}; it keeps its colours there.")
-    masks = tracks.logits[:, 0].sigmoid() * tracks.present[:, :1, None].to(images)
-    masks = torch.where(masks < FAINT, 0, masks)
+    masks = soft_masks(tracks)[0].to(images)
     masks[0] = first.soft_mask.to(images)
     return masks

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from edit3r_editors.mock_diffusion import apply_look, disagreeing, sample_look
+from edit3r_recolor.augmentation import draw_outline, perturbed, with_outline
+from edit3r_recolor.recoloring import recolored, visible_parameters
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.interfaces import SceneSample
-from edit3r_training.recolouring import recolored, visible_parameters
 
 
 class RegimeShares(Settings):
@@ -31,6 +31,7 @@ class RegimeShares(Settings):
     )
     whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole picture")
     mask_jitter: float = Field(0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little")
+    palette_jitter: float = Field(0.0, ge=0, le=1, description="share of edited pictures with colours a bit off")
 
 
 @dataclass(frozen=True)
@@ -96,18 +97,10 @@ def _regions(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
 def _edited_view(
     images: Tensor, masks: Tensor, parameters: list, view: int, shares: RegimeShares, rng: np.random.Generator
 ) -> Tensor:
-    """One view as a 2D editor would return it: the region's border is never quite right."""
+    """One view as a 2D editor would return it: the region's border, and its colours, are never quite right."""
     own = masks[:, view : view + 1]
     if rng.random() < shares.mask_jitter:
-        own = _jittered(own, rng)
+        own = with_outline(own, draw_outline(rng))
+    if shares.palette_jitter and rng.random() < shares.palette_jitter:
+        parameters = [perturbed(given, rng) for given in parameters]
     return recolored(images[view : view + 1], own, parameters)[0]
-
-
-def _jittered(masks: Tensor, rng: np.random.Generator) -> Tensor:
-    """Grown or shrunk by a pixel, or with a little leakage into the background."""
-    kind = rng.integers(3)
-    if kind == 2:
-        soft = F.avg_pool2d(masks, 5, stride=1, padding=2)
-        return torch.maximum(masks, 0.5 * soft)
-    sign = 1 if kind == 0 else -1
-    return sign * F.max_pool2d(sign * masks, 3, stride=1, padding=1)

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from edit3r_recolor.recoloring import recolored, visible_parameters
 from torch import Tensor
 
 from edit3r.errors import MatchingError
 from edit3r.interfaces import Rasterizer, Reconstructor, SceneSample
 from edit3r.registry import build
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r_training.recolouring import recolored, visible_parameters
 
 
 @dataclass(frozen=True)

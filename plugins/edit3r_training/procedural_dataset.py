@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from edit3r_recolor.recoloring import recolored, visible_parameters
 from pydantic import Field
 
 from edit3r import config
@@ -15,7 +16,6 @@ from edit3r_training.procedural.raycaster import CastPicture, cast
 from edit3r_training.procedural.scene import Scene, random_scene
 from edit3r_training.procedural.textures import texture_bank
 from edit3r_training.procedural.trajectory import random_cameras
-from edit3r_training.recolouring import recolored, visible_parameters
 
 _EIGHT_BITS = ("context", "target", "context_masks", "target_masks", "edited_context", "edited_target")
 EDITS = ("recolor", "add", "remove", "global")

@@ -1,0 +1,65 @@
+import torch
+from edit3r_recolor.tracked_regions import (
+    active_objects,
+    overlap_ratio,
+    processed_views,
+    proposals_of_masks,
+    soft_masks,
+    tracks_of_masks,
+)
+
+from edit3r.interfaces import Tracks
+
+
+def _shown(*rows: str) -> torch.Tensor:
+    return torch.tensor([[letter == "x" for letter in row] for row in rows])
+
+
+def test_overlap_ratio_divides_by_the_larger_set():
+    one, other = _shown("xx..", "xxxx")
+    assert overlap_ratio(one, other) == overlap_ratio(other, one) == 0.5
+    assert overlap_ratio(*_shown("....", "....")) == 0
+
+
+def test_a_view_is_compared_with_the_most_recently_processed_one_not_with_its_neighbour():
+    # View 1 shares one of three objects with view 0 and is skipped; view 2 shares two of two with view 1 but only
+    # one of three with view 0, so it is skipped too; view 3 shares two of three with view 0.
+    active = _shown("xxx..", "x..xx", "x..x.", "xx...", "xx..x")
+    assert processed_views(active) == [0, 3, 4]
+
+
+def test_exactly_half_is_enough():
+    assert processed_views(_shown("xx", "x.")) == [0, 1]
+
+
+def test_objects_are_active_where_a_logit_is_above_zero():
+    logits = torch.full((2, 2, 3, 3), -1.0)
+    logits[0, 0, 1, 1] = 0.1
+    logits[1, 1, 1, 1] = 0.0
+    present = torch.ones(2, 2, dtype=torch.bool)
+    assert active_objects(Tracks(logits, present)).tolist() == [[True, False], [False, False]]
+
+
+def test_masks_are_zero_where_faint_and_where_the_object_is_not():
+    logits = torch.tensor([2.0, 0.0, -6.0]).reshape(1, 1, 1, 3).repeat(2, 2, 1, 1)
+    present = torch.tensor([[True, True], [True, False]])
+    masks = soft_masks(Tracks(logits, present))
+    assert masks.shape == (2, 2, 1, 3)
+    assert masks[0, 0, 0, 2] == 0 and 0 < masks[0, 0, 0, 1] < masks[0, 0, 0, 0] < 1
+    assert not masks[1, 1].any()
+
+
+def test_given_masks_come_back_in_eight_bits():
+    masks = torch.linspace(0, 1, 256).round(decimals=6).reshape(1, 1, 16, 16)
+    masks = (masks * 255).round() / 255
+    back = (soft_masks(tracks_of_masks(masks)) * 255).round() / 255
+    visible = masks > 0.01
+    assert torch.equal(back[visible], masks[visible]) and not back[~visible].any()
+
+
+def test_proposals_of_masks_know_area_and_box():
+    mask = torch.zeros(1, 10, 20)
+    mask[0, 2:5, 4:12] = 1
+    (proposal,) = proposals_of_masks(mask)
+    assert proposal.box == (4, 2, 8, 3) and abs(proposal.area - 24 / 200) < 1e-6
+    assert proposals_of_masks(torch.zeros(1, 4, 4))[0].box == (0, 0, 0, 0)
