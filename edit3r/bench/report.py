@@ -16,11 +16,11 @@ from edit3r.io.run_folder import atomic_write
 __all__ = ["summary_of", "write_report"]
 
 EXPLANATION = """\
-Means over scenes, in brackets the 95 % interval of a bootstrap over scenes. Truth measures (psnr, ssim,
-edit-uptake) are taken at held-back views and a failure counts in them as a black picture; measures without truth leave failures
-out, and the score counts them as 0. `c-fid-effnet` and `c-kid-effnet` are not FID and KID: they use EfficientNet-lite0's
-features. C-FID and C-KID compare with the unedited photos, so doing nothing is best by them, as it is by consistency;
-by the score it is worst. The score is (what arrived of the edit) x sqrt(agreement of views x what stayed put).
+Means over scenes, in brackets the 95 % interval of a bootstrap over scenes. Truth measures (psnr, ssim, edit-uptake)
+are taken at held-back views and a failure counts in them as a black picture; measures without truth leave failures
+out, and the score counts them as 0. `c-fid-effnet` and `c-kid-effnet` are not FID and KID: their features are those
+of EfficientNet-lite0. C-FID and C-KID compare with the unedited photos, so doing nothing is best by them, as it is by
+consistency; by the score it is worst: (what arrived of the edit) x sqrt(agreement of views x what stayed put).
 """
 
 

@@ -7,7 +7,7 @@ import torch
 
 import edit3r
 from edit3r.errors import MissingDependencyError
-from edit3r.evaluation.clip import ClipSimilarity, central_square
+from edit3r.evaluation.clip import ClipSimilarity, central_square, direction_similarity
 from edit3r.interfaces import LossInputs
 
 transformers = pytest.importorskip("transformers")
@@ -98,3 +98,27 @@ def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
     assert 0 < value.item() <= 2
     step = rendered.detach() - 1e-2 * gradient / gradient.norm()
     assert loss(LossInputs(rendered=step, target=target)) < value
+
+
+class TwoAxes:
+    """In the place of CLIP: pictures are told apart by red and blue, texts by their first letter."""
+
+    def embed_images(self, images):
+        return torch.nn.functional.normalize(images[:, [0, 2]].mean((2, 3)), dim=-1)
+
+    def embed_texts(self, texts):
+        return torch.tensor([[1.0, 0.0] if text.startswith("r") else [0.0, 1.0] for text in texts])
+
+
+def test_direction_is_one_for_the_wished_change_and_zero_for_none():
+    red, blue = torch.zeros(1, 3, 4, 4), torch.zeros(1, 3, 4, 4)
+    red[:, 0], blue[:, 2] = 1, 1
+    wished = ("red", "blue")
+    assert direction_similarity(TwoAxes(), red, blue, *wished) == pytest.approx(1)
+    assert direction_similarity(TwoAxes(), blue, red, *wished) == pytest.approx(-1)
+    assert direction_similarity(TwoAxes(), red, red, *wished) == 0
+
+
+def test_direction_runs_on_a_real_network(similarity, images):
+    value = direction_similarity(similarity, images, 1 - images, "a house", "a red house")
+    assert value.shape == (2,) and value.abs().max() <= 1

@@ -70,3 +70,22 @@ def test_within_share_is_blind_to_scale_and_counts_missing_depth_as_wrong():
     depth[4] = 7.9
     assert within_share(depth, truth) == pytest.approx(5 / 9)
     assert within_share(np.zeros((10, 10)), truth) == 0
+
+
+def test_psnr_of_a_tenth_off_everywhere_is_20_decibels(picture):
+    assert psnr(0.5 * picture + 0.1, 0.5 * picture) == pytest.approx(20, abs=1e-4)
+
+
+def test_ssim_agrees_with_an_independent_float64_calculation(picture):
+    """Wang et al. (2004) with a uniform 7x7 window and unbiased moments, written out."""
+    a = np.clip(picture + np.random.default_rng(1).normal(0, 0.1, picture.shape), 0, 1).astype(np.float64)
+    b = picture.astype(np.float64)
+    windows = [np.lib.stride_tricks.sliding_window_view(x, (7, 7), axis=(0, 1)) for x in (a, b)]
+    mean_a, mean_b = (w.mean((-2, -1)) for w in windows)
+    var_a, var_b = (w.var((-2, -1), ddof=1) for w in windows)
+    product = (windows[0] - mean_a[..., None, None]) * (windows[1] - mean_b[..., None, None])
+    covariance = product.sum((-2, -1)) / 48
+    c1, c2 = 0.01**2, 0.03**2
+    values = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    values = values / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    assert ssim(a, picture) == pytest.approx(values.mean(), rel=1e-3)
