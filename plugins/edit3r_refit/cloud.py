@@ -1,6 +1,7 @@
 """The Gaussians while they are fitted: unconstrained numbers, Adam's moments, and rows that come and go."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -129,14 +130,14 @@ class Cloud:
         return {
             "rows": {name: value.detach().clone() for name, value in vars(self.rows).items()},
             "origin": self.origin.clone(),
-            "adam": self._optimizer.state_dict(),
+            "adam": deepcopy(self._optimizer.state_dict()),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue where `state` was taken."""
         self.origin = state["origin"]
         self._change(lambda name, tensor: state["rows"][name], lambda name, moment: moment)
-        self._optimizer.load_state_dict(state["adam"])
+        self._optimizer.load_state_dict(deepcopy(state["adam"]))
 
     @torch.no_grad()
     def _change(self, of_values, of_moments) -> None:

@@ -127,7 +127,7 @@ class _Fit:
             seen = self.rasterizer.render(scene, camera).images[0, 0]
             loss = photometric_loss(seen, self.pictures.images[view], settings.ssim)
             gradients = self.cloud.gradients(loss)
-        self.losses.append(float(loss))
+        self.losses.append(float(loss.detach()))
         self.growth.add(self.cloud.rows, gradients.means, camera)
         self.cloud.step(gradients, step_sizes(settings, step, steps, self.extent))
         self._control(step + 1)

@@ -1,0 +1,84 @@
+"""A small scene of which everything is known, and a reconstructor that knows it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.geometry.cameras import unproject
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.interfaces import Editor, Reconstructor
+from edit3r.testing.scenes import Photographed, photograph
+from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+
+SIZE = (32, 40)
+
+
+class TrueDepth(Reconstructor):
+    """Stand-in for a matcher's work: every few pixels a grey Gaussian where the photographed scene really is."""
+
+    def __init__(self, every: int = 2) -> None:
+        self.every = every
+
+    def __call__(self, views, source=None):
+        truth = photograph(views.count, views.image_size)
+        cut = (..., slice(None, None, self.every), slice(None, None, self.every))
+        height, width = truth.depths[cut].shape[-2:]
+        points = unproject(truth.depths, truth.cameras.intrinsics, truth.cameras.c2w)[0]
+        points = points[:, :: self.every, :: self.every].reshape(1, -1, 3)
+        sizes = 0.5 * self.every * truth.depths[cut].reshape(1, -1, 1) / views.image_size[1]
+        quats = torch.zeros(*points.shape[:2], 4)
+        quats[..., 0] = 1
+        origin = torch.arange(views.count).repeat_interleave(height * width)
+        grey = colour_to_dc(torch.full((1, points.shape[1], 1, 3), 0.5))
+        opacities = torch.full(points.shape[:2], 0.8)
+        scene = Gaussians(points, sizes.repeat(1, 1, 3), quats, opacities, grey, origin)
+        batch = len(views.images)
+        fields = ("means", "scales", "quats", "opacities", "harmonics")
+        scene = replace(scene, **{name: getattr(scene, name).repeat_interleave(batch, 0) for name in fields})
+        c2w = truth.cameras.c2w.repeat_interleave(batch, 0)
+        return Reconstruction(scene, Cameras(c2w, views.intrinsics, views.image_size))
+
+
+class CountingEditor(Editor):
+    """Inverts the colours and remembers what it was asked."""
+
+    def __init__(self):
+        self.calls = []
+
+    def edit(self, views, request):
+        self.calls.append((views, request))
+        return replace(views, images=1 - views.images)
+
+
+@pytest.fixture(scope="session")
+def truth() -> Photographed:
+    return photograph(3, SIZE)
+
+
+@pytest.fixture(scope="session")
+def posed(truth) -> Views:
+    """The photos with their poses."""
+    return replace(truth.views, c2w=truth.cameras.c2w)
+
+
+@pytest.fixture(scope="session")
+def rasterizer():
+    return edit3r.build("rasterizer", "numba")
+
+
+@pytest.fixture
+def editor() -> CountingEditor:
+    return CountingEditor()
+
+
+@pytest.fixture
+def build(rasterizer, editor):
+    """A method by name, quick: true depths to begin with, the counting editor, few steps."""
+
+    def build(name: str, parts=(), **settings):
+        parts = {"reconstructor": TrueDepth(), "editor": editor, "rasterizer": rasterizer, **dict(parts)}
+        return edit3r.build("reconstructor", name, parts, **{"steps": 6, "edit_steps": 6, **settings})
+
+    return build

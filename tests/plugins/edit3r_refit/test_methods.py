@@ -1,0 +1,137 @@
+"""The four methods as reconstructors: their contract, what they ask of the editor, and a run from end to end."""
+
+import pytest
+import torch
+from pydantic import ValidationError
+
+import edit3r
+from edit3r.errors import SettingsError
+from edit3r.reporting import Report, collecting
+from edit3r.testing import ReconstructorContract
+from edit3r.types import EditRequest
+
+METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
+ASK = EditRequest("invert", seed=2)
+FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
+
+
+@pytest.fixture(params=METHODS)
+def method(request) -> str:
+    return request.param
+
+
+CLAIMS = (
+    "test_gaussians_are_valid_and_finite",
+    "test_source_photos_are_accepted",
+    "test_predicted_cameras_are_poses_of_the_views",
+    "test_declared_limits_are_true",
+    "test_batch_items_are_independent",
+    "test_same_photos_give_the_same_result",
+    "test_leaves_its_inputs_alone",
+    "test_photos_without_texture_end_in_a_result_or_a_sentence",
+    "test_checkpoint_round_trip",
+)
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_contract_holds(method, claim, build):
+    class Quick(ReconstructorContract):
+        component = method
+        image_size = (24, 32)
+
+        def build(self):
+            return build(method, steps=2, edit_steps=2)
+
+    getattr(Quick(), claim)()
+
+
+def test_every_claim_of_the_contract_is_tried():
+    own = {name for name in vars(ReconstructorContract) if name.startswith("test_")}
+    assert own == set(CLAIMS)
+
+
+def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
+    """The editor inverts; a scene fitted to its edits is nearer to the inverted photos than to the photos."""
+    inverted = edit3r.Views(1 - posed.images, posed.intrinsics)
+    fast = {"steps": 30, "edit_steps": 60, "colour_rate": 0.1, "densify_until": 0.0}
+    settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(method, {})
+    result = build(method, **fast, **settings)(inverted, posed, ASK)
+    seen = rasterizer.render(result.gaussians, result.cameras).images
+    assert (seen - inverted.images).abs().mean() < 0.5 * (seen - posed.images).abs().mean()
+
+
+@pytest.mark.parametrize(
+    "name, settings, calls",
+    [
+        ("refit", {}, 0),
+        ("refit", {"edit": "renders"}, 1),
+        ("instruct-nerf2nerf", {"every": 2, "edit_steps": 7}, 4),
+        ("instruct-nerf2nerf", {"every": 7, "edit_steps": 7}, 1),
+        ("gaussctrl", {}, 1),
+        ("editsplat", {}, 3),
+    ],
+)
+def test_the_editor_is_called_as_often_as_the_method_says(build, editor, posed, name, settings, calls):
+    build(name, **settings)(edit3r.Views(1 - posed.images, posed.intrinsics), posed, ASK)
+    assert len(editor.calls) == calls
+    assert all(request.prompt == "invert" for _, request in editor.calls)
+
+
+def test_editsplat_edits_itself_when_it_is_given_nothing_edited(build, editor, posed):
+    build("editsplat")(posed, posed, ASK)
+    assert [views.count for views, _ in editor.calls] == [3, 1, 1, 1]
+
+
+def test_refit_of_nothing_edited_is_the_first_fit_alone(build, posed):
+    report = Report()
+    with collecting(report):
+        build("refit")(posed, posed)
+    assert "refit.photos" in report.notes and "refit.edits" not in report.notes
+
+
+def test_prompt_and_seed_of_the_settings_count_when_no_run_gives_others(build, editor, posed):
+    build("gaussctrl", prompt="paint it", seed=4)(posed)
+    assert (editor.calls[0][1].prompt, editor.calls[0][1].seed) == ("paint it", 4)
+
+
+def test_stopped_in_the_second_fit_it_goes_on_with_the_same_bytes(build, posed, tmp_path, method):
+    settings = {"checkpoint": str(tmp_path), "checkpoint_every": 2, "densify_from": 1, "densify_every": 2}
+    straight = build(method, **{**settings, "checkpoint": ""})(posed, posed, ASK).gaussians
+    stopping = build(method, **settings)
+    rasterizer, calls = stopping.rasterizer, []
+
+    class Stopping:
+        def render(self, gaussians, cameras):
+            calls.append(1)
+            if len(calls) > wanted:
+                raise KeyboardInterrupt
+            return rasterizer.render(gaussians, cameras)
+
+    stopping.rasterizer, wanted = Stopping(), 10 if method != "refit" else 5
+    with pytest.raises(KeyboardInterrupt):
+        stopping(posed, posed, ASK)
+    assert list(tmp_path.iterdir())
+    resumed = build(method, **settings)(posed, posed, ASK).gaussians
+    assert all(torch.equal(getattr(resumed, name), getattr(straight, name)) for name in FIELDS)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["recolor", "mock-diffusion"])
+def test_a_run_gives_the_method_its_editor_prompt_and_masks(build, posed, name):
+    recon = build("instruct-nerf2nerf", {"editor": edit3r.build("editor", name)})
+    masks = torch.zeros(1, 3, 32, 40)
+    masks[..., :20] = 1
+    result = edit3r.run(posed, "make it red", editor=recon.editor, recon=recon, masks=masks, seed=1)
+    assert result.report.notes["refit.edits_of_the_dataset"] == 1
+    assert result.gaussians.count > 0 and result.cameras.count == 3
+
+
+def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
+    tiny = {"steps": 1, "edit_steps": 1, "start": "random", "points": 50}
+    result = edit3r.run(posed, "make it red", recon="refit", editor="none", settings={"reconstructor": tiny})
+    assert result.reconstructor.editor is result.editor and result.editor.offer.component.name == "none"
+
+
+def test_strengths_in_the_wrong_order_are_refused():
+    with pytest.raises((SettingsError, ValidationError), match="least_strength"):
+        edit3r.build("reconstructor", "instruct-nerf2nerf", least_strength=0.9, most_strength=0.2)

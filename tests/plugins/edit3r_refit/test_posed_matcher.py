@@ -1,0 +1,48 @@
+"""Depth from known poses."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.errors import MatchingError
+from edit3r.interfaces import Matcher
+from edit3r.testing.scenes import photograph
+
+
+class Elsewhere(Matcher):
+    def match(self, views):
+        return "asked"
+
+
+@pytest.fixture(scope="module")
+def matcher():
+    return edit3r.build("matcher", "posed", {"matcher": Elsewhere()}, planes=48, detection_size=256)
+
+
+@pytest.fixture(scope="module")
+def large():
+    truth = photograph(2, (96, 128))
+    return truth, replace(truth.views, c2w=truth.cameras.c2w)
+
+
+def test_depth_is_measured_in_the_unit_of_the_known_poses(matcher, large):
+    truth, views = large
+    found = matcher.match(views)
+    sure = found.confidence > 0.5
+    error = ((found.depths - truth.depths) / truth.depths).abs()[sure]
+    assert torch.equal(found.c2w, truth.cameras.c2w) and found.registered.all()
+    assert sure.float().mean() > 0.5 and error.median() < 0.02
+
+
+def test_views_without_poses_go_to_the_other_matcher(matcher, large):
+    assert matcher.match(large[0].views) == "asked"
+
+
+def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
+    _, views = large
+    away = views.c2w.clone()
+    away[0, 1, :3, :3] = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # turned about the optical axis
+    with pytest.raises(MatchingError, match="known poses"):
+        matcher.match(replace(views, c2w=away))
