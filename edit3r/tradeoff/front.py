@@ -65,8 +65,8 @@ def _most_accurate(points: Sequence[Rated], slower: Rated, apart: float) -> Rate
 
 
 def best_within(
-    points: Sequence[Mapping[str, float]], limits: Mapping[str, float], accuracy: str = "accuracy"
+    costs: Sequence[Mapping[str, float]], accuracies: Sequence[float], limits: Mapping[str, float]
 ) -> int | None:
-    """Index of the most accurate of `points` that exceeds none of `limits`; None when none fits."""
-    fitting = [i for i, point in enumerate(points) if all(point[key] <= most for key, most in limits.items())]
-    return max(fitting, key=lambda i: points[i][accuracy], default=None)
+    """Index of the most accurate point none of whose costs exceeds its limit, the first of equals; None: none fits."""
+    fitting = [i for i, cost in enumerate(costs) if all(cost[key] <= most for key, most in limits.items())]
+    return max(fitting, key=lambda i: accuracies[i], default=None)

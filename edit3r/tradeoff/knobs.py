@@ -34,6 +34,8 @@ class SweepPlan(Settings):
     unedited: dict[str, Any] = Field(description="laid over a point for the run that is compared with novel views")
     edited: dict[str, Any] = Field(description="laid over a point to edit with true edits; {folder} is where they are")
     perceptual: list[str] = Field(default_factory=list, description="losses to try as perceptual distance, in order")
+    shipped: list[str] = Field(default_factory=list, description="run settings that presets may set")
+    data: list[str] = Field(default_factory=list, description="scenes measured unless others are asked for")
     side: int = Field(512, ge=32, le=4096, description="side of the largest pictures taken from folders [pixels]")
     datasets: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of datasets by name")
     knobs: dict[str, Knob] = Field(description="name to knob")

@@ -1,7 +1,5 @@
 """The measured points that ship with edit3r, and which of them are the presets: `edit3r/presets/quality.yaml`."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +7,7 @@ import yaml
 from pydantic import Field
 
 from edit3r.config import Settings, make_settings, read_yaml
-from edit3r.tradeoff.figures import MeasuredPoint
-from edit3r.tradeoff.front import PRESETS, Rated, choose_presets, on_every_front
+from edit3r.tradeoff.front import PRESETS
 
 SHIPPED = Path(__file__).parents[1] / "presets" / "quality.yaml"
 _HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see docs/tradeoff.md.\n"
@@ -30,10 +27,11 @@ class Expected(Settings):
 
 
 class ShippedPoint(Settings):
-    """One measured point on the front."""
+    """One measured point."""
 
     label: str
     preset: str | None = Field(None, description="fast, balanced or best")
+    front: bool = Field(False, description="whether no other is as quick and as accurate, on every kind of scene")
     settings: dict[str, Any] = Field(description="run settings")
     expected: dict[str, Expected] = Field(description="by kind of scene")
 
@@ -65,43 +63,6 @@ def read_quality(path: Path | None = None) -> Quality:
     return make_settings(Quality, read_yaml(path), where=str(path))
 
 
-def make_quality(
-    points: Sequence[MeasuredPoint], measured: Mapping[str, Any], clock: str, apart: float, kept: Sequence[str]
-) -> Quality:
-    """Points on the front of every kind of scene, the presets among them marked.
-
-    Of a point's settings only `kept`, the ones knobs turn, are shipped: the rest of a run is the user's.
-    """
-    rated = [point.rated(clock) for point in points]
-    on_front = on_every_front(rated)
-    chosen = {point.name: preset for preset, point in choose_presets(rated, apart).items()}
-    shipped = [_shipped(p, clock, chosen.get(p.label), kept) for p, flag in zip(points, on_front) if flag]
-    return Quality(measured={**measured, "clock": clock}, points=sorted(shipped, key=lambda p: p.seconds))
-
-
-def _shipped(point: MeasuredPoint, clock: str, preset: str | None, kept: Sequence[str]) -> ShippedPoint:
-    settings = {key: value for key, value in point.settings.items() if key in kept}
-    return ShippedPoint(
-        label=point.label,
-        preset=preset,
-        settings=settings,
-        expected={kind: _expected(figures, getattr(figures, clock)) for kind, figures in point.kinds.items()},
-    )
-
-
-def _expected(figures: Any, seconds: Any) -> Expected:
-    return Expected(
-        seconds=round(seconds.middle, 3),
-        seconds_least=round(seconds.least, 3),
-        seconds_most=round(seconds.most, 3),
-        memory_mb=round(figures.memory_mb),
-        start_memory_mb=round(figures.start_memory_mb),
-        gaussians=round(figures.most_gaussians),
-        psnr=round(figures.psnr, 2),
-        ssim=round(figures.ssim, 4),
-    )
-
-
 def write_quality(quality: Quality, path: Path | None = None) -> Path:
     """Write the file that `edit3r run --quality` reads."""
     path = path or SHIPPED
@@ -113,17 +74,3 @@ def write_quality(quality: Quality, path: Path | None = None) -> Path:
 def preset_names(quality: Quality) -> list[str]:
     """The presets there are, quickest first."""
     return [name for name in PRESETS if any(point.preset == name for point in quality.points)]
-
-
-__all__ = [
-    "SHIPPED",
-    "Expected",
-    "Quality",
-    "Rated",
-    "ShippedPoint",
-    "asdict",
-    "make_quality",
-    "preset_names",
-    "read_quality",
-    "write_quality",
-]

@@ -1,7 +1,7 @@
 """What `--quality` and the budgets of a run stand for: a measured point, and what is expected of it.
 
-A preset is one more limit: no slower than that point. So all four wishes go together, and the answer is always the most
-accurate measured point that fits. It lies under everything else that the user says.
+A budget takes the most accurate measured point that fits it. A preset is that point itself; with a budget that it does
+not fit, the most accurate one that fits and is no slower. What is chosen lies under everything else the user says.
 """
 
 from collections.abc import Mapping
@@ -57,8 +57,13 @@ def choose(wish: Wish, photos: int, quality: Quality | None = None) -> Choice:
     if not quality.points:
         raise SettingsError("--quality: nothing has been measured yet; run edit3r tradeoff --update-presets.")
     costs = [expectation(point, photos / quality.photos) for point in quality.points]
-    limits = _limits(wish, quality, costs)
-    index = best_within([{**c, "accuracy": p.accuracy} for c, p in zip(costs, quality.points)], limits)
+    limits = _budgets(wish)
+    preset = _preset(wish, quality)
+    if preset is not None and best_within([costs[preset]], [0.0], limits) == 0:
+        return Choice(quality.points[preset], costs[preset], quality.measured)
+    if preset is not None:
+        limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
+    index = best_within(costs, [point.accuracy for point in quality.points], limits)
     if index is None:
         raise SettingsError(_impossible(limits, costs, photos))
     return Choice(quality.points[index], costs[index], quality.measured)
@@ -76,21 +81,22 @@ def expectation(point: ShippedPoint, scale: float = 1.0) -> dict[str, float]:
     }
 
 
-def _limits(wish: Wish, quality: Quality, costs: list[dict[str, float]]) -> dict[str, float]:
+def _preset(wish: Wish, quality: Quality) -> int | None:
+    """Index of the preset that was wished."""
+    if wish.quality is None:
+        return None
+    found = [index for index, point in enumerate(quality.points) if point.preset == wish.quality]
+    if not found:
+        raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see edit3r tradeoff.")
+    return found[0]
+
+
+def _budgets(wish: Wish) -> dict[str, float]:
     """Largest expectation of each kind that still fits."""
-    limits: dict[str, float] = {}
-    if wish.quality is not None:
-        presets = [c["seconds"] for c, point in zip(costs, quality.points) if point.preset == wish.quality]
-        if not presets:
-            raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see edit3r tradeoff.")
-        limits["seconds"] = presets[0]
-    if wish.budget_ms is not None:
-        limits["seconds"] = min(wish.budget_ms / 1000, limits.get("seconds", float("inf")))
-    if wish.max_gaussians is not None:
-        limits["gaussians"] = wish.max_gaussians
-    if wish.max_memory is not None:
-        limits["memory_mb"] = wish.max_memory
-    return limits
+    milliseconds, gaussians, memory = wish.budget_ms, wish.max_gaussians, wish.max_memory
+    seconds = None if milliseconds is None else milliseconds / 1000
+    given = {"seconds": seconds, "gaussians": gaussians, "memory_mb": memory}
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def _impossible(limits: Mapping[str, float], costs: list[dict[str, float]], photos: int) -> str:
