@@ -1,9 +1,11 @@
 """InstructPix2Pix (Brooks et al. 2023): the paper's default 2D editor."""
 
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
 from edit3r.io.pretrained import foreign, pick_device
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import blending, loading
+from edit3r_diffusers import blending, late_start, loading
 from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
 from edit3r_diffusers.settings import DiffusionSettings
 
@@ -32,11 +34,24 @@ class InstructPix2PixEditor(Editor):
         self._pipeline: Any = None
 
     def edit(self, views: Views, request: EditRequest) -> Views:
+        return self._edited(views, request, None, 1.0)
+
+    def edit_from(
+        self, views: Views, start: Float[Tensor, "batch view 3 height width"], request: EditRequest, strength: float
+    ) -> Views:
+        """The edit of `views` begun from the pictures `start`, noised at `strength` in [0, 1] of the way.
+
+        The photos stay the condition, as Instruct-NeRF2NeRF (section 4.2) edits its renders.
+        """
+        return self._edited(views, request, start, strength)
+
+    def _edited(self, views: Views, request: EditRequest, start: Tensor | None, strength: float) -> Views:
         if not request.prompt.strip():
             raise PromptError("instruct-pix2pix needs an instruction; give one with --prompt.")
         pipeline = self._loaded(views.images.device)
-        denoise = partial(self._denoise, pipeline)
-        return edit_one_by_one(views, request, pipeline, self.settings.resolution, pipeline.vae_scale_factor, denoise)
+        denoise = partial(self._denoise, pipeline, late_start.steps_left(self.settings.steps, strength))
+        size = self.settings.resolution, pipeline.vae_scale_factor
+        return edit_one_by_one(views, request, pipeline, *size, denoise, start)
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
@@ -46,19 +61,26 @@ class InstructPix2PixEditor(Editor):
             self._pipeline = loading.load(pipeline_class, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER)
         return self._pipeline
 
-    def _denoise(self, pipeline: Any, job: ViewJob) -> Tensor:
-        generator = job.generator()
+    def _denoise(self, pipeline: Any, left: int, job: ViewJob) -> Tensor:
+        """`left`: how many of the steps are taken when the job begins from a picture."""
+        steps, generator = self.settings.steps, job.generator()
         noise = blending.noise_like_latents(pipeline, job.image, [generator])
         photo_at = blending.noised(blending.encode(pipeline.vae, job.image), noise) if job.mask is not None else None
-        return pipeline(
-            prompt=job.prompt,
-            image=job.image,
-            num_inference_steps=self.settings.steps,
-            guidance_scale=self.settings.guidance,
-            image_guidance_scale=self.settings.image_guidance,
-            negative_prompt=self.settings.negative_prompt,
-            generator=generator,
-            latents=noise,
-            output_type="pt",
-            callback_on_step_end=blending.StepEnd(job.text, self.settings.steps, job.mask, photo_at),
-        ).images
+        latents, beginning = noise, nullcontext()
+        if job.start is not None:
+            clean = blending.encode(pipeline.vae, job.start)
+            latents = late_start.noisy_start(pipeline.scheduler, clean, noise, steps, steps - left)
+            beginning = late_start.skipping(pipeline.scheduler, steps - left)
+        with beginning:
+            return pipeline(
+                prompt=job.prompt,
+                image=job.image,
+                num_inference_steps=steps,
+                guidance_scale=self.settings.guidance,
+                image_guidance_scale=self.settings.image_guidance,
+                negative_prompt=self.settings.negative_prompt,
+                generator=generator,
+                latents=latents,
+                output_type="pt",
+                callback_on_step_end=blending.StepEnd(job.text, left, job.mask, photo_at),
+            ).images

@@ -21,6 +21,7 @@ class ViewJob:
     prompt: str
     seed: int
     text: str  # for progress and messages
+    start: Float[Tensor, "1 3 height width"] | None = None  # picture to begin from; None: from noise
 
     def generator(self) -> torch.Generator:
         """A fresh generator, on the CPU so that every device draws the same noise.
@@ -37,8 +38,9 @@ def edit_one_by_one(
     longer_side: int,
     multiple: int,
     denoise: Callable[[ViewJob], Float[Tensor, "1 3 height width"]],
+    starts: Float[Tensor, "batch view 3 height width"] | None = None,
 ) -> Views:
-    """Every view through `denoise`; one whose mask is empty stays as it is."""
+    """Every view through `denoise`, with its picture of `starts`; one whose mask is empty stays as it is."""
 
     def edit_view(scene: int, view: int) -> Tensor:
         photo = views.images[scene, view]
@@ -48,8 +50,10 @@ def edit_one_by_one(
         name = pictures.view_name(views, view)
         size = pictures.working_size(*photo.shape[-2:], longer_side, multiple)
         with torch.no_grad(), loading.out_of_memory_told(f"editing {name} at {size[1]}x{size[0]}"):
-            image = pictures.resize(photo[None].float(), size).to(pipeline._execution_device, pipeline.dtype)
-            edited = denoise(ViewJob(image, mask, request.prompt, request.seed, f"editing {name}"))
+            chosen = photo if starts is None else torch.stack((photo, starts[scene, view].clamp(0, 1).to(photo)))
+            sized = pictures.resize(chosen.reshape(-1, *photo.shape).float(), size)
+            image, *start = sized.to(pipeline._execution_device, pipeline.dtype).split(1)
+            edited = denoise(ViewJob(image, mask, request.prompt, request.seed, f"editing {name}", *start))
         return pictures.checked(edited, photo, name)[0]
 
     scenes, count = views.images.shape[:2]

@@ -1,0 +1,126 @@
+"""Edits begun from a picture instead of noise, and the optimisation methods that use them, on tiny random models."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_diffusers.late_start import skipping, steps_left
+
+import edit3r
+from edit3r.interfaces import Matcher
+from edit3r.reporting import Report, collecting
+from edit3r.testing.scenes import photograph
+
+ASK = edit3r.EditRequest("paint it red", seed=3)
+STEPS = 6
+
+
+@pytest.fixture(scope="module")
+def editor(tiny):
+    settings = {"steps": STEPS, "resolution": 0, "local_files_only": True}
+    return edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings)
+
+
+@pytest.fixture(scope="module")
+def posed():
+    truth = photograph(3, (32, 32))
+    return replace(truth.views, c2w=truth.cameras.c2w)
+
+
+def steps_shown(call) -> int:
+    """Denoising steps of the first view, as the progress bar shows them."""
+    shown = []
+    with collecting(Report(on_event=lambda event, text, done, total: shown.append((text, total)))):
+        call()
+    return next(total for text, total in shown if text.startswith("editing"))
+
+
+def test_strength_is_a_share_of_the_steps():
+    assert [steps_left(20, strength) for strength in (0, 0.5, 1)] == [1, 10, 20]
+
+
+def test_only_the_steps_that_are_left_are_taken(editor, two_views):
+    call = lambda: editor.edit_from(two_views, 1 - two_views.images, ASK, 0.5)  # noqa: E731
+    assert steps_shown(call) == 3 and steps_shown(lambda: editor.edit(two_views, ASK)) == STEPS
+
+
+def test_less_strength_keeps_more_of_the_picture_it_starts_from(editor, two_views):
+    """By how much another start changes the result: all of it survives one step, little survives all of them."""
+
+    def difference(strength):
+        dark, light = (torch.full_like(two_views.images, level) for level in (0.2, 0.8))
+        results = [editor.edit_from(two_views, start, ASK, strength).images for start in (dark, light)]
+        return float((results[0] - results[1]).abs().mean())
+
+    assert difference(0.15) > 2 * difference(1.0)
+
+
+def test_the_photos_stay_the_condition(editor, two_views):
+    start = torch.full_like(two_views.images, 0.5)
+    other = replace(two_views, images=two_views.images.flip(-1))
+    first, second = (editor.edit_from(views, start, ASK, 0.5).images for views in (two_views, other))
+    assert not torch.equal(first, second)
+
+
+def test_a_whole_edit_afterwards_is_what_it_was_before(editor, two_views):
+    before = editor.edit(two_views, ASK).images
+    begun = editor.edit_from(two_views, two_views.images, ASK, 0.2).images
+    assert torch.equal(editor.edit(two_views, ASK).images, before)
+    assert torch.equal(editor.edit_from(two_views, two_views.images, ASK, 0.2).images, begun)
+
+
+@pytest.mark.parametrize("name", ["DDIMScheduler", "EulerAncestralDiscreteScheduler", "EulerDiscreteScheduler"])
+def test_skipped_steps_are_the_first_whatever_the_sampler(name):
+    import diffusers
+
+    scheduler = getattr(diffusers, name)()
+    scheduler.set_timesteps(8)
+    whole = scheduler.timesteps.clone()
+    sample = torch.randn(1, 4, 4, 4, generator=torch.Generator().manual_seed(0))
+    with skipping(scheduler, 5):
+        scheduler.set_timesteps(8)
+        assert torch.equal(scheduler.timesteps, whole[5:])
+        for timestep in scheduler.timesteps:
+            sample = scheduler.step(torch.zeros_like(sample), timestep, scheduler.scale_model_input(sample, timestep))[
+                0
+            ]
+    assert torch.isfinite(sample).all()
+    scheduler.set_timesteps(8)
+    assert torch.equal(scheduler.timesteps, whole)
+
+
+TINY = {"steps": 3, "edit_steps": 4, "start": "random", "points": 60}
+
+
+@pytest.mark.parametrize("method", ["refit", "instruct-nerf2nerf", "editsplat"])
+def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
+    report = Report()
+    with collecting(report):
+        settings = {"refit": {"edit": "renders"}, "instruct-nerf2nerf": {"every": 2}}.get(method, {})
+        recon = edit3r.build("reconstructor", method, {"editor": editor}, **TINY, **settings)
+        result = recon(posed, posed, ASK)
+    assert result.gaussians.count > 0
+    assert not any("cannot start from a given picture" in text for text in report.warnings)
+
+
+def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_reference_views(tiny, posed):
+    class Refusing(Matcher):
+        def match(self, views):
+            raise AssertionError("the fitted depth was to be used")
+
+    editor = edit3r.build(
+        "editor",
+        "controlnet-depth",
+        {"matcher": Refusing()},
+        model=str(tiny.stable_diffusion()),
+        controlnet=str(tiny.controlnet()),
+        steps=2,
+        resolution=0,
+        local_files_only=True,
+    )
+    report = Report()
+    with collecting(report):
+        recon = edit3r.build("reconstructor", "gaussctrl", {"editor": editor}, **TINY, references=1, together=2)
+        result = recon(posed, posed, ASK)
+    assert result.gaussians.count > 0 and not [text for text in report.warnings if text.startswith("gaussctrl")]
+    assert report.notes["gaussctrl.editor"]["aligns_views"] and report.notes["gaussctrl.editor"]["depth_of_the_fit"]
