@@ -1,6 +1,7 @@
 """How well a reconstructor carries and fuses edits, on procedural scenes it has not seen: numbers and pictures.
 
     python -m edit3r_training.measure_edits --recon edit3r --size 128 --scenes 24
+    python -m edit3r_training.measure_edits --size 64 --weights runs/a/best/weights.safetensors runs/b/best/...
 
 The reconstructor runs as it does for a user, matching included. An object that both photos show is recoloured: in the
 reference alone (uptake, error, leak of view 1's Gaussians seen from view 1) or in both views differently
@@ -8,15 +9,18 @@ reference alone (uptake, error, leak of view 1's Gaussians seen from view 1) or 
 """
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
 from edit3r_recolor.recoloring import recolored, visible_parameters
 from torch import Tensor
 
+from edit3r.config import parse_assignments
 from edit3r.errors import MatchingError
-from edit3r.interfaces import Rasterizer, Reconstructor, SceneSample
+from edit3r.interfaces import MatchedGeometry, Matcher, Rasterizer, Reconstructor, SceneSample
 from edit3r.registry import build
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
@@ -128,31 +132,75 @@ def _psnr(a: Tensor, b: Tensor) -> float:
     return float(-10 * torch.log10((a - b).square().mean()))
 
 
+class _RememberingMatcher(Matcher):
+    """Matches each scene's photos once, however often they are asked for in a row."""
+
+    def __init__(self, matcher: Matcher) -> None:
+        self.matcher = matcher
+        self._photos: Tensor | None = None
+        self._answer: MatchedGeometry | MatchingError | None = None
+
+    def match(self, views: Views) -> MatchedGeometry:
+        if self._photos is None or not torch.equal(self._photos, views.images):
+            self._photos = views.images
+            try:
+                self._answer = self.matcher.match(views)
+            except MatchingError as error:
+                self._answer = error
+        if isinstance(self._answer, MatchingError):
+            raise self._answer
+        return self._answer
+
+
+def _reconstructors(name: str, settings: dict, weights: Sequence[str]) -> dict[str, Reconstructor]:
+    """One for each file of weights, by that file's name; they share their matcher's answers."""
+    choices = {_short(file): {**settings, "weights": file} for file in weights} or {name: settings}
+    built = {label: build("reconstructor", name, **given) for label, given in choices.items()}
+    first = next(iter(built.values()))
+    if isinstance(getattr(first, "matcher", None), Matcher):
+        shared = _RememberingMatcher(first.matcher)
+        for reconstructor in built.values():
+            reconstructor.matcher = shared
+    return built
+
+
+def _short(file: str) -> str:
+    """The run's name where the file is its best weights, else the file's."""
+    parts = Path(file).parts
+    return parts[-3] if parts[-2:-1] == ("best",) and len(parts) > 2 else Path(file).stem
+
+
 @torch.no_grad()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recon", default="edit3r")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="reconstructor settings")
+    parser.add_argument("--weights", nargs="+", default=[], metavar="FILE", help="compare these on the same scenes")
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--scenes", type=int, default=24)
-    parser.add_argument("--seed", type=int, default=1000, help="of the scenes; training uses 1 to 3")
+    parser.add_argument("--seed", type=int, default=1000, help="of the scenes; training uses 1 to 4")
     args = parser.parse_args()
-    from edit3r.config import parse_assignments
 
     torch.set_num_threads(1)
-    reconstructor = build("reconstructor", args.recon, **parse_assignments(args.set))
+    reconstructors = _reconstructors(args.recon, parse_assignments(args.set), args.weights)
     rasterizer = build("rasterizer", "numba")
     data = build("dataset", "procedural", seed=args.seed, image_size=args.size, targets=1, angles=(5, 25))
-    scores, failures = [], 0
+    scores: dict[str, list[EditScore]] = {label: [] for label in reconstructors}
+    failures = 0
     for index in range(args.scenes):
         try:
-            score = measure_scene(data[index], reconstructor, rasterizer, seed=index)
+            row = {label: measure_scene(data[index], r, rasterizer, index) for label, r in reconstructors.items()}
         except MatchingError:
             failures += 1
             continue
-        if score is not None:
-            scores.append(score)
-    print(f"{args.recon} {args.set} at {args.size} pixels: {len(scores)} scenes, {failures} not matched")
+        for label, score in row.items():
+            scores[label] += [] if score is None else [score]
+    for label, measured in scores.items():
+        print(f"{label} {args.set} at {args.size} pixels: {len(measured)} scenes, {failures} not matched")
+        _print_means(measured)
+
+
+def _print_means(scores: Sequence[EditScore]) -> None:
     for name in EditScore.__dataclass_fields__:
         values = np.array([getattr(score, name) for score in scores])
         values = values[np.isfinite(values)]

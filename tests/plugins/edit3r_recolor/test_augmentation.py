@@ -41,7 +41,7 @@ def test_soft_masks_keep_their_shape_and_range():
     mask = torch.rand(2, 3, 20, 30, generator=torch.Generator().manual_seed(0))
     for outline in ("grown", "shrunk", "leaking"):
         spoilt = with_outline(mask, outline)
-        assert spoilt.shape == mask.shape and 0 <= float(spoilt.min()) and float(spoilt.max()) <= 1
+        assert spoilt.shape == mask.shape and float(spoilt.min()) >= 0 and float(spoilt.max()) <= 1
 
 
 def test_a_perturbed_palette_is_close_to_the_one_meant_and_not_the_same():

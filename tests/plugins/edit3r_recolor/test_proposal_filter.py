@@ -46,5 +46,5 @@ def test_order_is_kept_and_refusals_are_counted_by_criterion():
 
 
 def test_an_aspect_range_upside_down_is_refused():
-    with pytest.raises(SettingsError, match="recolor.filter.aspect"):
+    with pytest.raises(SettingsError, match=r"recolor\.filter\.aspect"):
         make_settings(ProposalFilter, {"aspect": (3, 2)}, where="recolor.filter")
