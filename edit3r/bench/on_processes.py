@@ -3,9 +3,11 @@
 import multiprocessing
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 
 from edit3r.bench.results import ItemResult
 from edit3r.bench.runner import Job, work
+from edit3r.errors import RunError
 
 __all__ = ["on_processes"]
 
@@ -19,6 +21,11 @@ def on_processes(job: Job, items: list[str], workers: int) -> Iterator[ItemResul
     try:
         for future in as_completed([pool.submit(_do, item) for item in items]):
             yield future.result()
+    except BrokenProcessPool:
+        raise RunError(
+            "a worker process died (out of memory, or it could not start); what is done is kept: run again, with fewer "
+            "--workers if memory is short."
+        ) from None
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 

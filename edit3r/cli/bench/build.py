@@ -20,9 +20,14 @@ def main(args: argparse.Namespace) -> int:
     from edit3r.bench.manifest import write_bench_manifest
     from edit3r.cli._console import StageConsole
     from edit3r.config import make_settings
+    from edit3r.errors import SettingsError
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
 
+    if (args.folder is None) == (args.procedural is None):
+        raise SettingsError("edit3r bench build: give either a FOLDER of scenes or --procedural N.")
+    if args.procedural is not None and args.procedural < 1:
+        raise SettingsError(f"--procedural: must be at least 1, got {args.procedural}.")
     size = {} if args.size is None else {"image_size": args.size}
     settings = make_settings(GeneratedSettings, {"seed": args.seed, **size}, where="generator")
     with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)):
