@@ -16,10 +16,12 @@ from edit3r.geometry.cameras import pixel_rays
 from edit3r_correlation.point_pairs import rays_at
 from edit3r_correlation.procrustes import cross_matrix
 
-MATCH_SCALE = 0.4
-"""Error of a match at which its weight falls to a half [cells]."""
-PRIOR_SCALE = 2.0
-"""The same for a predicted depth [its own spread]."""
+MATCH_SPREAD = 0.25
+"""Standard error of a good match [cells]."""
+DOUBTFUL = 2.0
+"""Error at which the weight of a match or of a predicted depth falls to a half [its own spread]."""
+HOPELESS = 40.0
+"""Loss of a match that lies behind the other camera."""
 LEAST_SPREAD = 0.04
 """A depth prediction is never trusted to be nearer than this [log]."""
 POSE, SCALE = slice(0, 6), 6
@@ -123,17 +125,19 @@ def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
     there = turned + shift[:, :, None]  # in the other camera's frame
     in_front = there[..., 2] > 1e-3
     z = there[..., 2].clamp(min=1e-3)
-    error = (there[..., :2] / z[..., None] - evidence.seen) * evidence.focal
+    focal = evidence.focal / MATCH_SPREAD
+    error = (there[..., :2] / z[..., None] - evidence.seen) * focal
     squared = error.square().sum(-1)
-    weights = evidence.weights * in_front / (1 + squared / MATCH_SCALE**2)
+    weights = evidence.weights * in_front / (1 + squared / DOUBTFUL**2)
 
-    by_point = _projection_derivative(there, z, evidence.focal)  # [batch, 2, cell, 2, 3]
+    by_point = _projection_derivative(there, z, focal)  # [batch, 2, cell, 2, 3]
     by_pose = by_point @ _pose_derivative(at, points, there)  # [batch, 2, cell, 2, 6]
     by_depth = (by_point @ turned[..., None])[..., 0]
 
     scales = torch.stack((torch.zeros_like(at.log_scale), at.log_scale), 1)[..., None]
     off = (at.log_depths - evidence.prior - scales) / evidence.spread
-    trust = 1 / (1 + (off / PRIOR_SCALE).square()) / evidence.spread.square()
+    cost = evidence.weights * torch.where(in_front, _robust(squared), HOPELESS) + _robust(off.square())
+    trust = 1 / (1 + (off / DOUBTFUL).square()) / evidence.spread.square()
     off = off * evidence.spread
 
     information = weights * by_depth.square().sum(-1)
@@ -146,11 +150,9 @@ def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
     pose_vector = torch.cat(
         (torch.einsum("bvnki,bvnk->bi", weighted, error), -(trust * off)[:, 1].sum(-1, keepdim=True)), -1
     )
-    cost = (evidence.weights * torch.where(in_front, torch.log1p(squared / MATCH_SCALE**2), 20.0)).sum((1, 2))
-    cost = cost * MATCH_SCALE**2 + PRIOR_SCALE**2 * torch.log1p((off / evidence.spread / PRIOR_SCALE) ** 2).sum((1, 2))
     return _Linearised(
-        cost,
-        torch.where(in_front, squared.sqrt(), torch.inf),
+        cost.sum((1, 2)),
+        torch.where(in_front, squared.sqrt() * MATCH_SPREAD, torch.inf),
         information,
         pose_matrix,
         pose_vector,
@@ -160,8 +162,13 @@ def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
     )
 
 
+def _robust(squared: Tensor) -> Tensor:
+    """Cauchy's loss of a squared error [spreads]."""
+    return DOUBTFUL**2 * torch.log1p(squared / DOUBTFUL**2)
+
+
 def _projection_derivative(points: Tensor, z: Tensor, focal: Tensor) -> Float[Tensor, "batch 2 cell 2 3"]:
-    """Of (x/z, y/z) in cells by the point."""
+    """Of (x/z, y/z) times `focal` by the point."""
     zero = torch.zeros_like(z)
     rows = torch.stack(
         (

@@ -67,7 +67,7 @@ def nearest_rotation(matrix: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch
     (tr(S) I - S) w with S = R^T matrix.
     """
     with torch.no_grad():
-        u, _, vt = torch.linalg.svd(matrix)
+        u, _, vt = torch.linalg.svd(torch.nan_to_num(matrix))  # what is not finite shows up in the derivative
         sign = torch.ones(matrix.shape[:-1], dtype=matrix.dtype, device=matrix.device)
         sign[..., 2] = torch.where(torch.linalg.det(u @ vt) < 0, -1.0, 1.0)
         rotation = (u * sign[..., None, :]) @ vt
