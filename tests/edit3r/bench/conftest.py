@@ -40,7 +40,8 @@ class Cards(Reconstructor):
         size = self.settings.depth / views.image_size[1]
         quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
         opacities = torch.full((1, count), 0.9)
-        gaussians = Gaussians(points, torch.full((1, count, 3), size), quats, opacities, colour_to_dc(colours)[:, :, None])
+        scales, harmonics = torch.full((1, count, 3), size), colour_to_dc(colours)[:, :, None]
+        gaussians = Gaussians(points, scales, quats, opacities, harmonics)
         return Reconstruction(gaussians, Cameras(views.c2w, views.intrinsics, views.image_size))
 
 

@@ -85,7 +85,7 @@ def test_runs_of_different_benchmarks_are_not_compared(runs, tmp_path):
 
 
 def test_a_folder_without_results_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="bench-run.json"):
+    with pytest.raises(InputError, match="it has no bench-run"):
         read_columns([tmp_path])
 
 
