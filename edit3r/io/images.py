@@ -21,7 +21,7 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.io.decode import decode, picture_size, read_image
 from edit3r.io.framing import Frame, common_size, frame_for
-from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder
+from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder, known_poses
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import atomic_write
 from edit3r.reporting import track, warn
@@ -92,8 +92,9 @@ def load_photos(
     """Read photos, given as files and folders (a folder's pictures come in natural order).
 
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov` (horizontal [degrees]),
-    else EXIF, else a stated default. `size` bounds the longer side [pixels]; None keeps the photos' own. Raises
-    InputError for anything that cannot be used, in one sentence that names the file.
+    else EXIF, else a stated default. Poses come along where one camera file has them for all photos. `size` bounds the
+    longer side [pixels]; None keeps the photos' own. Raises InputError for anything that cannot be used, in one
+    sentence that names the file.
     """
     _check_arguments(fov, size)
     files = find_photos(paths)
@@ -112,7 +113,9 @@ def load_photos(
     photos = tuple(map(_record, names, files, frames, found))
     _warn_of_losses(photos)
     intrinsics = torch.stack([frame.follow(i.normalised) for frame, i in zip(frames, found)])
-    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names), photos)
+    poses = known_poses(found)
+    c2w = None if poses is None else poses[None].float()
+    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w), photos)
 
 
 def find_photos(paths: str | Path | Sequence[str | Path]) -> list[Path]:

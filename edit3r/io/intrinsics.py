@@ -24,10 +24,18 @@ SHAPE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding of 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """One photo's intrinsics and who said so."""
+    """One photo's intrinsics, its pose where the same file knows it, and who said so."""
 
     normalised: Float64[Tensor, "3 3"]
     source: str
+    c2w: Float64[Tensor, "4 4"] | None = None  # in the file's own frame and unit
+
+
+def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
+    """The photos' poses where one file knows all of them: those of two files have no frame in common."""
+    poses = [one.c2w for one in found if one.c2w is not None]
+    complete = len(poses) == len(found) and len({one.source for one in found}) == 1
+    return torch.stack(poses) if complete else None
 
 
 class IntrinsicsFinder:
@@ -46,7 +54,8 @@ class IntrinsicsFinder:
         for camera_file in self._camera_files(file):
             camera = camera_file.find(file, by_name=camera_file is self.given)
             if camera is not None and camera.K is not None and self._fits(camera, camera_file, file, size):
-                return Intrinsics(torch.from_numpy(camera.intrinsics), f"camera file {camera_file.path}")
+                c2w = None if camera.c2w is None else torch.from_numpy(camera.c2w)
+                return Intrinsics(torch.from_numpy(camera.intrinsics), f"camera file {camera_file.path}", c2w)
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
         if picture.focal is not None:

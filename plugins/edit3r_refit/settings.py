@@ -17,7 +17,9 @@ class FitSettings(Settings):
     degree: int = Field(0, ge=0, le=3, description="degree of the harmonics; each is added at an even share of the fit")
     means_rate: float = Field(1.6e-4, ge=0, le=1, description="first step of the centres [extents]")
     means_rate_end: float = Field(1.6e-6, ge=0, le=1, description="last step of the centres [extents]")
-    colour_rate: float = Field(2.5e-3, ge=0, le=1, description="step of the constant harmonic; the others take 1/20")
+    colour_rate: float = Field(
+        0.02, ge=0, le=1, description="step of the constant harmonic, the others 1/20; published 0.0025, for 30000 steps"
+    )
     opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
     scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")
     rotation_rate: float = Field(1e-3, ge=0, le=1, description="step of the quaternions")
@@ -50,7 +52,7 @@ class MethodSettings(FitSettings):
     start: Literal["reconstructor", "random"] = Field(
         "reconstructor", description="first Gaussians: a reconstruction, or random points (needs known poses)"
     )
-    points: int = Field(20_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
+    points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
     steps: int = Field(1000, ge=1, le=1_000_000, description="steps of the fit to the photos")
     edit_steps: int = Field(1000, ge=1, le=1_000_000, description="steps of the fit to the edits")
     checkpoint: str = Field("", description="folder for checkpoints: a stopped call continues from there; empty: none")

@@ -127,6 +127,20 @@ def test_camera_file_beside_the_photos_is_found(tmp_path):
     assert "cameras.json" in load_photos(tmp_path / "images" / "a.png").photos[0].intrinsics_source
 
 
+def test_poses_come_along_where_one_file_has_them_for_all_photos(tmp_path):
+    for name in "abc":
+        photo(tmp_path / f"{name}.png")
+    poses = [torch.eye(4).tolist(), [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], None]
+    entries = [
+        {"file": f"{n}.png", "width": 40, "height": 30, "K": [[32, 0, 20], [0, 32, 15], [0, 0, 1]], "c2w": pose}
+        for n, pose in zip("abc", poses)
+    ]
+    (tmp_path / "cameras.json").write_text(json.dumps(entries))
+    known = load_photos([tmp_path / "a.png", tmp_path / "b.png"]).views.c2w
+    assert torch.equal(known, torch.tensor(poses[:2])[None])
+    assert load_photos(tmp_path).views.c2w is None
+
+
 def test_camera_of_a_scaled_copy_is_scaled_along(tmp_path):
     path = photo(tmp_path / "a.png", (200, 150))
     cameras = camera_file(tmp_path / "cameras.json", ("a.png", 4000, 3000, 3200, 2100, 1400))
