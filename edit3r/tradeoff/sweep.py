@@ -80,6 +80,8 @@ def sweep(
     missing = [key for key in wanted if key not in done]
     start = time.monotonic()
     with folder.measurements.open("a", encoding="utf-8") as file:
+        if _is_cut_short(folder.measurements):
+            print(file=file)
         for key in track(missing, "measure"):
             if effort.seconds is not None and time.monotonic() - start > effort.seconds:
                 break
@@ -112,6 +114,12 @@ def measurement_key(point: Point, scene_fingerprint: str, effort: Effort) -> str
         [versions.get(name) for name in ("edit3r", "torch")],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _is_cut_short(path: Path) -> bool:
+    """Whether a kill left the last line without its end."""
+    content = path.read_bytes()
+    return bool(content) and not content.endswith(b"\n")
 
 
 def _lines(path: Path) -> Iterator[str]:
