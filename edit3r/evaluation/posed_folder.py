@@ -13,7 +13,7 @@ from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
 
-__all__ = ["Photo", "PosedFolder", "read_posed_folder"]
+__all__ = ["Photo", "PosedFolder", "read_posed_folder", "undistorted"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PosedFolder:
     def load(self, index: int, size: int) -> Photo:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
-        picture = _undistorted(read_image(self.path / camera.file), camera)
+        picture = undistorted(read_image(self.path / camera.file), camera)
         frame = frame_for((picture.height, picture.width), (size, size))
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
         return Photo(np.asarray(frame.cut(picture), np.float32) / 255, intrinsics, camera.c2w)
@@ -54,7 +54,8 @@ def read_posed_folder(path: str | Path) -> PosedFolder:
     return PosedFolder(path.resolve().name, path, cameras)
 
 
-def _undistorted(picture: Image.Image, camera: PosedCamera) -> Image.Image:
+def undistorted(picture: Image.Image, camera: PosedCamera) -> Image.Image:
+    """The picture (or a mask of its size, mode L) as a plain pinhole would have taken it."""
     if not camera.distortion:
         return picture
     pixels = camera.intrinsics * np.array([[picture.width], [picture.height], [1.0]])

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from edit3r_recolor.augmentation import draw_outline, perturbed, with_outline
+from edit3r_recolor.parameters import RecolorParameters
 from edit3r_recolor.recoloring import recolored, visible_parameters
 from torch import Tensor
 
@@ -46,6 +48,7 @@ class _Case:
     mask: Tensor  # [view + target, height, width]
     first: Tensor  # all pictures under the reference's edit
     second: Tensor  # and under another one
+    given: Tensor  # [2, 3, height, width]: the two photos' edits as the reconstructor is given them
 
     @property
     def pictures(self) -> Tensor:
@@ -53,15 +56,18 @@ class _Case:
 
 
 def measure_scene(
-    sample: SceneSample, reconstructor: Reconstructor, rasterizer: Rasterizer, seed: int
+    sample: SceneSample, reconstructor: Reconstructor, rasterizer: Rasterizer, seed: int, faults: bool = False
 ) -> EditScore | None:
-    """None when no object is seen well enough by the photos. Raises MatchingError as the reconstructor does."""
-    case = _case(sample, seed)
+    """None when no object is seen well enough by the photos. Raises MatchingError as the reconstructor does.
+
+    With `faults` the edits are given as an editor makes them; what is right stays the same.
+    """
+    case = _case(sample, seed, faults)
     if case is None:
         return None
     source = _views(sample, sample.context)
-    alone = _views(sample, torch.stack((case.first[0], sample.context[1])))
-    both = _views(sample, torch.stack((case.first[0], case.second[1])))
+    alone = _views(sample, torch.stack((case.given[0], sample.context[1])))
+    both = _views(sample, case.given)
     plain, carried, fused = (reconstructor(views, source) for views in (source, alone, both))
     own = plain.cameras.select([1])
     between = _target_camera(sample, plain)
@@ -89,7 +95,7 @@ def measure_scene(
     )
 
 
-def _case(sample: SceneSample, seed: int) -> _Case | None:
+def _case(sample: SceneSample, seed: int, faults: bool) -> _Case | None:
     masks = torch.cat((sample.context_masks, sample.target_masks), 1)
     area = masks.mean((2, 3)).amin(1)
     fit = np.flatnonzero((area > 0.02).numpy() & (area < 0.4).numpy())
@@ -100,7 +106,16 @@ def _case(sample: SceneSample, seed: int) -> _Case | None:
     pictures = torch.cat((sample.context, sample.target))
     looks = [visible_parameters(rng, pictures, mask) for _ in range(2)]
     first, second = (recolored(pictures, mask[None], [look]) for look in looks)
-    return _Case(sample, mask, first, second)
+    given = torch.stack((first[0], second[1]))
+    if faults:
+        given = torch.stack([_faulty(pictures[view], mask[view], looks[view], rng) for view in (0, 1)])
+    return _Case(sample, mask, first, second, given)
+
+
+def _faulty(photo: Tensor, mask: Tensor, look: RecolorParameters, rng: np.random.Generator) -> Tensor:
+    """The edit with a wrong outline and colours a little off."""
+    spoilt = with_outline(mask, draw_outline(rng))
+    return recolored(photo[None], spoilt[None, None], [perturbed(look, rng)])[0]
 
 
 def _views(sample: SceneSample, images: Tensor) -> Views:
@@ -179,6 +194,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--scenes", type=int, default=24)
     parser.add_argument("--seed", type=int, default=1000, help="of the scenes; training uses 1 to 4")
+    parser.add_argument("--faults", action="store_true", help="edits with wrong outlines and palettes a little off")
     args = parser.parse_args()
 
     torch.set_num_threads(1)
@@ -189,7 +205,10 @@ def main() -> None:
     failures = 0
     for index in range(args.scenes):
         try:
-            row = {label: measure_scene(data[index], r, rasterizer, index) for label, r in reconstructors.items()}
+            row = {
+                label: measure_scene(data[index], r, rasterizer, index, args.faults)
+                for label, r in reconstructors.items()
+            }
         except MatchingError:
             failures += 1
             continue

@@ -20,15 +20,17 @@ def make_sample(
     name: str,
     rng: np.random.Generator,
     mirror: float,
+    masks: Float[Tensor, "object view height width"] | None = None,
 ) -> SceneSample:
     """The first `context` views are context, the rest targets. Lengths are divided by the distance between the first
-    and the last context camera; with probability `mirror` pictures and poses are mirrored left to right."""
+    and the last context camera; with probability `mirror` pictures, masks and poses are mirrored left to right."""
     poses = relative_to_first(c2w[None].double())[0]
     baseline = poses[context - 1, :3, 3].norm()
     poses[:, :3, 3] /= baseline.clamp(min=1e-9)
     poses = poses.float()
     if rng.random() < mirror:
         images = images.flip(-1)
+        masks = None if masks is None else masks.flip(-1)
         poses = _MIRROR @ poses @ _MIRROR
         intrinsics = intrinsics.clone()
         intrinsics[:, 0, 2] = 1 - intrinsics[:, 0, 2]
@@ -38,5 +40,7 @@ def make_sample(
         target=images[context:],
         context_cameras=Cameras(poses[None, :context], intrinsics[None, :context], size),
         target_cameras=Cameras(poses[None, context:], intrinsics[None, context:], size),
+        context_masks=None if masks is None else masks[:, :context],
+        target_masks=None if masks is None else masks[:, context:],
         name=name,
     )

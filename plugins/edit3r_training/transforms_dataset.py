@@ -14,6 +14,7 @@ from edit3r.evaluation.posed_folder import PosedFolder, read_posed_folder
 from edit3r.interfaces import Dataset, SceneSample
 from edit3r.io.cameras import CAMERA_FILES
 from edit3r_training.photo_samples import make_sample
+from edit3r_training.region_masks import RegionMasks
 from edit3r_training.view_sampling import ViewChoice, by_angle, by_gap
 
 
@@ -31,6 +32,10 @@ class TransformsDataset(Dataset):
         angles: tuple[float, float] = Field((5.0, 30.0), description="between neighbouring context views [degrees]")
         gap: tuple[int, int] = Field((5, 22), description="from first to last context view [frames]")
         mirror: float = Field(0.5, ge=0, le=1, description="share of samples mirrored left to right")
+        masks: str = Field(
+            "",
+            description="folder with what `edit3r recolor` wrote for each scene, under the scene's name; empty: none",
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -66,11 +71,16 @@ class TransformsDataset(Dataset):
 
     def _sample(self, folder: Path, index: int) -> SceneSample:
         scene = read_posed_folder(folder)
+        regions = RegionMasks(Path(self.settings.masks) / scene.name) if self.settings.masks else None
+        if regions is not None:
+            scene = regions.scene_with_masks(scene)
         rng = np.random.default_rng((self.settings.seed, index))
         choice = self._choose(scene, rng)
         if choice is None:
             raise InputError(f"{folder}: no {self.settings.context} photos fit the {self.settings.select} asked for.")
-        photos = [scene.load(view, self.settings.image_size) for view in (*choice.context, *choice.target)]
+        views = (*choice.context, *choice.target)
+        size = self.settings.image_size
+        photos = [scene.load(view, size) for view in views]
         return make_sample(
             torch.from_numpy(np.stack([p.image for p in photos])).permute(0, 3, 1, 2).contiguous(),
             torch.from_numpy(np.stack([p.c2w for p in photos])),
@@ -79,6 +89,9 @@ class TransformsDataset(Dataset):
             f"{scene.name}-{index}",
             rng,
             self.settings.mirror,
+            None
+            if regions is None
+            else regions.load([scene.cameras[view] for view in views], self.settings.image_size),
         )
 
     def _choose(self, scene: PosedFolder, rng: np.random.Generator) -> ViewChoice | None:

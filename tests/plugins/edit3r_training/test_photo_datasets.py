@@ -5,6 +5,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
+from edit3r_recolor.mask_folder import write_masks
+from edit3r_recolor.parameters import RecolorParameters
+from edit3r_recolor.recipe import RegionRecipe, SceneRecipe, ViewRecipe
 from edit3r_training.photo_samples import make_sample
 from edit3r_training.procedural_dataset import ProceduralDataset
 from edit3r_training.re10k_dataset import Re10kDataset
@@ -70,6 +73,42 @@ def test_transforms_poses_and_pictures_are_those_of_the_files(tmp_path):
     sample = _transforms(tmp_path)[0]
     assert sample.context.shape == (2, 3, 64, 64) and sample.target.shape == (1, 3, 64, 64)
     _check_poses(sample)
+
+
+def _write_regions(folder, processed: list[bool]) -> None:
+    """A recoloured set whose only object is where the red channel leads, so that masks can be told to fit pictures."""
+    parameters = RecolorParameters()
+    region = RegionRecipe(1, parameters, 0.5, 1.0, 1.0, (0, 0, 64, 64))
+    views = [ViewRecipe(str(view), (1,), 1.0, used) for view, used in enumerate(processed)]
+    folder.mkdir(parents=True)
+    SceneRecipe(0, "test", (region,), tuple(views)).save(folder / "recolor.json")
+    masks = torch.stack([_reddish(torch.from_numpy(picture).permute(2, 0, 1)) for picture in PICTURES])
+    write_masks(folder / "masks", [view.name for view in views], [1], masks[None])
+
+
+def _reddish(image: torch.Tensor) -> torch.Tensor:
+    return (image[0] > image[1:].amax(0)).float()
+
+
+@pytest.mark.parametrize("mirror", [0, 1])
+def test_masks_of_a_recoloured_scene_come_with_its_photos(tmp_path, mirror):
+    _write_transforms(tmp_path / "data" / "a")
+    _write_regions(tmp_path / "regions" / "a", [True] * VIEWS)
+    sample = _transforms(tmp_path / "data", masks=str(tmp_path / "regions"), mirror=mirror)[0]
+    assert sample.context_masks.shape == (1, 2, 64, 64) and sample.target_masks.shape == (1, 1, 64, 64)
+    for image, mask in zip((*sample.context, *sample.target), (*sample.context_masks[0], *sample.target_masks[0])):
+        assert torch.equal(mask, _reddish(image)) and 0 < mask.mean() < 1
+
+
+def test_photos_that_the_recolouring_left_out_are_not_used(tmp_path):
+    _write_transforms(tmp_path / "data" / "a")
+    _write_regions(tmp_path / "regions" / "a", [True, False, True, True, False])
+    data = _transforms(tmp_path / "data", masks=str(tmp_path / "regions"))
+    for index in range(6):
+        sample = data[index]
+        for image in (*sample.context, *sample.target):
+            view = min(range(VIEWS), key=lambda v: float((SCENE.context[v] - image).abs().mean()))
+            assert view in (0, 2, 3)
 
 
 def test_re10k_poses_and_pictures_are_those_of_the_chunk(tmp_path):
