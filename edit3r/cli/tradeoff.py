@@ -35,6 +35,7 @@ def main(args: argparse.Namespace) -> int:
     from edit3r.cli._console import StageConsole
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
+    from edit3r.tradeoff.distance import with_distances
     from edit3r.tradeoff.figures import summarize
     from edit3r.tradeoff.scenes import write_scenes
     from edit3r.tradeoff.sweep import Effort, SweepFolder, sweep
@@ -58,7 +59,8 @@ def main(args: argparse.Namespace) -> int:
     missing = len(points) * len(scenes) - len(measurements)
     if missing and not args.quiet:
         print(f"{missing} measurements are missing, the time ran out; the same command goes on.")
-    return _write(args, folder, plan, summarize(measurements, folder.picture), measurements)
+    points = with_distances(summarize(measurements), measurements, folder.picture)
+    return _write(args, folder, plan, points, measurements)
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -35,8 +35,8 @@ class NovelView:
 class EditScore:
     """What became of a true edit on the novel view; changes are against the run without an edit."""
 
-    uptake: float  # projection of the shown change on the true one, where the edit is; 1 is all of it
-    leak: float  # mean absolute change elsewhere [sRGB]
+    uptake: float | None  # projection of the shown change on the true one, where the edit is; 1 is all; None: unseen
+    leak: float | None  # mean absolute change elsewhere [sRGB]; None: there is no elsewhere
     psnr: float  # of the edited novel view against its truth [dB]
 
 
@@ -58,8 +58,8 @@ def score_edit(plain: NovelView, edited: NovelView, before: Photo, after: Photo)
     inside = covered & (np.abs(true).mean(-1) > CHANGED)
     outside = covered & (true == 0).all(-1)
     return EditScore(
-        uptake=float((shown * true)[inside].sum() / np.square(true)[inside].sum()) if inside.any() else float("nan"),
-        leak=float(np.abs(shown[outside]).mean()) if outside.any() else float("nan"),
+        uptake=float((shown * true)[inside].sum() / np.square(true)[inside].sum()) if inside.any() else None,
+        leak=float(np.abs(shown[outside]).mean()) if outside.any() else None,
         psnr=psnr(edited.image, after.image),
     )
 

@@ -2,15 +2,13 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-import numpy as np
-from PIL import Image
-
-from edit3r.evaluation.metrics import psnr
 from edit3r.tradeoff.front import Rated
+
+Measurement = Mapping[str, Any]
+"""One line of a sweep's `measurements.jsonl`."""
 
 
 @dataclass(frozen=True)
@@ -69,34 +67,27 @@ class MeasuredPoint:
         return Rated(self.label, costs, {kind: figures.psnr for kind, figures in self.kinds.items()})
 
 
-def summarize(measurements: Sequence[Mapping[str, Any]], pictures: Any = None) -> list[MeasuredPoint]:
-    """Points measured on every scene that any point was measured on, and that failed on none.
-
-    `pictures` maps a measurement's key to its novel view's file, for the distance to the most accurate point.
-    """
-    labels = list(dict.fromkeys(m["label"] for m in measurements))
+def summarize(measurements: Sequence[Measurement]) -> list[MeasuredPoint]:
+    """Points measured on every scene that any point was measured on, and that failed on none."""
     scenes = {m["scene"] for m in measurements}
-    groups = {label: [m for m in measurements if m["label"] == label] for label in labels}
-    whole = {
-        label: group
+    groups: dict[str, list[Measurement]] = {}
+    for measurement in measurements:
+        groups.setdefault(measurement["label"], []).append(measurement)
+    return [
+        MeasuredPoint(label, group[0]["settings"], {kind: _figures(part) for kind, part in _by_kind(group).items()})
         for label, group in groups.items()
         if {m["scene"] for m in group} == scenes and not any("failure" in m for m in group)
-    }
-    points = [
-        MeasuredPoint(label, group[0]["settings"], {kind: _figures(part) for kind, part in _by_kind(group).items()})
-        for label, group in whole.items()
     ]
-    return points if pictures is None else _with_distances(points, whole, pictures)
 
 
-def _by_kind(group: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    kinds: dict[str, list[Mapping[str, Any]]] = {}
+def _by_kind(group: Sequence[Measurement]) -> dict[str, list[Measurement]]:
+    kinds: dict[str, list[Measurement]] = {}
     for measurement in group:
         kinds.setdefault(measurement["kind"], []).append(measurement)
     return kinds
 
 
-def _figures(group: Sequence[Mapping[str, Any]]) -> Figures:
+def _figures(group: Sequence[Measurement]) -> Figures:
     return Figures(
         scenes=len(group),
         cpu=Spread.mean(_times(m, "cpu") for m in group),
@@ -117,16 +108,16 @@ def _figures(group: Sequence[Mapping[str, Any]]) -> Figures:
     )
 
 
-def _counted(measurement: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _counted(measurement: Measurement) -> list[Mapping[str, Any]]:
     return [run for run in measurement["runs"] if not run["warm_up"]]
 
 
-def _times(measurement: Mapping[str, Any], clock: str) -> Spread:
+def _times(measurement: Measurement, clock: str) -> Spread:
     """Of all stages together, over the repeats [s]."""
     return Spread.of(sum(run[clock].values()) for run in _counted(measurement))
 
 
-def _stages(group: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def _stages(group: Sequence[Measurement]) -> dict[str, float]:
     """Stage to processor seconds; a component's name in brackets is left out, so that points share the names."""
     runs = [_counted(m) for m in group]
     names = dict.fromkeys(name for scene in runs for run in scene for name in run["cpu"])
@@ -138,30 +129,6 @@ def _stages(group: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return found
 
 
-def _mean(group: Sequence[Mapping[str, Any]], key: str) -> float | None:
+def _mean(group: Sequence[Measurement], key: str) -> float | None:
     values = [m[key] for m in group if m.get(key) is not None]
     return fmean(values) if values else None
-
-
-def _with_distances(points: list[MeasuredPoint], groups: Mapping[str, Sequence[Mapping]], pictures: Any) -> list:
-    """Compare the novel views with those of the point that is the most accurate on that kind of scene."""
-    from dataclasses import replace
-
-    result = []
-    for point in points:
-        kinds = {}
-        for kind, figures in point.kinds.items():
-            best = max(points, key=lambda p: p.kinds[kind].psnr)
-            own, others = (_pictures(groups[p.label], kind, pictures) for p in (point, best))
-            apart = None if point is best or not own or not others else fmean(psnr(own[s], others[s]) for s in own)
-            kinds[kind] = replace(figures, distance=apart)
-        result.append(replace(point, kinds=kinds))
-    return result
-
-
-def _pictures(group: Sequence[Mapping[str, Any]], kind: str, pictures: Any) -> dict[str, np.ndarray]:
-    """Scene to novel view; empty when any is missing."""
-    files: dict[str, Path] = {m["scene"]: pictures(m["key"]) for m in group if m["kind"] == kind}
-    if not all(file.is_file() for file in files.values()):
-        return {}
-    return {scene: np.asarray(Image.open(file), np.float32) / 255 for scene, file in files.items()}

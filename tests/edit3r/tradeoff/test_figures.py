@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from edit3r.tradeoff.distance import with_distances
 from edit3r.tradeoff.figures import Spread, summarize
 from edit3r.tradeoff.front import on_every_front
 from edit3r.tradeoff.knobs import SweepPlan
+from edit3r.tradeoff.plot import plot
 from edit3r.tradeoff.report import END, START, report, write_into_page
 from edit3r.tradeoff.shipping import make_quality
 
@@ -41,7 +43,7 @@ def test_the_distance_is_to_the_novel_view_of_the_most_accurate_point(measuremen
     rows = [measurement("low", psnr=10.0), measurement("high", psnr=20.0)]
     for row, value in zip(rows, (0, 51)):  # 0.2 apart: 10 log10(1 / 0.04) dB
         Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(tmp_path / f"{row['key']}.png")
-    low, high = summarize(rows, lambda key: tmp_path / f"{key}.png")
+    low, high = with_distances(summarize(rows), rows, lambda key: tmp_path / f"{key}.png")
     assert low.kinds["photos"].distance == pytest.approx(13.979, abs=1e-3)
     assert high.kinds["photos"].distance is None
 
@@ -86,6 +88,14 @@ def test_the_report_hides_neither_spread_nor_failure_nor_a_missing_distance(meas
     assert "other on s0: repeats did not leave the same scene." in text
     assert "No perceptual distance by lpips: install it" in text
     assert "Ranked by processor time" in text and "wall time 2.00 times the processor time" in text
+
+
+def test_the_plot_names_the_presets(measurement, tmp_path):
+    pytest.importorskip("matplotlib")
+    rows = [measurement(name, kind=kind, scene=kind) for name in ("a", "b") for kind in ("photos", "procedural")]
+    plot(summarize(rows), "cpu", {"a": "fast"}, tmp_path / "plot.svg")
+    text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
+    assert "<!-- fast: a -->" in text and "<!-- b -->" in text and "<!-- procedural -->" in text
 
 
 def test_only_what_stands_between_the_markers_of_a_page_is_replaced(tmp_path):

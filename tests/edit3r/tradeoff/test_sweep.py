@@ -120,7 +120,7 @@ def test_what_is_not_covered_counts_for_neither():
     before, after = np.zeros((2, 2, 3)), np.ones((2, 2, 3))
     view = NovelView(before, np.zeros((2, 2), bool))
     score = score_edit(view, view, photo(before), photo(after))
-    assert np.isnan(score.uptake) and np.isnan(score.leak)
+    assert score.uptake is None and score.leak is None
 
 
 def test_a_perceptual_distance_that_cannot_be_had_is_said(monkeypatch):
