@@ -9,7 +9,7 @@ from PIL import ExifTags, Image
 
 import edit3r
 from edit3r.errors import InputError
-from edit3r.io.images import find_photos, load_photos, load_views, save_image
+from edit3r.io.images import evenly, find_photos, load_photos, load_views, save_image
 from edit3r.reporting import Report, collecting
 
 
@@ -220,3 +220,8 @@ def test_pictures_that_cannot_be_saved_are_errors(tmp_path):
         save_image(torch.zeros(2, 2), tmp_path / "a.png")
     with pytest.raises(InputError, match="there is no folder"):
         save_image(torch.zeros(3, 2, 2), tmp_path / "none" / "a.png")
+
+
+@pytest.mark.parametrize(("most", "kept"), [(None, "abcde"), (9, "abcde"), (5, "abcde"), (3, "ace"), (2, "ae")])
+def test_photos_that_are_kept_are_spread_evenly_from_first_to_last(most, kept):
+    assert "".join(evenly("abcde", most)) == kept

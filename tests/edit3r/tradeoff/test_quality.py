@@ -1,6 +1,7 @@
 import pytest
 import yaml
 
+from edit3r.cli.main import main
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
@@ -85,6 +86,12 @@ def test_an_impossible_wish_says_what_the_least_is(shipped, wish, said):
     with pytest.raises(SettingsError) as error:
         choose(Wish(**wish), 2, shipped)
     assert said in str(error.value) and error.value.exit_code == 2
+
+
+def test_the_command_ends_an_impossible_wish_before_it_reads_a_photo(shipped, tmp_path, capsys):
+    assert main(["run", "--budget-ms", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "--budget-ms 1: too little for 2 photos" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_more_photos_are_expected_to_take_more(shipped):
