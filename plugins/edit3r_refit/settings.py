@@ -53,7 +53,7 @@ class MethodSettings(FitSettings):
         "reconstructor", description="first Gaussians: a reconstruction, or random points (needs known poses)"
     )
     points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
-    steps: int = Field(1000, ge=1, le=1_000_000, description="steps of the fit to the photos")
-    edit_steps: int = Field(1000, ge=1, le=1_000_000, description="steps of the fit to the edits")
+    steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
+    edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
     checkpoint: str = Field("", description="folder for checkpoints: a stopped call continues from there; empty: none")
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
