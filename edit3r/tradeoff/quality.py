@@ -16,8 +16,12 @@ from edit3r.reporting import note
 from edit3r.tradeoff.front import best_within
 from edit3r.tradeoff.presets import Quality, ShippedPoint, read_quality
 
-_UNITS = {"seconds": "ms", "gaussians": "Gaussians", "memory_mb": "MiB"}
-_FLAGS = {"seconds": "--budget-ms", "gaussians": "--max-gaussians", "memory_mb": "--max-memory"}
+_FLAGS = {
+    "seconds": ("--budget-ms", "ms", 1000),
+    "gaussians": ("--max-gaussians", "Gaussians", 1),
+    "memory_mb": ("--max-memory", "MiB", 1),
+}
+"""Cost to the flag that limits it, its unit there, and how many of those one unit of the cost is."""
 
 
 class Wish(Settings):
@@ -65,7 +69,7 @@ def choose(wish: Wish, photos: int, quality: Quality | None = None) -> Choice:
         limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
     index = best_within(costs, [point.accuracy for point in quality.points], limits)
     if index is None:
-        raise SettingsError(_impossible(limits, costs, photos))
+        raise SettingsError(_impossible(wish, costs, photos))
     return Choice(quality.points[index], costs[index], quality.measured)
 
 
@@ -99,22 +103,19 @@ def _budgets(wish: Wish) -> dict[str, float]:
     return {key: value for key, value in given.items() if value is not None}
 
 
-def _impossible(limits: Mapping[str, float], costs: list[dict[str, float]], photos: int) -> str:
+def _impossible(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
     """One sentence: what was wished, and the least that was measured."""
-    least = {key: min(cost[key] for cost in costs) for key in limits}
-    beyond = {key: most for key, most in limits.items() if least[key] > most}
-    if not beyond:
-        wished = " and ".join(f"{_FLAGS[key]} {_number(key, most)}" for key, most in limits.items())
-        return f"{wished}: no measured setting fits all of these at once for {photos} photos; relax one of them."
-    key, most = next(iter(beyond.items()))
-    return (
-        f"{_FLAGS[key]} {_number(key, most)}: too little for {photos} photos; the least that was measured is "
-        f"{_number(key, least[key])} {_UNITS[key]}."
-    )
-
-
-def _number(key: str, value: float) -> str:
-    return f"{value * 1000:.0f}" if key == "seconds" else f"{value:.0f}"
+    for key, most in _budgets(wish).items():
+        least = min(cost[key] for cost in costs)
+        if least > most:
+            flag, unit, scale = _FLAGS[key]
+            return (
+                f"{flag} {most * scale:.0f}: too little for {photos} photos; "
+                f"the least that was measured is {least * scale:.0f} {unit}."
+            )
+    given = wish.model_dump(exclude_none=True).items()
+    wished = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in given)
+    return f"{wished}: no measured setting fits all of these at once for {photos} photos; relax one of them."
 
 
 def under(settings: Mapping[str, Any], photos: int) -> dict[str, Any]:
