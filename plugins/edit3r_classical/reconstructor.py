@@ -7,6 +7,7 @@ from edit3r.config import PartChoice
 from edit3r.interfaces import Matcher, Reconstructor
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_classical.apron import apron
+from edit3r_classical.backdrop import backdrop
 from edit3r_classical.splatting import splat
 from edit3r_classical.visibility import floats_in_front
 
@@ -23,10 +24,14 @@ class ClassicalReconstructor(Reconstructor):
     class Settings(config.Settings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
         footprint: float = Field(0.35, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
-        opacity: float = Field(0.85, gt=0, le=1, description="opacity where two views measured the depth")
-        guessed_opacity: float = Field(0.8, ge=0, le=1, description="opacity where the depth was filled in")
+        opacity: float = Field(0.6, gt=0, le=1, description="opacity where two views measured the depth")
+        guessed_opacity: float = Field(0.45, ge=0, le=1, description="opacity where the depth was filled in")
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+        )
+
+        backdrop: float = Field(
+            0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
         )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
@@ -40,6 +45,8 @@ class ClassicalReconstructor(Reconstructor):
         kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
         gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
+        if chosen.backdrop > 0:
+            gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
         if chosen.apron > 0:
             gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
         return Reconstruction(gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size))

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import torch
 import torch.nn.functional as F
 from edit3r_classical.apron import apron
+from edit3r_classical.backdrop import backdrop
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
@@ -41,12 +42,15 @@ class Edit3rReconstructor(Reconstructor):
         )
         depth_repair: float = Field(0.5, ge=0, le=1, description="share of the network's depth correction that counts")
         opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
-        opacity: float = Field(0.7, gt=0, lt=1, description="before correction, where two views measured the depth")
-        filled_opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where the depth was filled in")
+        opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where two views measured the depth")
+        filled_opacity: float = Field(0.45, gt=0, lt=1, description="before correction, where the depth was filled in")
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
-        footprint: float = Field(0.5, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
+        backdrop: float = Field(
+            0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+        footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
         @model_validator(mode="before")
         @classmethod
@@ -78,7 +82,7 @@ class Edit3rReconstructor(Reconstructor):
             geometry = self.matcher.match(source)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
-            return self._with_apron(reconstruction, source, geometry)
+            return self._with_surroundings(reconstruction, source, geometry)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """The differentiable part: Gaussians from given geometry; the trainer calls it with geometry of its own."""
@@ -107,14 +111,19 @@ class Edit3rReconstructor(Reconstructor):
             intrinsics=source.intrinsics,
         )
 
-    def _with_apron(self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry) -> Reconstruction:
-        """Continue the fused pictures a little beyond their borders."""
-        if self.settings.apron == 0:
-            return reconstruction
+    def _with_surroundings(
+        self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry
+    ) -> Reconstruction:
+        """Continue the fused pictures a little beyond their borders and behind their depth edges."""
         shape = (*source.images.shape[:2], *source.image_size, 3)
         colours = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0]).reshape(shape).permute(0, 1, 4, 2, 3)
-        rim = apron(Views(colours, source.intrinsics), geometry, self.settings.apron, self.settings.filled_opacity)
-        return replace(reconstruction, gaussians=Gaussians.cat((reconstruction.gaussians, rim)))
+        fused = Views(colours, source.intrinsics)
+        parts = [reconstruction.gaussians]
+        if self.settings.backdrop > 0:
+            parts.append(backdrop(fused, geometry, self.settings.backdrop))
+        if self.settings.apron > 0:
+            parts.append(apron(fused, geometry, self.settings.apron, self.settings.filled_opacity))
+        return replace(reconstruction, gaussians=Gaussians.cat(parts))
 
 
 def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:

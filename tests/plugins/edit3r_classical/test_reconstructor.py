@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 from edit3r_classical.apron import apron
+from edit3r_classical.backdrop import backdrop
 from edit3r_classical.splatting import splat
 from edit3r_classical.visibility import floats_in_front
 
@@ -40,7 +41,7 @@ def build(geometry, **settings):
 
 
 def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
-    gaussians = build(truth, apron=0)(pair.views).gaussians
+    gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians
     height, width = pair.views.image_size
     assert gaussians.count == 2 * height * width
     assert (gaussians.view_index == torch.arange(2).repeat_interleave(height * width)).all()
@@ -49,7 +50,7 @@ def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
 
 
 def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
-    gaussians = build(truth, apron=0)(pair.views).gaussians.from_view(1)
+    gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians.from_view(1)
     places, depth = project(gaussians.means, pair.views.intrinsics[:, 1], truth.c2w[:, 1])
     height, width = pair.views.image_size
     assert torch.allclose(places[0, 0], torch.tensor([0.5 / width, 0.5 / height]), atol=1e-5)
@@ -65,7 +66,7 @@ def test_size_of_a_gaussian_is_its_pixel_at_its_depth(pair, truth):
 
 def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     edited = dataclasses.replace(pair.views, images=1 - pair.views.images)
-    reconstructor = build(truth, apron=0)
+    reconstructor = build(truth, apron=0, backdrop=0)
     plain, other = reconstructor(pair.views), reconstructor(edited, source=pair.views)
     assert reconstructor.matcher.asked is pair.views
     assert torch.equal(plain.gaussians.means, other.gaussians.means)
@@ -93,7 +94,7 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     geometry = dataclasses.replace(truth, confidence=half)
     gaussians = splat(pair.views, geometry, half, 0.5)
     settings = build(geometry).settings
-    opacities = build(geometry, apron=0)(pair.views).gaussians.opacities
+    opacities = build(geometry, apron=0, backdrop=0)(pair.views).gaussians.opacities
     assert gaussians.count == half.numel()
     assert opacities.unique().tolist() == pytest.approx([settings.guessed_opacity, settings.opacity])
 
@@ -106,7 +107,7 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     floating = floats_in_front(geometry, pair.views.intrinsics)
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
-    assert build(geometry, apron=0)(pair.views).gaussians.count == truth.depths.numel() - 16
+    assert build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count == truth.depths.numel() - 16
 
 
 def test_views_that_were_not_placed_leave_no_gaussians(pair, truth):
@@ -149,3 +150,35 @@ def test_photos_alone_give_a_scene_that_shows_them_again(pair):
     for view in (0, 1):
         image, photo = (x[0, view].permute(1, 2, 0).numpy() for x in (seen.images, pair.views.images))
         assert psnr(image, photo) > 20
+
+
+def test_the_backdrop_shows_the_background_where_a_foreground_was_taken_away(pair, truth):
+    """Without the pixels of the nearest things, their place is filled with what stands around and behind them."""
+    full = build(truth)(pair.views).gaussians
+    layer = backdrop(pair.views, truth, 0.9)
+    camera = Cameras(truth.c2w[:, :1], pair.views.intrinsics[:, :1], pair.views.image_size)
+    alone = edit3r.build("rasterizer", "numba").render(layer, camera)
+    shown = alone.alphas[0, 0, 0] > 0.5
+    assert 0.02 < shown.float().mean() < 0.9
+    assert (
+        alone.depths[0, 0, 0][shown] > truth.depths[0, 0][shown]
+    ).float().mean() > 0.85  # soft edges of blocks reach over
+    assert full.count > truth.depths.numel()
+
+
+def test_the_backdrop_never_stands_before_a_photo(pair, truth):
+    layer = backdrop(pair.views, truth, 0.9)
+    height, width = pair.views.image_size
+    for view in (0, 1):
+        places, depth = project(layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
+        pixel = (places[0] * torch.tensor([width, height])).floor().long()
+        inside = ((places[0] > 0) & (places[0] < 1)).all(-1) & (depth[0] > 0) & (layer.view_index != view)
+        surface = truth.depths[0, view][pixel[inside, 1], pixel[inside, 0]]
+        assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
+
+
+def test_a_flat_measured_wall_needs_no_backdrop(pair, truth):
+    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0))
+    assert backdrop(pair.views, wall, 0.9).count == 0
+    guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
+    assert backdrop(pair.views, guessed, 0.9).count > 0
