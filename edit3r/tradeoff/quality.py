@@ -6,6 +6,7 @@ not fit, the most accurate one that fits and is no slower. What is chosen lies u
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 from typing import Any, Literal
 
 from pydantic import Field
@@ -111,7 +112,7 @@ def _impossible(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
             flag, unit, scale = _FLAGS[key]
             return (
                 f"{flag} {most * scale:.0f}: too little for {photos} photos; "
-                f"the least that was measured is {least * scale:.0f} {unit}."
+                f"the least that was measured is {ceil(least * scale)} {unit}."
             )
     given = wish.model_dump(exclude_none=True).items()
     wished = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in given)
