@@ -1,167 +1,221 @@
 """Fewer Gaussians against picture quality: merging, opacity pruning and random dropping at equal count.
 
-    python benchmarks/simplify.py FOLDER... --pairs 3 --size 256 --out DIR
+    python benchmarks/simplify.py FOLDER... --pairs 3 --procedural 8 --size 256 --out DIR
 
-Each FOLDER holds photos of one scene with their cameras. Two photos are reconstructed; the scene with all its
-Gaussians, with those that `simplify` leaves, and with as many left by each rival, is compared with the real photo
-between them. Writes `points.jsonl` (one line per scene, method and share), `curves.png`, and prints the means.
+Each FOLDER holds photos of one scene with their cameras; further scenes are generated. Two photos are reconstructed;
+the scene with all its Gaussians, with those that `simplify` leaves, and with as many left by each rival, is compared
+with the photo between them. Writes `points.jsonl` (one line per scene, method and share; scenes found there are not
+done again) and `curves.png`, and prints the means.
 """
 
 import argparse
 import json
+import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
+from simplify_scenes import HeldOut, flat_wall, procedural_scenes, real_scenes
 
 import edit3r
 from edit3r.errors import MatchingError
 from edit3r.evaluation.metrics import psnr, ssim
-from edit3r.evaluation.novel_view import relative_pose, views_of
-from edit3r.evaluation.pairs import choose_triples
-from edit3r.evaluation.posed_folder import Photo, read_posed_folder
+from edit3r.evaluation.novel_view import views_of
 from edit3r.interfaces import Rasterizer, Reconstructor
+from edit3r.io.ply import save_ply
 from edit3r.refine import refine
-from edit3r.simplify import simplify
+from edit3r.simplify import SimplifySettings, simplify
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
+CURVES = ("simplify", "opacity", "opacity, polished", "random", "random, polished")
 REFINE_STEPS = 30
 RENDER_REPEATS = 5
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", metavar="FOLDER")
+    parser.add_argument("folders", nargs="*", metavar="FOLDER")
     parser.add_argument("--recon", default="classical")
     parser.add_argument("--pairs", type=int, default=3, help="pairs per folder")
+    parser.add_argument("--procedural", type=int, default=8, help="generated scenes")
     parser.add_argument("--size", type=int, default=256, help="side of the square pictures [pixels]")
-    parser.add_argument(
-        "--shares", type=float, nargs="*", default=SHARES, help="shares of the Gaussians for the curves"
-    )
+    parser.add_argument("--shares", type=float, nargs="*", default=SHARES, help="shares for the curves")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    recon, rasterizer = edit3r.build("reconstructor", args.recon), edit3r.build("rasterizer", "numba", threads=1)
-    rows: list[dict] = []
-    with (args.out / "points.jsonl").open("w") as file:
-        for row in measure(args, recon, rasterizer):
-            rows.append(row)
-            print(json.dumps(row), file=file, flush=True)
+    rows = measured(args, args.out / "points.jsonl")
     print(table(rows))
     plot(rows, args.out / "curves.png")
 
 
-def measure(args: argparse.Namespace, recon: Reconstructor, rasterizer: Rasterizer) -> Iterator[dict]:
-    for name in args.folders:
-        folder = read_posed_folder(name)
-        for triple in choose_triples(folder.photos, args.pairs):
-            photos = [folder.photos[i].load(args.size) for i in (triple.first, triple.second, triple.target)]
-            try:
-                scene = recon(views_of(photos[:2]))
-            except MatchingError:
-                continue
-            label = f"{Path(name).name} {triple.first}-{triple.second}"
-            for method, gaussians in variants(scene, photos[:2], rasterizer, args.shares):
-                yield {"scene": label, "method": method, **score(gaussians, scene, photos, rasterizer)}
+def measured(args: argparse.Namespace, file: Path) -> list[dict]:
+    """All rows, those of earlier calls among them; a scene is written when it is whole."""
+    recon, rasterizer = edit3r.build("reconstructor", args.recon), edit3r.build("rasterizer", "numba", threads=1)
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    done = {row["scene"] for row in rows}
+    scenes = [*procedural_scenes(args.procedural, args.size), *real_scenes(args.folders, args.pairs, args.size)]
+    jobs = [(scene.label, lambda scene=scene: measure(scene, recon, rasterizer, args.shares)) for scene in scenes]
+    for label, job in [("flat wall", lambda: measure_wall(args.size, rasterizer)), *jobs]:
+        if label in done:
+            continue
+        new = [{"scene": label, **row} for row in job()]
+        with file.open("a") as lines:
+            lines.writelines(json.dumps(row) + "\n" for row in new)
+        rows += new
+    return rows
+
+
+def measure_wall(size: int, rasterizer: Rasterizer) -> list[dict]:
+    wall = flat_wall(size)
+    auto = simplify(wall.gaussians, wall.cameras, rasterizer)
+    return [{"kind": "wall", "method": "auto", "share": auto.gaussians.count / auto.before, "input_match": auto.psnr}]
+
+
+def measure(held_out: HeldOut, recon: Reconstructor, rasterizer: Rasterizer, shares: Sequence[float]) -> list[dict]:
+    photos = views_of([held_out.first, held_out.second])
+    try:
+        scene = recon(photos)
+    except MatchingError:
+        return [{"kind": held_out.kind, "method": "failed"}]
+    return [
+        {"kind": held_out.kind, "method": method, **score(gaussians, scene, held_out, rasterizer), **facts}
+        for method, gaussians, facts in variants(scene, photos.images, rasterizer, shares)
+    ]
 
 
 def variants(
-    scene: Reconstruction, photos: list[Photo], rasterizer: Rasterizer, shares: list[float]
-) -> Iterator[tuple[str, Gaussians]]:
-    """Name of each way to have fewer Gaussians, and what it leaves."""
-    everything, cameras, images = scene.gaussians, scene.cameras, views_of(photos).images
-    yield "all", everything
+    scene: Reconstruction, images: torch.Tensor, rasterizer: Rasterizer, shares: Sequence[float]
+) -> Iterator[tuple[str, Gaussians, dict]]:
+    """Name of each way to have fewer Gaussians, what it leaves, and what it took."""
+    everything, cameras = scene.gaussians, scene.cameras
+    yield "all", everything, {}
+    start = time.process_time()
     auto = simplify(everything, cameras, rasterizer).gaussians
-    yield "auto", auto
-    yield "all, refined", refine(everything, cameras, images, rasterizer, REFINE_STEPS).gaussians
-    yield "auto, refined", refine(auto, cameras, images, rasterizer, REFINE_STEPS).gaussians
-    shuffled = torch.randperm(everything.count, generator=torch.Generator().manual_seed(0))
-    opaque_first = everything.opacities[0].argsort(descending=True, stable=True)
+    yield "auto", auto, {"simplify_cpu_seconds": time.process_time() - start}
+    yield "all, refined", refine(everything, cameras, images, rasterizer, REFINE_STEPS).gaussians, {}
+    yield "auto, refined", refine(auto, cameras, images, rasterizer, REFINE_STEPS).gaussians, {}
+    with torch.no_grad():
+        shown = rasterizer.render(everything, cameras).images.clamp(0, 1)
+    orders = {
+        "random": torch.randperm(everything.count, generator=torch.Generator().manual_seed(0)),
+        "opacity": everything.opacities[0].argsort(descending=True, stable=True),
+    }
     for share in shares:
         most = round(share * everything.count)
-        yield "simplify", simplify(everything, cameras, rasterizer, most).gaussians
-        yield "random", everything.select(shuffled[:most])
-        yield "opacity", everything.select(opaque_first[:most])
+        yield "simplify", simplify(everything, cameras, rasterizer, most).gaussians, {"asked": share}
+        for name, order in orders.items():
+            left = everything.select(order[:most])
+            yield name, left, {"asked": share}
+            # What is left gets the same steps as after merging, so that the choice alone is compared.
+            polished = refine(left, cameras, shown, rasterizer, SimplifySettings().polish).gaussians
+            yield f"{name}, polished", polished, {"asked": share}
 
 
-def score(gaussians: Gaussians, scene: Reconstruction, photos: list[Photo], rasterizer: Rasterizer) -> dict:
-    first, second, target = photos
-    pose = relative_pose(target, first)
-    predicted = float(scene.cameras.c2w[0, 1, :3, 3].norm())
-    pose[:3, 3] *= predicted / np.linalg.norm(relative_pose(second, first)[:3, 3])
-    novel = Cameras(
-        torch.from_numpy(pose).float()[None, None],
-        torch.from_numpy(target.intrinsics).float()[None, None],
-        target.image.shape[:2],
-    )
-    picture, seconds = timed_picture(gaussians, novel, rasterizer)
-    inputs, _ = timed_picture(gaussians, scene.cameras, rasterizer)
+def score(gaussians: Gaussians, scene: Reconstruction, held_out: HeldOut, rasterizer: Rasterizer) -> dict:
+    picture, seconds = timed_picture(gaussians, held_out.novel_camera(scene), rasterizer)
+    inputs, _ = timed_picture(gaussians, scene.cameras, rasterizer, repeats=1)
+    target = held_out.target.image
     return {
         "share": gaussians.count / scene.gaussians.count,
-        "novel_psnr": psnr(picture[0], target.image),
-        "novel_ssim": ssim(picture[0], target.image),
-        "input_psnr": psnr(inputs, np.stack([first.image, second.image])),
+        "novel_psnr": psnr(picture[0], target),
+        "novel_ssim": ssim(picture[0], target),
+        "input_psnr": psnr(inputs, np.stack([held_out.first.image, held_out.second.image])),
         "render_cpu_seconds": seconds,
+        "ply_bytes": ply_bytes(gaussians),
     }
 
 
-def timed_picture(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> tuple[np.ndarray, float]:
+def timed_picture(
+    gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, repeats: int = RENDER_REPEATS
+) -> tuple[np.ndarray, float]:
     """Pictures `[camera, height, width, 3]`, and the least CPU seconds of some repeats."""
     seconds = []
     with torch.no_grad():
-        for _ in range(RENDER_REPEATS):
+        for _ in range(repeats):
             start = time.process_time()
             images = rasterizer.render(gaussians, cameras).images
             seconds.append(time.process_time() - start)
     return images[0].permute(0, 2, 3, 1).clamp(0, 1).numpy(), min(seconds)
 
 
+def ply_bytes(gaussians: Gaussians) -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.ply"
+        save_ply(file, gaussians)
+        return file.stat().st_size
+
+
 def table(rows: list[dict]) -> str:
-    """Means over the scenes; differences of novel views are to `all` of the same scene."""
-    reference = {row["scene"]: row for row in rows if row["method"] == "all"}
-    lines = ["method            share   novel dB (worst)     novel SSIM   input dB   render time"]
-    for method, group in grouped(rows).items():
-        gain = [row["novel_psnr"] - reference[row["scene"]]["novel_psnr"] for row in group]
-        faster = [row["render_cpu_seconds"] / reference[row["scene"]]["render_cpu_seconds"] for row in group]
-        mean = {key: np.mean([row[key] for row in group]) for key in ("share", "novel_ssim", "input_psnr")}
-        lines.append(
-            f"{method[0]:<16} {mean['share']:6.3f}   {np.mean(gain):+6.2f} ({min(gain):+6.2f})"
-            f"   {mean['novel_ssim']:12.4f} {mean['input_psnr']:10.2f} {np.median(faster):13.2f}"
-        )
+    """Means over the scenes of a kind; differences of novel views are to `all` of the same scene."""
+    lines = []
+    for kind in ("procedural", "real"):
+        own = [row for row in rows if row["kind"] == kind]
+        scored = [row for row in own if "novel_psnr" in row]
+        failed = sum(row["method"] == "failed" for row in own)
+        if scored:
+            lines += [f"{kind}: {len({row['scene'] for row in scored})} scenes, {failed} failed", *table_of(scored), ""]
+    lines += [f"flat wall: {row['share']:.2%} left" for row in rows if row["kind"] == "wall"]
     return "\n".join(lines)
 
 
+def table_of(rows: list[dict]) -> Iterator[str]:
+    reference = {row["scene"]: row for row in rows if row["method"] == "all"}
+    yield "| method | share left | novel view, dB against all (worst) | SSIM | input dB | render time | PLY |"
+    yield "| --- | --: | --: | --: | --: | --: | --: |"
+    for (method, _), group in grouped(rows).items():
+        gain = [row["novel_psnr"] - reference[row["scene"]]["novel_psnr"] for row in group]
+        mean = {key: np.mean([row[key] for row in group]) for key in ("share", "novel_ssim", "input_psnr")}
+        ratio = {
+            key: np.mean([row[key] / reference[row["scene"]][key] for row in group])
+            for key in ("render_cpu_seconds", "ply_bytes")
+        }
+        yield (
+            f"| {method} | {mean['share']:.3f} | {np.mean(gain):+.2f} ({min(gain):+.2f}) | {mean['novel_ssim']:.3f} "
+            f"| {mean['input_psnr']:.2f} | {ratio['render_cpu_seconds']:.2f} | {ratio['ply_bytes']:.3f} |"
+        )
+
+
 def grouped(rows: list[dict]) -> dict[tuple, list[dict]]:
-    """Rows by method and, on the curves, by share."""
+    """Rows by method and, on the curves, by the share that was asked for."""
     groups: dict[tuple, list[dict]] = {}
     for row in rows:
-        on_curve = row["method"] in ("simplify", "random", "opacity")
-        groups.setdefault((row["method"], round(row["share"], 2) if on_curve else 0), []).append(row)
+        groups.setdefault((row["method"], row.get("asked", 0)), []).append(row)
     return groups
 
 
 def plot(rows: list[dict], file: Path) -> None:
+    """A row of panels per kind of scene, over the share of the Gaussians that is left."""
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, 3, figsize=(12, 3.6), constrained_layout=True)
+    kinds = [kind for kind in ("procedural", "real") if any(row["kind"] == kind for row in rows)]
     panels = (
-        ("novel_psnr", "novel view PSNR [dB]"),
-        ("novel_ssim", "novel view SSIM"),
-        ("input_psnr", "input PSNR [dB]"),
+        ("novel_psnr", "held-out view: PSNR [dB]"),
+        ("novel_ssim", "held-out view: SSIM"),
+        ("input_psnr", "input photos: PSNR [dB]"),
     )
-    for axis, (key, title) in zip(axes, panels):
-        points: dict[str, list[tuple[float, float]]] = {}
-        for method, group in grouped(rows).items():
-            point = np.mean([row["share"] for row in group]), np.mean([row[key] for row in group])
-            points.setdefault(method[0], []).append(point)
-        for method, values in points.items():
-            axis.plot(*zip(*sorted(values)), marker="o", label=method)
-        axis.set(xlabel="share of the Gaussians", ylabel=title, xscale="log")
-    axes[0].legend(fontsize=8)
+    figure, axes = pyplot.subplots(len(kinds), 3, figsize=(12, 3.6 * len(kinds)), squeeze=False, layout="constrained")
+    for line, kind in zip(axes, kinds):
+        groups = grouped([row for row in rows if row["kind"] == kind and "novel_psnr" in row])
+        for axis, (key, title) in zip(line, panels):
+            _draw(axis, groups, key)
+            axis.set(xlabel="share of the Gaussians", ylabel=f"{kind} scenes\n{title}", xscale="log")
+            axis.grid(alpha=0.3)
+    axes[0][0].legend(fontsize=8)
     figure.savefig(file, dpi=120)
+
+
+def _draw(axis, groups: dict[tuple, list[dict]], key: str) -> None:
+    def point(group: list[dict]) -> tuple[float, float]:
+        return np.mean([row["share"] for row in group]), np.mean([row[key] for row in group])
+
+    for name in CURVES:
+        curve = sorted(point(group) for (method, _), group in groups.items() if method == name)
+        axis.plot(*zip(*curve), marker="o", markersize=4, label=name, linestyle="--" if "polished" in name else "-")
+    for name, marker in (("auto", "*"), ("all", "s")):
+        axis.plot(*point(groups[name, 0]), marker=marker, markersize=11, linestyle="", color="black", label=name)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """One run end to end, as a table of contents: photos, edit, reconstruct, check, simplify, refine.
 
     photos --> editor --> composite with the masks --> reconstructor (photos beside) --> Gaussians, cameras
+               what the edit does not touch stays as in the unedited, or the earlier, scene --> Gaussians
                                           Gaussians --> simplify --> refine --> Gaussians   (both when asked for)
 
 Writing the results to disk is `edit3r.results`; the command line is a thin shell over both.
@@ -8,6 +9,7 @@ Writing the results to disk is `edit3r.results`; the command line is a thin shel
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import torch
@@ -20,6 +22,10 @@ from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.refine import refine as refine_gaussians
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
+from edit3r.reuse.memory import Memory
+from edit3r.reuse.parts import remembering
+from edit3r.reuse.state import SceneState
+from edit3r.reuse.touched import reconstruct_touched, touched_region, unedited
 from edit3r.simplify import simplify
 from edit3r.simplify.budget import Budget, passes
 from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
@@ -41,6 +47,9 @@ class RunResult:
     editor: Editor
     reconstructor: Reconstructor
     report: Report = field(repr=False)
+    whole: Gaussians = field(repr=False)  # `gaussians` before they were made fewer or refined
+    memory: Memory = field(repr=False)  # what the stages answered, for the next run
+    earlier: SceneState | None = field(default=None, repr=False)  # what it continued from
 
 
 def run(
@@ -61,6 +70,8 @@ def run(
     settings: Mapping[str, Mapping[str, Any]] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
+    earlier: SceneState | None = None,
+    memory: Memory | None = None,
 ) -> RunResult:
     """Edit `views` as `prompt` says and reconstruct them in 3D.
 
@@ -71,9 +82,14 @@ def run(
     editor) is built with this editor and given the request. A `segmenter` is a part of editors that use one; for
     others, without masks, it finds what the prompt is about and confines the edit there. `gaussians` is how many may
     be left: all, those the scene requires (`"auto"`), or a number; `max_gaussians` bounds that on top; `refine` is the
-    most photometric steps after that; only these use the `rasterizer`. Same inputs and seed, same result.
+    most photometric steps after that. Same inputs and seed, same result.
+
+    With masks, Gaussians that show outside of them are those of the unedited photos' reconstruction, bit for bit. With
+    `earlier`, the scene of another run, `views` are its edited pictures and the edit is put into that scene: what it
+    does not touch stays. What matchers and segmenters answered before is taken from `memory`.
     """
-    registry = registry or default_registry()
+    memory = memory or Memory()
+    registry = (registry or default_registry()).turning_parts(remembering(memory))
     settings = settings or {}
     report = report or Report()
     with collecting(report):
@@ -87,21 +103,31 @@ def run(
                 if recon.network is not None:
                     recon.network.to(device)
         views, masks = _views_for(recon, views, masks)
+        photos = views if earlier is None else earlier.photos.to(views.images.device)
         request = EditRequest(prompt, seed, masks)
         if masks is None and segmenter is not None and not takes_part(editor, "segmenter"):
             with report.stage("find what to edit"), torch.no_grad():
-                request = confine(request, views, _built(registry, "segmenter", segmenter, settings, {}))
+                found_by = remembering(memory)(_built(registry, "segmenter", segmenter, settings, {}))
+                request = confine(request, views, found_by)
         with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
             edited = _edit(editor, views, request, edit_views)
-        with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
-            asked = {"request": request} if takes_part(recon, "editor") else {}
-            with blaming(recon):
-                reconstruction = recon(edited, source=views, **asked)
-            check_reconstruction(recon, edited, reconstruction)
-            cameras, scene = _cameras(reconstruction, edited), reconstruction.gaussians
+        region = touched_region(views, edited, request, views.count if edit_views == "all" else 1, earlier is not None)
+        if earlier is None and takes_part(recon, "editor"):  # it has no answer for photos that are not to be edited
+            region = None
         budgets = passes(gaussians, max_gaussians)
-        if budgets or refine:
+        if budgets or refine or region is not None:
             rasterizer = _built(registry, "rasterizer", rasterizer, settings, {})
+        with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
+            ask = partial(_reconstruct, recon, photos, request)
+            if region is None:
+                reconstruction = ask(edited)
+            else:
+                before = earlier.scene if earlier is not None else unedited(ask, recon, photos, memory)
+                before = before.to(views.images.device)
+                before = replace(before, cameras=_cameras(before, photos))
+                reconstruction = reconstruct_touched(ask, edited, region, before, rasterizer)
+            cameras, whole = _cameras(reconstruction, edited), reconstruction.gaussians
+            scene = whole
         if budgets:
             with report.stage("simplify"):
                 for most in budgets:
@@ -114,7 +140,16 @@ def run(
                 refined = refine_gaussians(scene, cameras.select(shown), images, rasterizer, refine)
                 scene = refined.gaussians
                 note("refine", refined.facts)
-    return RunResult(views, edited, scene, cameras, request, editor, recon, report)
+    return RunResult(photos, edited, scene, cameras, request, editor, recon, report, whole, memory, earlier)
+
+
+def _reconstruct(recon: Reconstructor, photos: Views, request: EditRequest, views: Views) -> Reconstruction:
+    """The reconstructor's answer, held to its contract; one that edits too is given the request."""
+    asked = {"request": request} if takes_part(recon, "editor") else {}
+    with blaming(recon):
+        reconstruction = recon(views, source=photos, **asked)
+    check_reconstruction(recon, views, reconstruction)
+    return reconstruction
 
 
 def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts: Mapping[str, Any]) -> Any:

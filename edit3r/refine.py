@@ -67,16 +67,17 @@ def refine(
     """Take up to `steps` steps towards `images` as seen from `cameras`; same inputs, same result on one device."""
     settings = settings or RefineSettings()
     kept_out = _held_back(images, settings)
+    followed = (~kept_out).to(images.dtype) / (~kept_out).sum()
     variables = _Variables(gaussians, settings)
     best, held_back, fitted = gaussians, [], []
     for step in range(steps + 1):
         with torch.enable_grad():
             current = variables.gaussians()
             difference = rasterizer.render(current, cameras).images - images
-            loss = difference.abs().mean(2)[~kept_out].mean()
+            loss = (difference.abs().mean(2) * followed).sum()
         error = difference.detach().square().mean(2)
         held_back.append(float(error[kept_out].mean()))
-        fitted.append(float(error[~kept_out].mean()))
+        fitted.append(float((error * followed).sum()))
         if step > 0 and held_back[-1] < min(held_back[:-1]):
             best = _detached(current)
         progress("refine", step, steps)

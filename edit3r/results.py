@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +12,18 @@ from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.images import LoadedPhotos, save_image
-from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, write_manifest
+from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, recorded, write_manifest
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track, warn
+from edit3r.reuse.fingerprint import identity
+from edit3r.reuse.frames import changed_between, earlier_frames, redraw
+from edit3r.reuse.state import FOLDER, Drawn, SceneState, frame_file, hash_of, save_state
 from edit3r.stage_checks import blaming, check_rendering, component_name
-from edit3r.types import Cameras, Gaussians, Rendering
+from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
@@ -42,17 +46,17 @@ def write(
     with collecting(report), torch.no_grad():
         with report.stage("render"):
             rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
-            path = path_around(result.cameras, rendered, config.frames)
-            frames = render_each(rasterizer, result.gaussians, path, "render camera path")
+            path, frames = _camera_path(result, rendered, rasterizer, config.frames)
             note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
         with report.stage("write files"):
             _write_pictures(folder, result, rendered, frames)
             _write_scene(folder, result)
             names = [f"inputs/{name}.png" for name in result.photos.names]
             write_cameras(folder.cameras, posed_cameras(result.cameras, names))
-            save_video(folder.video, _clipped(frames), VIDEO_FPS)
+            save_video(folder.video, frames, VIDEO_FPS)
             title = config.prompt or "edit3r scene"
             save_viewer(folder.viewer, result.gaussians, result.cameras, title=title, names=result.photos.names)
+            _write_for_editing_again(folder, result, photos, path, rasterizer, config)
     write_manifest(folder.manifest, _manifest(result, photos, masks, rasterizer, config))
 
 
@@ -75,6 +79,50 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     return between_and_around(cameras, frames, float(seen.median()) if seen.numel() else None)
 
 
+def _camera_path(
+    result: "RunResult", rendered: Rendering, rasterizer: Rasterizer, count: int
+) -> tuple[Cameras, list[torch.Tensor]]:
+    """The camera path and its pictures; after an earlier run the same path, drawn again where something changed."""
+    earlier = result.earlier
+    before = earlier_frames(earlier, count, identity(rasterizer)) if earlier is not None else None
+    changed = changed_between(earlier.scene.gaussians, result.gaussians) if before is not None else None
+    note("reuse.frames", changed is not None)
+    if changed is None:
+        path = path_around(result.cameras, rendered, count)
+        return path, _clipped(render_each(rasterizer, result.gaussians, path, "render camera path"))
+    draw = partial(_render_one, rasterizer, result.gaussians)
+    drawn = redraw(before, changed, earlier.path, draw)
+    return earlier.path, [frame.clamp(0, 1).cpu() for frame in track(drawn, "render camera path", count)]
+
+
+def _write_for_editing_again(
+    folder: RunFolder,
+    result: "RunResult",
+    photos: LoadedPhotos,
+    path: Cameras,
+    rasterizer: Rasterizer,
+    config: "RunConfig",
+) -> None:
+    if result.photos.images.shape[0] != 1:
+        return
+    frames = tuple(hash_of(frame_file(folder.renders, index)) for index in range(path.count))
+    before = result.earlier.prompts if result.earlier is not None else ()
+    used = set(result.photos.names)
+    state = SceneState(
+        photos=result.photos,
+        edited=result.edited,
+        scene=Reconstruction(result.whole, result.cameras),
+        path=path,
+        drawn=Drawn(result.gaussians is result.whole, identity(rasterizer), frames),
+        prompts=(*before, config.prompt),
+        records=tuple(photo for photo in photos.photos if photo.name in used),
+        reconstructor=recorded(config.reconstructor),
+    )
+    note("reuse.edits", list(state.prompts))
+    save_state(folder.root, state)
+    result.memory.save(folder.root / FOLDER)
+
+
 def _write_scene(folder: RunFolder, result: "RunResult") -> None:
     """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
     if result.gaussians.degree > VIEWER_DEGREE:
@@ -89,14 +137,14 @@ def _clipped(rendering: Rendering) -> list[torch.Tensor]:
     return list(rendering.images[0].clamp(0, 1).cpu())
 
 
-def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: Rendering) -> None:
+def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[torch.Tensor]) -> None:
     views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
     jobs = [
         (picture, directory / f"{name}.png")
         for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
         for name, picture in zip(result.photos.names, pictures)
     ]
-    jobs += [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(_clipped(frames))]
+    jobs += [(frame, frame_file(folder.renders, index)) for index, frame in enumerate(frames)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
         list(pool.map(lambda job: save_image(*job), jobs))
     subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"

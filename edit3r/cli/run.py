@@ -3,9 +3,12 @@
 import argparse
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edit3r.tradeoff.front import PRESETS
+
+if TYPE_CHECKING:
+    from edit3r.reuse.state import SceneState
 
 HELP = "edit photos of a scene and reconstruct them in 3D"
 DEFAULT_PROMPT = "paint the motorcycle blue"
@@ -14,6 +17,7 @@ DEFAULT_PROMPT = "paint the motorcycle blue"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("images", nargs="*", metavar="IMAGE|FOLDER", help="two or more photos of one scene; default: a packaged pair")
+    add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
     add("--prompt", help="what to change, such as 'paint the bike red'")
     add("--editor", metavar="NAME", help="2D editor (default recolor); see edit3r list-plugins --kind editor")
     add("--recon", metavar="NAME", help="reconstructor (default edit3r)")
@@ -44,23 +48,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     from edit3r import pipeline, results
     from edit3r.cli._console import StageConsole
-    from edit3r.io.images import evenly, find_photos, load_masks, load_photos
+    from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_masks, load_photos
     from edit3r.io.packaged import packaged_pair
     from edit3r.io.run_folder import atomic_folder
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
+    from edit3r.reuse.memory import Memory
+    from edit3r.reuse.state import FOLDER, load_state
     from edit3r.tradeoff.quality import tell
 
+    earlier = load_state(args.earlier) if args.earlier else None
+    memory = Memory(Path(args.earlier) / FOLDER if args.earlier else None)
+    goes_on = earlier is not None and not args.images  # given photos are edited from the start
     images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
-    paths = find_photos(images)
-    config = _config(args, len(paths))
+    paths = [Path(record.file) for record in earlier.records] if goes_on else find_photos(images)
+    config = _config(args, len(paths), earlier)
     registry = default_registry(tuple(args.plugin))
     _check_names(registry, config)
     with StageConsole(quiet=args.quiet) as console:
         report = Report(on_event=console)
         with collecting(report), report.stage("read photos"):
             given = args.mask if len(args.mask) != len(paths) else evenly(args.mask, config.views)
-            photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
+            if goes_on:
+                photos = LoadedPhotos(earlier.edited, earlier.records)
+            else:
+                photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
             masks = load_masks(given, photos) if given else None
             hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
             tell(config.model_dump(), len(paths))
@@ -82,6 +94,8 @@ def main(args: argparse.Namespace) -> int:
                 rasterizer=rasterizer,
                 registry=registry,
                 report=report,
+                earlier=earlier if goes_on else None,
+                memory=memory,
             )
             results.write(folder, result, photos, hashes, rasterizer, config)
     if not args.quiet:
@@ -89,8 +103,8 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _config(args: argparse.Namespace, photos: int):
-    """What the wished quality stands for with so many photos, then preset or file, then `--set`, then flags."""
+def _config(args: argparse.Namespace, photos: int, earlier: "SceneState | None" = None):
+    """What the wished quality stands for with so many photos, or the earlier run; preset or file; `--set`; flags."""
     from edit3r.config import find_config, parse_assignments, read_yaml
     from edit3r.run_config import make_run_config
 
@@ -122,9 +136,21 @@ def _config(args: argparse.Namespace, photos: int):
         key: {"name": flags.pop(key)} for key in ("editor", "reconstructor", "rasterizer", "segmenter") if flags[key]
     }
     layers += [{key: value for key, value in flags.items() if value is not None}, named]
-    if not args.images and not any("prompt" in layer for layer in layers):
+    if earlier is not None:
+        layers.insert(0, _inherited(earlier, layers))
+    elif not args.images and not any("prompt" in layer for layer in layers):
         layers.insert(0, {"prompt": DEFAULT_PROMPT})
     return make_run_config(*layers, photos=photos)
+
+
+def _inherited(earlier: "SceneState", layers: list[dict[str, Any]]) -> dict[str, Any]:
+    """The earlier run's frames and, unless another is asked for, its reconstructor."""
+    frames = {"frames": earlier.path.count}
+    named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
+    named = [choice if isinstance(choice, str) else choice.get("name") for choice in named]
+    another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
+    wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
+    return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 
 def _check_names(registry, config) -> None:

@@ -68,7 +68,7 @@ class RunManifest:
 
 def write_manifest(path: str | Path, manifest: RunManifest) -> None:
     """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite as null."""
-    content = {item.name: _plain(getattr(manifest, item.name)) for item in dataclasses.fields(manifest)}
+    content = {item.name: recorded(getattr(manifest, item.name)) for item in dataclasses.fields(manifest)}
     with atomic_write(path) as partial:
         text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
         partial.write_text(text + "\n", encoding="utf-8")
@@ -85,8 +85,8 @@ def installed_versions() -> dict[str, str]:
     return versions
 
 
-def _plain(value: Any, name: str = "") -> Any:
-    """JSON data of nested dataclasses, mappings, sequences and settings."""
+def recorded(value: Any, name: str = "") -> Any:
+    """JSON data of nested dataclasses, mappings, sequences and settings; secrets are blanked."""
     if isinstance(value, str) and value and _SECRET.search(name):
         return "(not recorded)"
     if value is None or isinstance(value, (bool, int, str)):
@@ -96,14 +96,14 @@ def _plain(value: Any, name: str = "") -> Any:
     if hasattr(value, "get_secret_value"):  # pydantic's SecretStr
         return "(not recorded)"
     if hasattr(value, "model_dump"):
-        return _plain(value.model_dump())
+        return recorded(value.model_dump())
     if dataclasses.is_dataclass(value):
-        return {item.name: _plain(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+        return {item.name: recorded(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(value[key], str(key)) for key in sorted(value, key=str)}
+        return {str(key): recorded(value[key], str(key)) for key in sorted(value, key=str)}
     if isinstance(value, (list, tuple, set, frozenset)):
         items = sorted(value) if isinstance(value, (set, frozenset)) else value
-        return [_plain(item) for item in items]
+        return [recorded(item) for item in items]
     if hasattr(value, "tolist"):  # numpy and torch
-        return _plain(value.tolist())
+        return recorded(value.tolist())
     return str(value)

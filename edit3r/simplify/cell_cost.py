@@ -9,6 +9,8 @@ from edit3r.simplify.settings import SimplifySettings
 STEEPEST = 3.0  # tangent between a surface and the picture plane; beyond it is a step in depth, not a slanted surface
 LEAST_FILL = 0.5  # Gaussians per pixel; an emptier cell joins things that are apart
 STILL = 0.25  # steps that move by less than this between the views do no harm [pixels]
+COUNT, WEIGHT = 0, 1
+VALUES = 4  # red, green, blue, disparity
 
 
 def pixel_sums(
@@ -17,23 +19,21 @@ def pixel_sums(
     disparity: Float[Tensor, "gaussian"],
     colours: Float[Tensor, "gaussian 3"],
     weight: Float[Tensor, "gaussian"],
-) -> Float[Tensor, "gaussian channel"]:
+) -> Float[Tensor, "channel gaussian"]:
     """Moments of single Gaussians; those of a cell are their sum.
 
-    Channels: count, weight, then weighted: 5 moments of (x, y), colour 3, squared colour, colour by x 3, by y 3,
-    disparity, its square, by x, by y.
+    Channels: count, weight, then weighted: 5 moments of (x, y), the four values (colour, disparity), their squares
+    (colour in one), the values by x, by y. Channels come first, so that each is one run of memory.
     """
-    position = torch.stack((x, y, x * x, y * y, x * y), -1)
-    colour = torch.cat(
-        (colours, colours.square().sum(-1, keepdim=True), colours * x[:, None], colours * y[:, None]), -1
-    )
-    depth = torch.stack((disparity, disparity.square(), disparity * x, disparity * y), -1)
-    moments = torch.cat((torch.ones_like(position[:, :1]), position, colour, depth), -1)
-    return torch.cat((torch.ones_like(weight)[:, None], weight[:, None] * moments), -1)
+    values = torch.stack((*colours.unbind(-1), disparity))
+    position = torch.stack((x, y, x * x, y * y, x * y))
+    squares = torch.stack((colours.square().sum(-1), disparity.square()))
+    moments = torch.cat((position, values, squares, values * x, values * y))
+    return torch.cat((torch.ones_like(weight)[None], weight[None], weight * moments))
 
 
 def merging_cost(
-    sums: Float[Tensor, "view row column channel"], area: int, parallax: float, focal: float, settings: SimplifySettings
+    sums: Float[Tensor, "channel view row column"], area: int, parallax: float, focal: float, settings: SimplifySettings
 ) -> Float[Tensor, "view row column"]:
     """Squared error, summed over the cell's pixels, of one Gaussian in place of the cell's; infinite: must not merge.
 
@@ -42,25 +42,26 @@ def merging_cost(
     pixels that the surface moves by between the views. `area` [pixels] is that of each cell; `parallax` and `focal`
     [pixels] are the distance between the views and one scene unit, each at camera z = 1.
     """
-    weight = sums[..., 1].clamp(min=1e-12)
-    mean_x, mean_y, xx, yy, xy = (sums[..., i] / weight for i in range(2, 7))
+    weight = sums[WEIGHT]
+    mean_x, mean_y, xx, yy, xy, *moments = sums[2:] / weight.clamp(min=1e-12)
     # A pixel is not a point: its own extent keeps the fit of few pixels from being exact.
     var_x, var_y, cov = xx - mean_x**2 + 1 / 12, yy - mean_y**2 + 1 / 12, xy - mean_x * mean_y
+    steepness = 1 / (var_x * var_y - cov * cov).clamp(min=1e-12)
+    values, squares = moments[:VALUES], moments[VALUES : VALUES + 2]
 
-    def fitted(value: Tensor, by_x: Tensor, by_y: Tensor) -> Tensor:
+    def fitted(index: int) -> Tensor:
         """Variance that a linear function of (x, y) explains."""
-        along_x, along_y = by_x - value * mean_x, by_y - value * mean_y
-        determinant = (var_x * var_y - cov * cov).clamp(min=1e-12)
-        return (var_y * along_x**2 - 2 * cov * along_x * along_y + var_x * along_y**2) / determinant
+        by_x, by_y = moments[6 + index], moments[6 + VALUES + index]
+        along_x, along_y = by_x - values[index] * mean_x, by_y - values[index] * mean_y
+        return (along_x * (var_y * along_x - 2 * cov * along_y) + var_x * along_y * along_y) * steepness
 
-    moments = sums[..., 7:] / weight[..., None]
-    mean, square, by_x, by_y = moments[..., :3], moments[..., 3], moments[..., 4:7], moments[..., 7:10]
-    linear = sum(fitted(mean[..., i], by_x[..., i], by_y[..., i]) for i in range(3))
-    colour = (square - mean.square().sum(-1) - (1 - settings.gradient_share) * linear).clamp(min=0) / 3
-    disparity, squared, disparity_x, disparity_y = moments[..., 10:].unbind(-1)
-    spread = (squared - disparity**2).clamp(min=0)
-    bent = (spread - fitted(disparity, disparity_x, disparity_y)).clamp(min=0)
+    linear = fitted(0) + fitted(1) + fitted(2)
+    unequal = squares[0] - values[0] ** 2 - values[1] ** 2 - values[2] ** 2
+    colour = (unequal - (1 - settings.gradient_share) * linear).clamp(min=0) / 3
+    disparity = values[3]
+    spread = (squares[1] - disparity**2).clamp(min=0)
+    bent = (spread - fitted(3)).clamp(min=0)
     error = weight * (colour + (settings.edge * parallax) ** 2 * bent)
-    steep = spread.sqrt() * focal > STEEPEST * (var_x + var_y).sqrt() * disparity
-    refused = (steep & (spread.sqrt() * parallax > STILL)) | (sums[..., 0] < LEAST_FILL * area)
-    return torch.where(refused, torch.inf, error)
+    steep = spread * focal**2 > STEEPEST**2 * (var_x + var_y) * disparity**2
+    refused = (steep & (spread * parallax**2 > STILL**2)) | (sums[COUNT] < LEAST_FILL * area)
+    return error.masked_fill_(refused, torch.inf)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.geometry.harmonics import DC
@@ -11,8 +11,13 @@ from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians
 
 
-def contributions(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "batch gaussian"]:
-    """Blending weight (transmittance times alpha) of each Gaussian, summed over all pixels of all cameras [pixels].
+def contributions(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
+    pixels: Bool[Tensor, "camera height width"] | None = None,
+) -> Float[Tensor, "batch gaussian"]:
+    """Blending weight (transmittance times alpha) of each Gaussian, summed over the `pixels` of all cameras [pixels].
 
     A picture is linear in the colours, so the weight is the gradient of the summed picture by the constant harmonic,
     divided by the basis function. Grey Gaussians keep every colour away from the clamp at 0.
@@ -20,5 +25,6 @@ def contributions(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
     grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
     with torch.enable_grad():
         pictures = rasterizer.render(replace(gaussians, harmonics=grey), cameras).images
-        (gradient,) = torch.autograd.grad(pictures[:, :, 0].sum(), grey)
+        shown = pictures[:, :, 0] if pixels is None else pictures[:, :, 0] * pixels
+        (gradient,) = torch.autograd.grad(shown.sum(), grey)
     return gradient[:, :, 0, 0] / DC

@@ -33,12 +33,13 @@ def duplicates(
         other = _at(owner, row, column)
         shown = (other >= 0) & ((depth - placement.depth[other]).abs() < settings.duplicate_depth * depth)
         shown &= placement.footprint[other] < AS_FINE * placement.footprint[later]
-        alike = torch.zeros_like(shown)
+        later, column, row = later[shown], column[shown], row[shown]
+        alike = torch.zeros_like(later, dtype=torch.bool)
         for dy, dx in AROUND:
             near = _at(owner, row + dy, column + dx)
-            difference = (colours[later] - colours[near]).square().mean(-1).sqrt()
-            alike |= (near >= 0) & (difference <= settings.duplicate_colour)
-        found[later[shown & alike]] = True
+            difference = (colours[later] - colours[near]).square().mean(-1)
+            alike |= (near >= 0) & (difference <= settings.duplicate_colour**2)
+        found[later[alike]] = True
     return found
 
 

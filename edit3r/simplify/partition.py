@@ -5,6 +5,7 @@ either one cell or the better of its two halvings, left and right or top and bot
 rectangle known, the best choice follows bottom-up, in time linear in the number of pixels.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -12,14 +13,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from edit3r.simplify.cell_cost import merging_cost, pixel_sums
+from edit3r.simplify.cell_cost import COUNT, merging_cost, pixel_sums
 from edit3r.simplify.placement import Placement
 from edit3r.simplify.settings import SimplifySettings
 from edit3r.types import Cameras
 
 MARGIN = 0.5  # Gaussians further outside a picture than this are never merged [picture sizes]
 MERGE, ALONG_X, ALONG_Y, STAY = 0, 1, 2, 3
-ROWS, COLUMNS = 1, 2
+ROWS, COLUMNS = -2, -1
 LOWEST_PRICE, HIGHEST_PRICE, PRICE_STEP = 1e-9, 1e6, 1.02
 
 
@@ -54,16 +55,18 @@ def measure_cells(
     row, rows = _padded(placement.row[inside], height, side)
     column, columns = _padded(placement.column[inside], width, side)
     pixel = placement.view[inside], row, column
-    x, y = placement.x[inside] - width / 2, placement.y[inside] - height / 2
-    sums = pixel_sums(x, y, 1 / placement.depth[inside], colours[inside].double(), weight[inside].double())
-    dense = sums.new_zeros(cameras.count, rows, columns, sums.shape[-1]).index_put_(pixel, sums, accumulate=True)
+    # Positions within the largest cell, so that squares of single precision tell neighbours apart.
+    x, y = placement.x[inside] % side, placement.y[inside] % side
+    values = (x, y, 1 / placement.depth[inside], colours[inside], weight[inside])
+    sums = pixel_sums(*(value.float() for value in values))
+    dense = _gathered(sums, (pixel[0] * rows + row) * columns + column, (cameras.count, rows, columns))
     focal = float(cameras.intrinsics[0, 0, 0, 0]) * width
     count, error = {}, {}
     for by_y in range(levels + 1):
         wide = dense
         for by_x in range(levels + 1):
-            count[by_y, by_x] = wide[..., 0].float()
-            error[by_y, by_x] = merging_cost(wide, 1 << by_y + by_x, parallax, focal, settings).float()
+            count[by_y, by_x] = wide[COUNT]
+            error[by_y, by_x] = merging_cost(wide, 1 << by_y + by_x, parallax, focal, settings)
             wide = _pairs(wide, COLUMNS) if by_x < levels else wide
         dense = _pairs(dense, ROWS) if by_y < levels else dense
     return Cells(inside, pixel, count, error, placement.view.numel())
@@ -73,19 +76,24 @@ def partition(cells: Cells, price: float) -> Int[Tensor, "gaussian"]:
     """Group of each Gaussian such that summed error + `price` per Gaussian left is least; -1: stays itself."""
     choices, _ = _choose(cells, price)
     view, row, column = cells.pixel
-    by_y, by_x = (torch.full_like(view, cells.levels) for _ in range(2))
-    made = torch.full_like(view, -1)  # the choice that ended the walk from the largest cell down
-    for (level_y, level_x), choice in reversed(choices.items()):
-        here = ((by_y == level_y) & (by_x == level_x) & (made < 0)).nonzero()[:, 0]
-        taken = choice[view[here], row[here] >> level_y, column[here] >> level_x]
-        made[here[taken == MERGE]], made[here[taken == STAY]] = MERGE, STAY
-        by_x[here[taken == ALONG_X]] -= 1
-        by_y[here[taken == ALONG_Y]] -= 1
-    merged = (made == MERGE).nonzero()[:, 0]
-    key = torch.stack((view, by_y, by_x, row >> by_y, column >> by_x), -1)[merged]
     group = torch.full((cells.total,), -1, dtype=torch.long, device=view.device)
-    if merged.numel():
-        group[cells.inside[merged]] = key.unique(dim=0, return_inverse=True)[1]
+    walking = torch.arange(view.numel(), device=view.device)
+    by_y, by_x = (torch.full_like(view, cells.levels) for _ in range(2))
+    table, first, wide = _joined(choices)
+    merged, keys = [], []
+    while True:  # from the largest cell down, a halving at a time
+        level = by_y * (cells.levels + 1) + by_x
+        down, along = row[walking] >> by_y, column[walking] >> by_x
+        cell = first[level] + (view[walking] * wide[level, 0] + down) * wide[level, 1] + along
+        choice = table[cell]
+        merged.append(walking[choice == MERGE])
+        keys.append(cell[choice == MERGE])
+        by_y, by_x = by_y - (choice == ALONG_Y).long(), by_x - (choice == ALONG_X).long()
+        further = (choice == ALONG_X) | (choice == ALONG_Y)
+        walking, by_y, by_x = walking[further], by_y[further], by_x[further]
+        if not walking.numel():
+            break
+    group[cells.inside[torch.cat(merged)]] = _numbered(torch.cat(keys), table.numel())
     return group
 
 
@@ -109,15 +117,52 @@ def _choose(cells: Cells, price: float) -> tuple[dict[tuple[int, int], Tensor], 
     left: dict[tuple[int, int], Tensor] = {}
     choices: dict[tuple[int, int], Tensor] = {}
     for level in sorted(product(range(cells.levels + 1), repeat=2), key=sum):
-        count, error = cells.count[level], cells.error[level]
-        options = [(torch.where(count > 1, error + price, torch.inf), torch.ones_like(count))]
-        for half, dim in (((level[0], level[1] - 1), COLUMNS), ((level[0] - 1, level[1]), ROWS)):
-            options.append((_pairs(cost[half], dim), _pairs(left[half], dim)) if half in cost else _impossible(count))
-        options.append((price * count, count) if level == (0, 0) else _impossible(count))
-        cost[level], choice = torch.stack([option for option, _ in options]).min(0)
-        left[level] = torch.stack([number for _, number in options]).gather(0, choice[None])[0]
-        choices[level] = choice
+        count = cells.count[level]
+        least = torch.where(count > 1, cells.error[level] + price, torch.inf)
+        number, choice = torch.ones_like(count), torch.full_like(count, MERGE, dtype=torch.int8)
+        for other, its_cost, its_number in _alternatives(cells, price, level, cost, left):
+            better = its_cost < least
+            least = torch.where(better, its_cost, least)
+            number = torch.where(better, its_number, number)
+            choice.masked_fill_(better, other)
+        cost[level], left[level], choices[level] = least, number, choice
     return choices, left[level]
+
+
+def _alternatives(
+    cells: Cells, price: float, level: tuple[int, int], cost: dict, left: dict
+) -> Iterator[tuple[int, Tensor, Tensor]]:
+    """What a cell may be instead of merged: choice, cost and Gaussians left."""
+    by_y, by_x = level
+    if by_x:
+        yield ALONG_X, _pairs(cost[by_y, by_x - 1], COLUMNS), _pairs(left[by_y, by_x - 1], COLUMNS)
+    if by_y:
+        yield ALONG_Y, _pairs(cost[by_y - 1, by_x], ROWS), _pairs(left[by_y - 1, by_x], ROWS)
+    if level == (0, 0):
+        yield STAY, price * cells.count[level], cells.count[level]
+
+
+def _joined(choices: dict[tuple[int, int], Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """All choices in one row, where each level starts in it, and each level's rows and columns; levels in order."""
+    tables = [choices[level] for level in sorted(choices)]
+    sizes = torch.tensor([0] + [table.numel() for table in tables[:-1]], device=tables[0].device)
+    wide = torch.tensor([table.shape[1:] for table in tables], device=tables[0].device)
+    return torch.cat([table.flatten() for table in tables]), sizes.cumsum(0), wide
+
+
+def _numbered(keys: Int[Tensor, "member"], limit: int) -> Int[Tensor, "member"]:
+    """Equal keys get equal numbers, from 0 without gaps, in the order of the keys."""
+    used = torch.zeros(limit, dtype=torch.long, device=keys.device)
+    used[keys] = 1
+    return used.cumsum(0)[keys] - 1
+
+
+def _gathered(
+    sums: Float[Tensor, "channel member"], place: Int[Tensor, "member"], shape: tuple[int, int, int]
+) -> Float[Tensor, "channel view row column"]:
+    """What falls on the same place, added up."""
+    size = shape[0] * shape[1] * shape[2]
+    return torch.stack([channel.new_zeros(size).index_add_(0, place, channel) for channel in sums]).view(-1, *shape)
 
 
 def _impossible(like: Tensor) -> tuple[Tensor, Tensor]:
@@ -139,4 +184,5 @@ def _takes_part(placement: Placement, height: int, width: int) -> Bool[Tensor, "
 
 def _pairs(values: Tensor, dim: int) -> Tensor:
     """Sums of neighbours two by two along rows (1) or columns (2)."""
-    return values.unflatten(dim, (-1, 2)).sum(dim + 1)
+    first, second = values.unflatten(dim, (-1, 2)).unbind(dim)
+    return first + second

@@ -1,21 +1,21 @@
 """Drop what no picture needs, merge what is flat, polish what is left; say how much the pictures changed."""
 
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import dataclass, replace
+from math import isfinite, log10
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.evaluation.metrics import psnr
 from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
-from edit3r.refine import refine
+from edit3r.refine import RefineSettings, refine
 from edit3r.reporting import note
 from edit3r.simplify.contribution import contributions
+from edit3r.simplify.degree import needed_degree
 from edit3r.simplify.duplicates import duplicates
 from edit3r.simplify.merging import merge_groups
 from edit3r.simplify.partition import measure_cells, partition, price_for
@@ -24,6 +24,8 @@ from edit3r.simplify.settings import SimplifySettings
 from edit3r.types import Cameras, Gaussians
 
 PATH_CAMERAS = 2  # pictures from between and around, per input view
+PATH_REDUCTION = 2  # of their sides
+POLISH = RefineSettings(colour=0.018, opacity=0.054, scale=0.018, centre=0.054)  # longer strides, for few steps
 LONE_BASELINE = 0.1  # how far new views of a lone picture are taken to be [its median depth]
 
 
@@ -57,22 +59,26 @@ def simplify(
         raise InputError(f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}.")
     if gaussians.count <= (1 if most is None else most):
         return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
-    weight = visible_weight(gaussians, cameras, rasterizer)
-    seen = weight >= settings.contribution
-    kept = gaussians.select(seen)
+    kept = needed_degree(gaussians, looks(cameras), rasterizer, settings.harmonics)
     twice = duplicates(kept, cameras, place(kept, cameras), settings)
     kept = kept.select(~twice)
+    seen = visible_weight(kept, cameras, rasterizer) >= settings.contribution
+    kept = kept.select(seen)
     fewer = _merge(kept, cameras, most, settings)
     if most is not None and fewer.count > most:
         fewer = _most_visible(fewer, cameras, rasterizer, most)
     merged = kept.count - fewer.count
     pictures = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
-    fewer = refine(fewer, cameras, pictures, rasterizer, settings.polish).gaussians
+    fewer = refine(fewer, cameras, pictures, rasterizer, settings.polish, POLISH).gaussians
     again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
-    fidelity = psnr(again.cpu().numpy(), pictures.cpu().numpy())
+    fidelity = _decibels(float((again - pictures).square().mean()))
     result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, fidelity)
     _tell(result)
     return result
+
+
+def _decibels(squared_error: float) -> float:
+    return -10 * log10(squared_error) if squared_error > 0 else float("inf")
 
 
 def _tell(result: Simplified) -> None:
@@ -82,16 +88,26 @@ def _tell(result: Simplified) -> None:
     note("simplify.psnr_of_input_views_against_all", round(result.psnr, 3) if isfinite(result.psnr) else None)
 
 
-def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
-    """What each Gaussian adds to the input views or to some pictures from between and around them [pixels].
+def looks(cameras: Cameras) -> tuple[Cameras, ...]:
+    """The input views, and some smaller pictures from between and around them.
 
     What only a new viewpoint uncovers must stay, although no input view needs it.
     """
-    weight = contributions(gaussians, cameras, rasterizer)
-    if cameras.count > 1:
-        path = between_and_around(cameras, PATH_CAMERAS * cameras.count)
-        weight = torch.maximum(weight, contributions(gaussians, path, rasterizer))
-    return weight[0]
+    if cameras.count == 1:
+        return (cameras,)
+    path = between_and_around(cameras, PATH_CAMERAS * cameras.count)
+    height, width = (max(1, size // PATH_REDUCTION) for size in cameras.image_size)
+    return cameras, replace(path, image_size=(height, width))
+
+
+def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
+    """The most that each Gaussian adds to the input views or to the others [pixels of the input views]."""
+    height, width = cameras.image_size
+    weights = []
+    for look in looks(cameras):
+        area = height * width / (look.image_size[0] * look.image_size[1])
+        weights.append(area * contributions(gaussians, look, rasterizer)[0])
+    return torch.stack(weights).amax(0)
 
 
 def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings) -> Gaussians:

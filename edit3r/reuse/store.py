@@ -1,0 +1,107 @@
+"""Tensors on disk for the next run: safetensors, each tensor deflated, with version, stage and key in the header.
+
+A tensor is stored as bytes: the first bytes of all numbers, then the second ones, and so on (numbers alike have alike
+high bytes), deflated. Nothing is lost, and nothing is executed when it is read.
+"""
+
+import json
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import torch
+from safetensors.numpy import save
+from torch import Tensor
+
+from edit3r.errors import InputError
+from edit3r.io.run_folder import atomic_write
+
+FORMAT = "edit3r-reuse"
+VERSION = "1"
+LEVEL = 1  # higher ones take several times as long for a few percent
+_DTYPES = {
+    str(t).removeprefix("torch."): t for t in (torch.float32, torch.float64, torch.int64, torch.uint8, torch.bool)
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What one stage answered, or the state of a scene."""
+
+    stage: str
+    key: str  # fingerprint of everything it was computed from
+    tensors: dict[str, Tensor]
+    facts: dict[str, Any] = field(default_factory=dict)  # JSON data
+
+
+def save_entry(path: Path, entry: Entry) -> None:
+    """Write one entry; the same entry gives the same bytes."""
+    packed = {name: _packed(tensor) for name, tensor in entry.tensors.items()}
+    shapes = {name: [_name(tensor.dtype), list(tensor.shape)] for name, tensor in entry.tensors.items()}
+    header = {"format": FORMAT, "version": VERSION, "stage": entry.stage, "key": entry.key}
+    header |= {"tensors": json.dumps(shapes), "facts": json.dumps(entry.facts)}
+    with atomic_write(path) as partial:
+        partial.write_bytes(save(packed, header))
+
+
+def read_key(path: Path) -> tuple[str, str]:
+    """Stage and key of an entry, from its header alone. Raises InputError for a file that is none."""
+    with _opened(path) as file:
+        header = _header(file, path)
+    return header["stage"], header["key"]
+
+
+def load_entry(path: Path) -> Entry:
+    """Read one entry. Raises InputError for a file that is damaged or of another program or version."""
+    with _opened(path) as file:
+        header = _header(file, path)
+        try:
+            shapes = json.loads(header["tensors"])
+            tensors = {name: _unpacked(file.get_tensor(name), *shape) for name, shape in shapes.items()}
+            return Entry(header["stage"], header["key"], tensors, json.loads(header["facts"]))
+        except (KeyError, TypeError, ValueError, zlib.error, safetensors.SafetensorError) as error:
+            raise InputError(f"{path}: damaged ({' '.join(str(error).split())}); {ADVICE}") from None
+
+
+ADVICE = "start again from the photos, without --from."
+
+
+def _opened(path: Path):
+    try:
+        return safetensors.safe_open(path, framework="numpy")
+    except (OSError, safetensors.SafetensorError) as error:
+        raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())}); {ADVICE}") from None
+
+
+def _header(file, path: Path) -> dict[str, str]:
+    header = file.metadata() or {}
+    if header.get("format") != FORMAT or not {"stage", "key", "version"} <= header.keys():
+        raise InputError(f"{path}: not written by edit3r for editing again; {ADVICE}")
+    if header["version"] != VERSION:
+        raise InputError(
+            f"{path}: written in version {header['version']} of this layout, this edit3r reads {VERSION}; {ADVICE}"
+        )
+    return header
+
+
+def _packed(tensor: Tensor) -> np.ndarray:
+    values = tensor.detach().cpu().contiguous().numpy()
+    planes = values.reshape(-1).view(np.uint8).reshape(values.size, -1).T  # empty tensors have no planes
+    return np.frombuffer(zlib.compress(np.ascontiguousarray(planes).tobytes(), LEVEL), np.uint8)
+
+
+def _unpacked(packed: np.ndarray, dtype: str, shape: list[int]) -> Tensor:
+    like = torch.empty(0, dtype=_DTYPES[dtype])
+    planes = np.frombuffer(zlib.decompress(packed.tobytes()), np.uint8)
+    together = np.ascontiguousarray(planes.reshape(like.element_size(), -1).T)
+    return torch.from_numpy(together.reshape(-1).copy()).view(like.dtype).reshape(shape)
+
+
+def _name(dtype: torch.dtype) -> str:
+    name = str(dtype).removeprefix("torch.")
+    if name not in _DTYPES:
+        raise ValueError(f"cannot be stored for editing again: a tensor of {dtype}")
+    return name
