@@ -1,6 +1,7 @@
 """InstructPix2Pix (Brooks et al. 2023): the paper's default 2D editor."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,9 +14,12 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
 from edit3r.io.pretrained import foreign, pick_device
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import blending, late_start, loading
+from edit3r_diffusers import blending, late_start, loading, word_attention
 from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
 from edit3r_diffusers.settings import DiffusionSettings
+
+GUIDANCE_COPIES = 3
+"""Copies of a picture in a guided pipeline's batch: with words and photo, with the photo alone, with neither."""
 
 
 class InstructPix2PixEditor(Editor):
@@ -44,6 +48,22 @@ class InstructPix2PixEditor(Editor):
         The photos stay the condition, as Instruct-NeRF2NeRF (section 4.2) edits its renders.
         """
         return self._edited(views, request, start, strength)
+
+    def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
+        """How much each pixel looks at the instruction's words, in [0, 1]; costs an edit of every view."""
+        pipeline, maps = self._loaded(views.images.device), []
+        words = word_attention.word_count(pipeline.tokenizer, request.prompt)
+        copies = GUIDANCE_COPIES if self.settings.guidance > 1 else 1
+
+        def denoise(job: ViewJob) -> Tensor:
+            with word_attention.listening(pipeline.unet, words, copies) as listener:
+                result = self._denoise(pipeline, self.settings.steps, job)
+            maps.append(listener.picture(views.image_size))
+            return result
+
+        size = self.settings.resolution, pipeline.vae_scale_factor
+        edit_one_by_one(views, replace(request, masks=None), pipeline, *size, denoise)
+        return torch.stack(maps).view(*views.images.shape[:2], *views.image_size).to(views.images)
 
     def _edited(self, views: Views, request: EditRequest, start: Tensor | None, strength: float) -> Views:
         if not request.prompt.strip():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_diffusers.late_start import skipping, steps_left
+from edit3r_diffusers.word_attention import WordAttention
 
 import edit3r
 from edit3r.interfaces import Matcher
@@ -89,6 +90,40 @@ def test_skipped_steps_are_the_first_whatever_the_sampler(name):
     assert torch.equal(scheduler.timesteps, whole)
 
 
+def test_attention_is_a_map_of_every_view_that_hangs_on_the_words(editor, two_views):
+    before = editor.edit(two_views, ASK).images
+    maps = editor.attention(two_views, ASK)
+    assert maps.shape == (1, 2, *two_views.image_size) and maps.min() >= 0 and maps.max() <= 1
+    assert maps.std() > 0 and not torch.equal(maps, editor.attention(two_views, replace(ASK, prompt="make it snow")))
+    assert torch.equal(editor.edit(two_views, ASK).images, before)  # nothing of the listening stays
+
+
+def test_attention_is_read_without_guidance_too(tiny, two_views):
+    settings = {"steps": 1, "resolution": 0, "local_files_only": True, "guidance": 1}
+    unguided = edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings)
+    maps = unguided.attention(two_views.select([0]), ASK)
+    assert torch.isfinite(maps).all() and maps.std() > 0
+
+
+def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
+    """Against diffusers' own processor, and a sum over the words by hand."""
+    from diffusers.models.attention_processor import Attention
+
+    torch.manual_seed(0)
+    layer = Attention(query_dim=8, cross_attention_dim=6, heads=2, dim_head=4)
+    places, words = torch.randn(3, 12, 8), torch.randn(3, 5, 6)
+    expected = layer(places, words)
+    listener = WordAttention(words=2, halves=3)
+    layer.set_processor(listener)
+    assert torch.allclose(layer(places, words), expected, atol=1e-5)
+    query, key = (t[0].view(-1, 2, 4).transpose(0, 1) for t in (layer.to_q(places), layer.to_k(words)))
+    shares = (query @ key.transpose(-1, -2) / 2).softmax(-1)  # 2: root of the heads' width
+    by_hand = shares[..., 1] + shares[..., 2]
+    assert torch.allclose(listener.maps[12], by_hand.mean(0), atol=1e-5)
+    picture = listener.picture((6, 8))
+    assert picture.shape == (6, 8) and picture.max() <= 1
+
+
 TINY = {"steps": 3, "edit_steps": 4, "start": "random", "points": 60}
 
 
@@ -101,6 +136,8 @@ def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
         result = recon(posed, posed, ASK)
     assert result.gaussians.count > 0
     assert not any("cannot start from a given picture" in text for text in report.warnings)
+    if method == "editsplat":
+        assert report.notes["editsplat.trimmed"]["attention_told_by"] == "the editor's cross-attention"
 
 
 def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_reference_views(tiny, posed):
