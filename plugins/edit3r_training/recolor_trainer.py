@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
-from edit3r.errors import SettingsError
+from edit3r.errors import MatchingError, SettingsError
 from edit3r.interfaces import Dataset, LossInputs, Trainer, TrainingJob
 from edit3r.training.checkpoint import LAST, TrainingState, copied_weights
 from edit3r.training.journal import Journal
@@ -103,24 +103,36 @@ class RecolorTrainer(Trainer):
         batch = self._batch(job.train_data, state.step, processes)
         for group in state.optimizer.param_groups:
             group["lr"] = self.settings.lr * warmup_cosine(state.step, self.settings.steps, self.settings.warmup)
-        terms = self._terms(job, batch, state.step)
-        loss = sum(terms.values())
         state.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        terms, loss = self._backward(job, batch, state.step)
         loss = processes.average_gradients(state.network.parameters(), loss)
         norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), self.settings.clip)
         state.step += 1
-        if torch.isfinite(loss) and torch.isfinite(norm):
+        learnt = any(parameter.grad is not None for parameter in state.network.parameters())
+        if learnt and torch.isfinite(loss) and torch.isfinite(norm):
             state.optimizer.step()
             state.update_average(self.settings.average)
         else:
             state.skipped += 1
-            reporting.warn(f"step {state.step} was skipped: its loss or gradient is not finite.")
+            reporting.warn(
+                f"step {state.step} was skipped: its loss or gradient is not finite, or nothing could be matched."
+            )
         if state.step % self.settings.log_every == 0:
             values = means(processes.gathered([{name: float(term.detach()) for name, term in terms.items()}]))
             if journal is not None:
                 line = {"loss": float(loss.detach()), **values, "norm": float(norm), "skipped": state.skipped}
                 journal.write(state.step, line)
+
+    def _backward(self, job: TrainingJob, batch: TrainingBatch, step: int) -> tuple[dict[str, Tensor], Tensor]:
+        """Terms and their sum, gradients computed; no terms and no gradients for photos that cannot be matched."""
+        try:
+            terms = self._terms(job, batch, step)
+        except MatchingError as error:
+            reporting.warn(f"scenes left out of training: {error}")
+            return {}, torch.zeros(())
+        loss = sum(terms.values())
+        loss.backward()
+        return terms, loss
 
     def _batch(self, data: Dataset, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who draws them."""

@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import invert_rigid, transform_points
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.types import Gaussians, Reconstruction
@@ -26,8 +27,15 @@ class PixelMaps:
 
 
 def pixel_maps(reconstruction: Reconstruction, views: int, image_size: tuple[int, int]) -> PixelMaps:
-    """Undo the view-major, row-major order of pixel-aligned Gaussians."""
-    gaussians = reconstruction.gaussians
+    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a rim) are left out."""
+    gaussians, pixels = reconstruction.gaussians, views * image_size[0] * image_size[1]
+    if gaussians.count < pixels:
+        raise SettingsError(
+            f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the recolor trainer needs "
+            "one that gives every pixel its own."
+        )
+    if gaussians.count > pixels:
+        gaussians = gaussians.select(slice(pixels))
     shape = (gaussians.means.shape[0], views, *image_size)
     colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3).permute(0, 1, 4, 2, 3)
     points = gaussians.means.reshape(*shape, 3)

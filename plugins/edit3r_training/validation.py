@@ -1,5 +1,6 @@
 """Held-out scenes while training: averaged weights measured, a sheet of pictures, the best weights kept."""
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -8,7 +9,8 @@ import numpy as np
 import safetensors.torch
 import torch
 
-from edit3r.errors import RunError
+from edit3r import reporting
+from edit3r.errors import MatchingError, RunError
 from edit3r.interfaces import Dataset, MatchedGeometry, TrainingJob
 from edit3r.training.checkpoint import TrainingState, copied_weights
 from edit3r.training.journal import Journal
@@ -58,21 +60,35 @@ def validate(
         return
     batches = _batches(job.validation_data, shares, batch_size)[processes.rank :: processes.count]
     with averaged_weights(state):
-        answers = [(batch, reconstruct(job, batch)) for batch in batches]
-    maps = [(pixel_maps(r, b.source.count, b.source.image_size), b) for b, r in answers]
+        maps = _maps(job, batches)
     values = means(processes.gathered([_measured(m, b) for m, b in maps]))
+    if not values:
+        reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
+        return
     improved = values["score"] < state.best
     state.best = min(state.best, values["score"])
     if journal is not None:
         journal.write(state.step, values, kind="validation")
-        save_sample_sheet(job.out / "sheets" / f"{state.step:07d}.png", *maps[0])
+        if maps:
+            save_sample_sheet(job.out / "sheets" / f"{state.step:07d}.png", *maps[0])
         if improved:
             keep_best(job.out, state)
 
 
 def means(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Mean of each value; the rows have the same names."""
-    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    """Mean of each value over the rows that have any, which have the same names."""
+    full = [row for row in rows if row]
+    return {name: float(np.mean([row[name] for row in full])) for name in (full[0] if full else ())}
+
+
+def _maps(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[PixelMaps, TrainingBatch]]:
+    """What the network makes of each batch; those that cannot be matched are left out."""
+    found = []
+    for batch in batches:
+        with contextlib.suppress(MatchingError):
+            reconstruction = reconstruct(job, batch)
+            found.append((pixel_maps(reconstruction, batch.source.count, batch.source.image_size), batch))
+    return found
 
 
 class averaged_weights:

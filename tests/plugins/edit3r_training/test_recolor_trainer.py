@@ -9,6 +9,7 @@ import safetensors.torch
 import torch
 from edit3r_training.recolor_trainer import RecolorTrainer
 
+from edit3r.errors import MatchingError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
@@ -87,6 +88,23 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
     assert any("skipped" in warning for warning in report.warnings)
     line = json.loads((tmp_path / "log.jsonl").read_text().splitlines()[0])
     assert line["skipped"] == 1
+
+
+def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
+    class Unmatched:
+        network = torch.nn.Linear(2, 2)
+
+        def __call__(self, views, source=None):
+            raise MatchingError("too little in common")
+
+    job = replace(_job(tmp_path), reconstructor=Unmatched())
+    before = _weights(job)
+    report = Report()
+    with collecting(report):
+        _trainer(steps=2).train(job)
+    assert all(torch.equal(tensor, before[name]) for name, tensor in _weights(job).items())
+    assert any("too little in common" in warning for warning in report.warnings)
+    assert [json.loads(line)["skipped"] for line in (tmp_path / "log.jsonl").read_text().splitlines()] == [1, 2]
 
 
 def test_training_lowers_the_error_it_is_given(tmp_path):

@@ -1,0 +1,34 @@
+import pytest
+import torch
+from edit3r_training.supervision import pixel_maps
+
+from edit3r.errors import SettingsError
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.types import Gaussians, Reconstruction
+
+VIEWS, HEIGHT, WIDTH = 2, 3, 4
+PIXELS = VIEWS * HEIGHT * WIDTH
+
+
+def _reconstruction(count: int) -> Reconstruction:
+    """Gaussian i has the colour i / 100 and the depth i + 1."""
+    number = torch.arange(count, dtype=torch.float32)
+    means = torch.stack((number, number, number + 1), -1)[None]
+    colours = (number / 100)[None, :, None, None].expand(1, count, 1, 3)
+    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
+    return Reconstruction(
+        Gaussians(means, torch.ones(1, count, 3), quats, torch.full((1, count), 0.5), colour_to_dc(colours))
+    )
+
+
+@pytest.mark.parametrize("rim", [0, 5])
+def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_out(rim):
+    maps = pixel_maps(_reconstruction(PIXELS + rim), VIEWS, (HEIGHT, WIDTH))
+    expected = torch.arange(PIXELS, dtype=torch.float32).reshape(1, VIEWS, HEIGHT, WIDTH)
+    assert torch.allclose(maps.colours[:, :, 0], expected / 100, atol=1e-6)
+    assert torch.equal(maps.depths, expected + 1)
+
+
+def test_fewer_gaussians_than_pixels_are_refused():
+    with pytest.raises(SettingsError, match=f"{PIXELS - 1} Gaussians for {PIXELS} pixels"):
+        pixel_maps(_reconstruction(PIXELS - 1), VIEWS, (HEIGHT, WIDTH))
