@@ -17,7 +17,10 @@ from edit3r_refit.renders import FittedGeometry, depths_of, rendered
 from edit3r_refit.scenes import Scene, Workshop, each_scene
 from edit3r_refit.settings import MethodSettings
 
-__all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "takes_depth", "with_geometry"]
+__all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "references_of", "takes_depth"]
+
+ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
+DEPTH = "edits are not conditioned on the fitted depth"
 
 
 class GaussCtrlReconstructor(Reconstructor):
@@ -29,7 +32,6 @@ class GaussCtrlReconstructor(Reconstructor):
     """
 
     class Settings(MethodSettings):
-        references: int = Field(4, ge=1, le=64, description="views, spread evenly, that come first in every edit")
         together: int = Field(
             12, ge=2, description="most views edited in one call, the reference views among them; more need more memory"
         )
@@ -39,6 +41,7 @@ class GaussCtrlReconstructor(Reconstructor):
     ) -> None:
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
+        self._twin: Editor | None = None  # of the editor, to be given other depths; it shares the loaded weights
 
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         return each_scene(self.settings, views, source, request, self._scene)
@@ -59,14 +62,22 @@ class GaussCtrlReconstructor(Reconstructor):
     ) -> Float[Tensor, "view 3 height width"]:
         """All views, a few at a time, the reference views first in every call."""
         self._say_what_is_missing()
-        references = reference_views(views.count, min(self.settings.references, self.settings.together - 1))
+        together = self.settings.together
+        references = reference_views(views.count, min(references_of(self.editor), together - 1))
         images = views.images[0].clone()
-        for chunk in chunks(views.count, references, self.settings.together):
-            around = FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk])
-            editor = with_geometry(self.editor, around) or self.editor
+        for chunk in chunks(views.count, references, together):
+            editor = self._given(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
             answer = edited(editor, views.select(chunk), for_views(request, chunk))
             images[chunk] = answer.images[0]
         return images
+
+    def _given(self, geometry: FittedGeometry) -> Editor:
+        """The editor with the fitted scene in place of its matcher, where it has one; the original keeps its own."""
+        if not takes_depth(self.editor):
+            return self.editor
+        self._twin = self._twin or copy(self.editor)
+        self._twin.matcher = geometry
+        return self._twin
 
     def _say_what_is_missing(self) -> None:
         name, aligns = component_name(self.editor), aligns_views(self.editor)
@@ -75,10 +86,6 @@ class GaussCtrlReconstructor(Reconstructor):
         missing = [text for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH)) if not done]
         if missing:
             warn(f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor 'controlnet-depth' does both.")
-
-
-ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
-DEPTH = "edits are not conditioned on the fitted depth"
 
 
 def aligns_views(editor: Editor) -> bool:
@@ -93,17 +100,13 @@ def takes_depth(editor: Editor) -> bool:
     return matcher is not None and getattr(editor, "matcher", None) is matcher and not own_network
 
 
-def with_geometry(editor: Editor, geometry: FittedGeometry) -> Editor | None:
-    """The same editor, weights shared, with the fitted scene in place of its matcher; None where it has none."""
-    if not takes_depth(editor):
-        return None
-    twin = copy(editor)
-    twin.matcher = geometry
-    return twin
+def references_of(editor: Editor) -> int:
+    """How many views, from the first, the editor's other views look at; 0 for one whose views do not."""
+    return editor.settings.references if aligns_views(editor) else 0
 
 
 def reference_views(count: int, wanted: int) -> list[int]:
-    """`wanted` of `count` views, spread evenly."""
+    """`wanted` of `count` views, spread evenly; [] for none."""
     return sorted(set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist()))
 
 

@@ -18,7 +18,10 @@ class FitSettings(Settings):
     means_rate: float = Field(1.6e-4, ge=0, le=1, description="first step of the centres [extents]")
     means_rate_end: float = Field(1.6e-6, ge=0, le=1, description="last step of the centres [extents]")
     colour_rate: float = Field(
-        0.02, ge=0, le=1, description="step of the constant harmonic, the others 1/20; published 0.0025, for 30000 steps"
+        0.02,
+        ge=0,
+        le=1,
+        description="step of the constant harmonic, the others 1/20; published 0.0025, for 30000 steps",
     )
     opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
     scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")

@@ -151,13 +151,14 @@ def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_refere
         {"matcher": Refusing()},
         model=str(tiny.stable_diffusion()),
         controlnet=str(tiny.controlnet()),
+        references=1,
         steps=2,
         resolution=0,
         local_files_only=True,
     )
     report = Report()
     with collecting(report):
-        recon = edit3r.build("reconstructor", "gaussctrl", {"editor": editor}, **TINY, references=1, together=2)
+        recon = edit3r.build("reconstructor", "gaussctrl", {"editor": editor}, **TINY, together=2)
         result = recon(posed, posed, ASK)
     assert result.gaussians.count > 0 and not [text for text in report.warnings if text.startswith("gaussctrl")]
     assert report.notes["gaussctrl.editor"]["aligns_views"] and report.notes["gaussctrl.editor"]["depth_of_the_fit"]
