@@ -20,14 +20,17 @@ def main(args: argparse.Namespace) -> int:
     from edit3r.registry import default_registry
     from edit3r.reporting import Report, collecting
     from edit3r.training.job import prepare
+    from edit3r.training.processes import is_first_process
 
     values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
     if args.out:
         values = merge(values, {"out": args.out})
-    with StageConsole(quiet=False) as console:
+    first = is_first_process()  # of several that torchrun started, one talks
+    with StageConsole(quiet=not first) as console:
         report = Report(on_event=console)
         with collecting(report), report.stage("train"):
             prepared = prepare(values, default_registry(), resume=args.resume)
             best = prepared.trainer.train(prepared.job)
-    print(f"best checkpoint: {best}")
+    if first:
+        print(f"best checkpoint: {best}")
     return 0

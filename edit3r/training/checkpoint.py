@@ -63,7 +63,7 @@ class TrainingState:
             self.optimizer.load_state_dict(content["optimizer"])
         except (KeyError, RuntimeError, ValueError) as error:
             raise InputError(f"{path}: made for another network or optimiser ({str(error).splitlines()[0]}).") from None
-        self.average = content["average"]
+        self.average = {name: tensor.to(self.average[name].device) for name, tensor in content["average"].items()}
         self.step, self.skipped, self.best = content["step"], content["skipped"], content["best"]
         _restore_random_states(content["random"])
 

@@ -73,12 +73,36 @@ class Processes:
         return any(self.gathered([asked]))
 
 
+def own_device(name: str) -> torch.device:
+    """The torch device of this name; 'cuda' without a number is this process's own GPU on its machine.
+
+    Raises SettingsError when it is not there.
+    """
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise SettingsError(
+            f"trainer.device: no torch device is called {name!r}; expected cpu, cuda or cuda:1."
+        ) from None
+    if device.type == "cuda":
+        index = int(os.environ.get("LOCAL_RANK", "0")) if device.index is None else device.index
+        device = torch.device("cuda", index)
+        if index >= torch.cuda.device_count():
+            raise SettingsError(f"trainer.device: {device} asked for, but {torch.cuda.device_count()} GPUs are there.")
+    return device
+
+
+def is_first_process() -> bool:
+    """Whether this is the only process or the first that torchrun started; known before they are joined."""
+    return os.environ.get("RANK", "0") == "0"
+
+
 @contextmanager
-def joined_processes(device: str = "cpu") -> Iterator[Processes]:
+def joined_processes(device: torch.device | None = None) -> Iterator[Processes]:
     """The processes that `torchrun` started, or this one alone.
 
-    A group that already stands is used and left standing; else one is formed from torchrun's environment (gloo on
-    CPUs, nccl on GPUs) and taken down at the end.
+    A group that already stands is used and left standing; else one is formed from torchrun's environment (nccl for a
+    `device` that is a GPU, else gloo) and taken down at the end.
     """
     if dist.is_available() and dist.is_initialized():
         yield Processes(dist.get_rank(), dist.get_world_size())
@@ -89,7 +113,10 @@ def joined_processes(device: str = "cpu") -> Iterator[Processes]:
     missing = [name for name in ("RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
     if missing:
         raise SettingsError(f"WORLD_SIZE is set but {missing[0]} is not; start several processes with torchrun.")
-    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    on_gpu = device is not None and device.type == "cuda"
+    if on_gpu:
+        torch.cuda.set_device(device)
+    dist.init_process_group("nccl" if on_gpu else "gloo")
     try:
         yield Processes(dist.get_rank(), dist.get_world_size())
     finally:

@@ -1,7 +1,8 @@
 """One training step's data: samples, their edits and their (simulated) matched geometry, stacked."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,12 +30,23 @@ class TrainingBatch:
     geometry: MatchedGeometry | None  # as a matcher would give it; None when the data has no depths
     regimes: tuple[str, ...]
 
+    def to(self, device: torch.device) -> "TrainingBatch":
+        """Everything on another device."""
+        geometry = None if self.geometry is None else replace(self.geometry, **_moved(self.geometry, device))
+        return replace(self, **(_moved(self, device) | {"geometry": geometry}))
+
     def true_centres(self) -> Float[Tensor, "batch gaussian 3"] | None:
         """Surface points of all context pixels, view-major, row-major."""
         if self.depths is None:
             return None
         points = unproject(self.depths, self.source.intrinsics, self.context_cameras.c2w)
         return points.reshape(len(points), -1, 3)
+
+
+def _moved(data: TrainingBatch | MatchedGeometry, device: torch.device) -> dict[str, Any]:
+    """The fields that live on a device, there."""
+    values = {field.name: getattr(data, field.name) for field in fields(data)}
+    return {name: value.to(device) for name, value in values.items() if hasattr(value, "to")}
 
 
 def make_batch(

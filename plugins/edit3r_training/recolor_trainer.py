@@ -16,7 +16,7 @@ from edit3r.errors import MatchingError, SettingsError
 from edit3r.interfaces import Dataset, LossInputs, Trainer, TrainingJob
 from edit3r.training.checkpoint import LAST, TrainingState, copied_weights
 from edit3r.training.journal import Journal
-from edit3r.training.processes import Processes, joined_processes
+from edit3r.training.processes import Processes, joined_processes, own_device
 from edit3r.training.schedule import batch_indices, step_generator, warmup_cosine
 from edit3r.training.stopping import StopRequest
 from edit3r.types import Cameras, Gaussians
@@ -56,6 +56,7 @@ class RecolorTrainer(Trainer):
         validate_every: int = Field(500, ge=1, description="steps between evaluations on held-out scenes")
         checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
         log_every: int = Field(20, ge=1, description="steps between log lines")
+        device: str = Field("cpu", description="where network and batches live; cuda: every process its own GPU")
         threads: int = Field(0, ge=0, description="CPU threads; 0 leaves torch's choice")
 
     def __init__(self, settings: Settings) -> None:
@@ -65,7 +66,10 @@ class RecolorTrainer(Trainer):
         """Train to the last step or until asked to stop; returns the folder of the best weights."""
         if self.settings.threads:
             torch.set_num_threads(self.settings.threads)
-        with joined_processes() as processes, StopRequest() as stop:
+        device = own_device(self.settings.device)
+        with joined_processes(device) as processes, StopRequest() as stop:
+            if job.reconstructor.network is not None:
+                job.reconstructor.network.to(device)
             state = self._state(job, processes)
             journal = Journal(job.out, state.step) if processes.writes else None
             stopped = False
@@ -139,7 +143,8 @@ class RecolorTrainer(Trainer):
         size, seed = self.settings.batch, self.settings.seed
         indices = batch_indices(step, size, len(data), seed, processes.rank, processes.count)
         generators = [step_generator(seed, step, processes.rank * size + slot) for slot in range(size)]
-        return make_batch([data[index] for index in indices], self.settings.regimes, generators)
+        batch = make_batch([data[index] for index in indices], self.settings.regimes, generators)
+        return batch.to(own_device(self.settings.device))
 
     def _terms(self, job: TrainingJob, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""

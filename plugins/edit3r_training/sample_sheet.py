@@ -30,7 +30,7 @@ def save_sample_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: i
         lines.append(torch.cat(pictures, -1))
     sheet = torch.cat(lines, -2).clamp(0, 1).permute(1, 2, 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray((sheet.numpy() * 255).round().astype("uint8")).save(path)
+    Image.fromarray((sheet.cpu().numpy() * 255).round().astype("uint8")).save(path)
 
 
 def _inverse_depth(depths: Tensor, truth: Tensor) -> Tensor:

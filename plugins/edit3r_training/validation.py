@@ -60,7 +60,7 @@ def validate(
         return
     batches = _batches(job.validation_data, shares, batch_size)[processes.rank :: processes.count]
     with averaged_weights(state):
-        maps = _maps(job, batches)
+        maps = _maps(job, [batch.to(_device_of(state)) for batch in batches])
     values = means(processes.gathered([_measured(m, b) for m, b in maps]))
     if not values:
         reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
@@ -105,6 +105,10 @@ class averaged_weights:
     def __exit__(self, *error: object) -> None:
         self.state.network.load_state_dict(self._own)
         self.state.network.train()
+
+
+def _device_of(state: TrainingState) -> torch.device:
+    return next(iter(state.average.values())).device
 
 
 def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[TrainingBatch]:
