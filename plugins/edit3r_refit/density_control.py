@@ -16,7 +16,7 @@ from edit3r.types import Cameras
 from edit3r_refit.cloud import Cloud, Rows
 from edit3r_refit.settings import FitSettings
 
-__all__ = ["Growth", "control", "is_due", "must_reset", "pull_in_picture", "split"]
+__all__ = ["Growth", "control", "is_due", "is_watching", "must_reset", "pull_in_picture", "split"]
 
 CHILDREN = 2
 SHRINKING = 1.6  # a child's scales are its parent's over this
@@ -69,6 +69,12 @@ def is_due(settings: FitSettings, done: int, steps: int) -> bool:
     """Whether Gaussians are added and removed after `done` of `steps` steps."""
     late = done > settings.densify_until * steps
     return done > settings.densify_from and not late and done % settings.densify_every == 0
+
+
+def is_watching(settings: FitSettings, done: int, steps: int) -> bool:
+    """Whether a control is still to come that step `done` tells something for."""
+    last = settings.densify_until * steps
+    return done <= last and settings.densify_from < last
 
 
 def must_reset(settings: FitSettings, done: int, steps: int) -> bool:

@@ -128,7 +128,8 @@ class _Fit:
             loss = photometric_loss(seen, self.pictures.images[view], settings.ssim)
             gradients = self.cloud.gradients(loss)
         self.losses.append(float(loss.detach()))
-        self.growth.add(self.cloud.rows, gradients.means, camera)
+        if density_control.is_watching(settings, step + 1, steps):
+            self.growth.add(self.cloud.rows, gradients.means, camera)
         self.cloud.step(gradients, step_sizes(settings, step, steps, self.extent))
         self._control(step + 1)
 

@@ -3,7 +3,16 @@
 import pytest
 import torch
 from edit3r_refit.cloud import Cloud, Rows
-from edit3r_refit.density_control import CHILDREN, Growth, control, is_due, must_reset, pull_in_picture, split
+from edit3r_refit.density_control import (
+    CHILDREN,
+    Growth,
+    control,
+    is_due,
+    is_watching,
+    must_reset,
+    pull_in_picture,
+    split,
+)
 from edit3r_refit.settings import FitSettings
 
 from edit3r.testing.scenes import broad_gaussians, cameras_around
@@ -84,6 +93,8 @@ def test_when_control_is_due():
     settings = FitSettings(densify_from=100, densify_every=50, densify_until=0.5, reset_every=200)
     assert [d for d in range(1001) if is_due(settings, d, 1000)] == list(range(150, 501, 50))
     assert [d for d in range(1, 1001) if must_reset(settings, d, 1000)] == [200, 400]
+    assert all(is_watching(settings, d, 1000) == (d <= 500) for d in range(1, 1001))
+    assert not is_watching(settings, 10, 200)  # it would be over before it begins
 
 
 def test_the_pull_in_the_picture_is_the_slope_of_moving_sideways():
