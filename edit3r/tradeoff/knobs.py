@@ -63,7 +63,7 @@ def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
 
 
 def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> list[Point]:
-    """The base, every value of each knob alone, and the combinations; `names` restricts all that to some knobs.
+    """The base, the combinations, and every value of each knob alone; `names` restricts all that to some knobs.
 
     With `grid`, every combination of the knobs' values instead. Points with the same settings are measured once.
     """
@@ -72,7 +72,7 @@ def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool 
         choices = [dict(zip(knobs, values)) for values in product(*(knob.values for knob in knobs.values()))]
     else:
         alone = [{name: value} for name, knob in knobs.items() for value in knob.values]
-        choices = [{}, *alone, *(c for c in plan.combinations if set(c) <= set(knobs))]
+        choices = [{}, *(c for c in plan.combinations if set(c) <= set(knobs)), *alone]
     points: list[Point] = []
     for choice in choices:
         point = Point(label=_label(choice), settings=_settings(plan, choice))
