@@ -15,6 +15,7 @@ def register_reconstructors():
             "edit3r_refit.refit:RefitReconstructor",
             "fits Gaussians to the photos, then again to the edited photos or to edited renders; minutes, not one pass",
             parts=_PARTS,
+            min_views=2,
             citation="Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Rendering, SIGGRAPH 2023",
         ),
         Component(
@@ -22,6 +23,7 @@ def register_reconstructors():
             "edit3r_refit.instruct_nerf2nerf:InstructNerf2NerfReconstructor",
             "iterative dataset update: while Gaussians are fitted, one view after the other is edited anew",
             parts=_PARTS,
+            min_views=2,
             citation="Haque et al., Instruct-NeRF2NeRF: Editing 3D Scenes with Instructions, ICCV 2023",
         ),
         Component(
@@ -29,6 +31,7 @@ def register_reconstructors():
             "edit3r_refit.gaussctrl:GaussCtrlReconstructor",
             "edits renders of all views together, aligned by attention (editor controlnet-depth), then fits again",
             parts=_PARTS,
+            min_views=2,
             citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
         ),
         Component(
@@ -36,6 +39,7 @@ def register_reconstructors():
             "edit3r_refit.editsplat:EditSplatReconstructor",
             "edits again from the fused edits of neighbours, trims Gaussians that the edit attends to, fits again",
             parts=_PARTS,
+            min_views=2,
             citation="Lee et al., EditSplat: Multi-View Fusion and Attention-Guided Optimization, CVPR 2025",
         ),
     ]
