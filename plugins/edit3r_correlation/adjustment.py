@@ -16,8 +16,8 @@ from edit3r.geometry.cameras import pixel_rays
 from edit3r_correlation.point_pairs import rays_at
 from edit3r_correlation.procrustes import cross_matrix
 
-MATCH_SPREAD = 0.25
-"""Standard error of a good match [cells]."""
+SPREADS = (1.0, 0.25)
+"""Standard error of a good match [cells]: first a generous one, which sees further, then that of what is left."""
 DOUBTFUL = 2.0
 """Error at which the weight of a match or of a predicted depth falls to a half [its own spread]."""
 HOPELESS = 40.0
@@ -54,6 +54,7 @@ class Adjusted:
     """The best estimate and how well each match fits it."""
 
     estimate: Estimate
+    cost: Float[Tensor, "batch"]
     residuals: Float[Tensor, "batch 2 cell"]  # [cells]; infinite behind the other camera
     information: Float[Tensor, "batch 2 cell"]  # of the matches on log depth [1 / log^2]
 
@@ -73,17 +74,25 @@ class _Linearised:
 
 
 @torch.no_grad()
-def adjust(evidence: Evidence, start: Estimate, rounds: int = 15) -> Adjusted:
-    """Improve `start`; a round that makes the cost higher is taken back and tried again with shorter steps."""
-    current, best = start, _linearise(evidence, start)
+def adjust(evidence: Evidence, start: Estimate, rounds: int = 8) -> Adjusted:
+    """Improve `start`, `rounds` times for each of SPREADS."""
+    found = start
+    for match_spread in SPREADS:
+        found, at = _descend(evidence, found, match_spread, rounds)
+    return Adjusted(found, at.cost, at.residuals, at.information)
+
+
+def _descend(evidence: Evidence, start: Estimate, match_spread: float, rounds: int) -> "tuple[Estimate, _Linearised]":
+    """A round that makes the cost higher is taken back and tried again with shorter steps."""
+    current, best = start, _linearise(evidence, start, match_spread)
     damping = torch.full_like(start.log_scale, 1e-3)
     for _ in range(rounds):
         moved = _moved(current, best, damping)
-        found = _linearise(evidence, moved)
+        found = _linearise(evidence, moved, match_spread)
         better = found.cost < best.cost
         current, best = _where(better, moved, current), _where(better, found, best)
         damping = torch.where(better, damping * 0.3, damping * 10).clamp(1e-6, 1e4)
-    return Adjusted(current, best.residuals, best.information)
+    return current, best
 
 
 def evidence_of(
@@ -117,7 +126,7 @@ def start_at(
     return Estimate(rotation.double(), translation.double(), log_scale, log_depths)
 
 
-def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
+def _linearise(evidence: Evidence, at: Estimate, match_spread: float) -> _Linearised:
     points = evidence.rays * at.log_depths.exp()[..., None]
     turns = torch.stack((at.rotation.transpose(1, 2), at.rotation), 1)  # own camera to the other's
     turned = torch.einsum("bvij,bvnj->bvni", turns, points)
@@ -125,7 +134,7 @@ def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
     there = turned + shift[:, :, None]  # in the other camera's frame
     in_front = there[..., 2] > 1e-3
     z = there[..., 2].clamp(min=1e-3)
-    focal = evidence.focal / MATCH_SPREAD
+    focal = evidence.focal / match_spread
     error = (there[..., :2] / z[..., None] - evidence.seen) * focal
     squared = error.square().sum(-1)
     weights = evidence.weights * in_front / (1 + squared / DOUBTFUL**2)
@@ -152,7 +161,7 @@ def _linearise(evidence: Evidence, at: Estimate) -> _Linearised:
     )
     return _Linearised(
         cost.sum((1, 2)),
-        torch.where(in_front, squared.sqrt() * MATCH_SPREAD, torch.inf),
+        torch.where(in_front, squared.sqrt() * match_spread, torch.inf),
         information,
         pose_matrix,
         pose_vector,
@@ -204,6 +213,14 @@ def _moved(at: Estimate, system: _Linearised, damping: Tensor) -> Estimate:
         at.log_scale + step[:, SCALE],
         at.log_depths + depth_step.clamp(-0.5, 0.5),
     )
+
+
+def best_of(candidates: Adjusted, count: int) -> Adjusted:
+    """The cheapest of `count` successive candidates for each scene."""
+    index = candidates.cost.reshape(-1, count).argmin(1)
+    index = index + count * torch.arange(len(index), device=index.device)
+    found = Estimate(*(value[index] for value in vars(candidates.estimate).values()))
+    return Adjusted(found, candidates.cost[index], candidates.residuals[index], candidates.information[index])
 
 
 def _where(chosen: Tensor, new, old):

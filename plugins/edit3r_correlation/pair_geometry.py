@@ -1,6 +1,7 @@
 """From the network's prediction for pairs of views to poses and depth maps: Procrustes, adjustment, completion."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -8,10 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r_correlation.adjustment import Adjusted, adjust, evidence_of, start_at
+from edit3r_correlation.adjustment import Adjusted, Estimate, Evidence, adjust, best_of, evidence_of, start_at
 from edit3r_correlation.network import PairPrediction
-from edit3r_correlation.point_pairs import pose_by_procrustes
+from edit3r_correlation.point_pairs import cycle_error, pose_by_procrustes
+from edit3r_correlation.procrustes import cross_matrix
 
+TURNS = (-20.0, -7.0, 7.0, 20.0)
+"""Further starts of the adjustment: view 1 gone around the scene by so much [degrees]."""
 REACH = 60.0  # smoothness weight of completion
 COLOUR = 12.0  # 8-bit colour difference at which the smoothness falls to 1/e
 DOUBT = 20.0
@@ -34,24 +38,51 @@ def pair_geometry(
     adjusting: bool = True,
 ) -> PairGeometry:
     """Not differentiable. Without `adjusting` the pose is that of Procrustes and the depths are the predicted ones."""
-    pose = pose_by_procrustes(prediction, intrinsics)
-    confidence = torch.sigmoid(prediction.confidence_logits)
-    evidence = evidence_of(
-        prediction.places, confidence, prediction.log_depths, prediction.log_spread.exp(), intrinsics
-    )
-    start = start_at(evidence, pose.rotation, pose.translation, pose.scale)
-    adjusted = adjust(evidence, start, rounds=15 if adjusting else 0)
-    found = adjusted.estimate
-    shape = confidence.shape
-    prior = evidence.prior + torch.stack((torch.zeros_like(found.log_scale), found.log_scale), 1)[..., None]
+    confidence = torch.sigmoid(prediction.confidence_logits) * torch.exp(-cycle_error(prediction.places).square())
+    adjusted = _adjusted(prediction, confidence, intrinsics) if adjusting else _as_predicted(prediction, intrinsics)
+    found, shape = adjusted.estimate, confidence.shape
     log_depths = found.log_depths.reshape(shape)
     if adjusting:
-        log_depths = _completed(prior.reshape(shape), log_depths, adjusted.information.reshape(shape), images)
+        scale = torch.stack((torch.zeros_like(found.log_scale), found.log_scale), 1)[..., None, None]
+        log_depths = _completed(prediction.log_depths + scale, log_depths, adjusted.information.reshape(shape), images)
     return PairGeometry(
         _matrix(found.rotation, found.translation).to(confidence.dtype),
         log_depths.exp().to(confidence.dtype),
         confidence * _agreement(adjusted).reshape(shape).to(confidence.dtype),
     )
+
+
+def _as_predicted(prediction: PairPrediction, intrinsics: Tensor) -> Adjusted:
+    """Pose by Procrustes, every match taken to agree with it."""
+    pose = pose_by_procrustes(prediction, intrinsics)
+    log_depths = prediction.log_depths.flatten(2).clone()
+    log_depths[:, 1] += pose.scale.log()[:, None]
+    found = Estimate(pose.rotation, pose.translation, pose.scale.log(), log_depths)
+    nothing = torch.zeros_like(log_depths)
+    return Adjusted(found, nothing.sum((1, 2)), nothing, nothing)
+
+
+def _adjusted(prediction: PairPrediction, confidence: Tensor, intrinsics: Tensor) -> Adjusted:
+    """The best of several starts: Procrustes, and turns about the middle of what view 0 sees."""
+    weighted = replace(prediction, confidence_logits=torch.logit(confidence, eps=1e-6))
+    pose = pose_by_procrustes(weighted, intrinsics)
+    depth = prediction.log_depths[:, 0].flatten(1).median(1).values.exp()
+    starts = [(pose.rotation, pose.translation, pose.scale), *(_orbit(turn, depth) for turn in TURNS)]
+    rotations, shifts, scales = (torch.stack(parts, 1).flatten(0, 1) for parts in zip(*starts))
+    evidence = evidence_of(
+        prediction.places, confidence, prediction.log_depths, prediction.log_spread.exp(), intrinsics
+    )
+    count = len(starts)
+    several = Evidence(*(value.repeat_interleave(count, 0) for value in vars(evidence).values()))
+    return best_of(adjust(several, start_at(several, rotations, shifts, scales)), count)
+
+
+def _orbit(degrees: float, depth: Float[Tensor, "batch"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Rotation, translation and depth scale of a view 1 that has gone around a point straight ahead of view 0."""
+    axis = depth.new_tensor([0.0, math.radians(degrees), 0.0])
+    rotation = torch.linalg.matrix_exp(cross_matrix(axis)).expand(len(depth), 3, 3)
+    ahead = depth[:, None] * depth.new_tensor([0.0, 0.0, 1.0])
+    return rotation, ahead - (rotation @ ahead[..., None])[..., 0], torch.ones_like(depth)
 
 
 def _agreement(adjusted: Adjusted) -> Tensor:

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.cameras import pixel_rays
+from edit3r.geometry.cameras import pixel_grid, pixel_rays
 from edit3r_correlation.network import PairPrediction
 from edit3r_correlation.procrustes import Similarity, robust_similarity
 
@@ -47,6 +47,16 @@ def rays_at(
     """Camera-frame vectors with z = 1 through normalised picture coordinates."""
     homogeneous = torch.cat((places, torch.ones_like(places[..., :1])), -1)
     return torch.einsum("bij,bhwj->bhwi", torch.linalg.inv(intrinsics), homogeneous)
+
+
+def cycle_error(places: Float[Tensor, "batch 2 height width 2"]) -> Float[Tensor, "batch 2 height width"]:
+    """How far from its start a cell ends that goes to the other view and back along the matches [cells]."""
+    grid = places.shape[2:4]
+    there = places.flatten(0, 1) * 2 - 1
+    back = places.flip(1).flatten(0, 1).movedim(-1, 1)
+    back = F.grid_sample(back, there, padding_mode="border", align_corners=False).movedim(1, -1)
+    size = places.new_tensor(grid[::-1])
+    return ((back.view_as(places) - pixel_grid(grid, places)) * size).norm(dim=-1)
 
 
 def _sampled(maps: Float[Tensor, "batch height width"], places: Tensor) -> Float[Tensor, "batch height2 width2"]:

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import torch
-from edit3r_correlation.adjustment import Evidence, adjust, evidence_of, start_at
+from edit3r_correlation.adjustment import Evidence, adjust, best_of, evidence_of, start_at
 from edit3r_correlation.procrustes import cross_matrix
 
 from edit3r.geometry.cameras import intrinsics_from_fov, project, unproject
@@ -106,10 +106,22 @@ def test_the_pose_step_is_downhill_along_the_derivative():
     c2w, depths, places = _scene()
     evidence = _evidence(places, depths)
     start = _wrong_start(evidence, c2w, angle=0.02)
-    before = _linearise(evidence, start)
+    before = _linearise(evidence, start, 0.25)
     step = 1e-5
     for axis in range(3):
         turn = torch.linalg.matrix_exp(cross_matrix(step * torch.eye(3)[axis].double()))
-        after = _linearise(evidence, replace(start, rotation=start.rotation @ turn))
+        after = _linearise(evidence, replace(start, rotation=start.rotation @ turn), 0.25)
         # The vector is the gradient of half the robust cost, see `_robust`.
         assert torch.isclose((after.cost - before.cost) / step / 2, before.pose_vector[:, axis], rtol=1e-2)
+
+
+def test_the_cheapest_of_several_starts_is_kept_for_each_scene():
+    c2w, depths, places = _scene()
+    evidence = _evidence(places, depths)
+    good, bad = _wrong_start(evidence, c2w, angle=0.05), _wrong_start(evidence, c2w, angle=3.0)
+    both = Evidence(*(value.repeat_interleave(2, 0) for value in vars(evidence).values()))
+    starts = type(good)(*(torch.cat(pair) for pair in zip(vars(bad).values(), vars(good).values())))
+    candidates = adjust(both, starts)
+    best = best_of(candidates, 2)
+    assert best.cost == candidates.cost.min()
+    assert rotation_angle(best.estimate.rotation, c2w[:, 1, :3, :3].double()) < 1e-3
