@@ -25,6 +25,8 @@ def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str]
 
 
 def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     times = [getattr(p.kinds[kind], clock) for p in points]
     accuracies = [p.kinds[kind].psnr for p in points]
     on_front = front([t.middle for t in times], accuracies)
@@ -43,6 +45,9 @@ def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, pr
             text, (time.middle, accuracy), xytext=(5, 4 if on else -9), textcoords="offset points", fontsize=7,
             color=colour if on or preset else "0.4",
         )  # fmt: skip
-    axis.margins(x=0.15)
+    axis.margins(x=0.2, y=0.1)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: f"{seconds:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right", fontsize=8)

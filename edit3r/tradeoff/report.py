@@ -10,6 +10,7 @@ from edit3r.errors import InputError
 from edit3r.io.run_folder import atomic_write
 from edit3r.tradeoff.figures import Figures, MeasuredPoint, Spread
 from edit3r.tradeoff.front import front
+from edit3r.tradeoff.knobs import BASE
 
 START, END = "<!-- tradeoff: written by edit3r tradeoff --page -->", "<!-- end of tradeoff -->"
 _STAGES = ("reconstruct", "simplify", "refine", "render", "write files")
@@ -96,8 +97,10 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What failed, what was not repeatable, and which perceptual distance it was."""
-    lines = [f"- {m['label']} failed on {m['scene']}: {m['failure']}" for m in measurements if "failure" in m]
+    """What the base is, what failed, what was not repeatable, and which perceptual distance it was."""
+    base = next((m["settings"] for m in measurements if m["label"] == BASE), {})
+    lines = [f"- {BASE}: {', '.join(f'{key} {value}' for key, value in base.items())}; others differ as they say."]
+    lines += [f"- {m['label']} failed on {m['scene']}: {m['failure']}" for m in measurements if "failure" in m]
     lines += [
         f"- {m['label']} on {m['scene']}: repeats did not leave the same scene."
         for m in measurements
@@ -108,7 +111,7 @@ def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
         lines.append(f"- Perceptual distance: the loss {' and '.join(sorted(used))}; smaller is closer.")
     missing = {name: why for m in measurements for name, why in m.get("perceptual_missing", {}).items()}
     lines += [f"- No perceptual distance by {name}: {why}" for name, why in sorted(missing.items())]
-    return ["\n".join(lines)] if lines else []
+    return ["\n".join(lines)]
 
 
 def write_into_page(page: Path, text: str, picture: str | None) -> None:
