@@ -2,8 +2,9 @@ import pytest
 import yaml
 
 from edit3r.errors import SettingsError
-from edit3r.run_config import make_run_config
 from edit3r.tradeoff.knobs import make_points, read_plan
+
+from .settings_check import check_run_settings
 
 PLAN = {
     "base": {"size": 512, "reconstructor": {"name": "one", "planes": 64}},
@@ -58,4 +59,4 @@ def test_a_wrong_knob_is_one_sentence(plan, changes, names, said):
 
 def test_every_point_of_the_shipped_knobs_can_be_run():
     for point in make_points(read_plan()):
-        make_run_config(point.settings)
+        check_run_settings(point.settings)
