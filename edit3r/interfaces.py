@@ -8,7 +8,7 @@ classes are final: compose, do not subclass. Progress, facts for the manifest an
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -163,6 +163,11 @@ class MatchedGeometry:
     depths: Float[Tensor, "batch view height width"]  # camera z > 0, filled where nothing matched
     confidence: Float[Tensor, "batch view height width"]  # in [0, 1]; 0: filled in, not measured
     registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
+    intrinsics: Float[Tensor, "batch view 3 3"] | None = None  # normalised, as read from the photos; None: as given
+
+    def calibrated(self, views: Views) -> Views:
+        """`views` with the intrinsics that this geometry was read with."""
+        return views if self.intrinsics is None else replace(views, intrinsics=self.intrinsics)
 
 
 class Matcher(Configured, ABC):

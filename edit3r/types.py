@@ -50,6 +50,7 @@ class Views(_Tensors):
     intrinsics: Float[Tensor, "batch view 3 3"]  # normalised
     names: tuple[str, ...] = ()  # one per view, for messages and file names; () when unnamed
     c2w: Float[Tensor, "batch view 4 4"] | None = None  # known poses in any common frame; None: not known
+    assumed: tuple[bool, ...] = ()  # per view: nobody knows its intrinsics, they may be estimated; (): all are known
 
     def __post_init__(self) -> None:
         _check("Views.images", self.images, (None, None, 3, None, None))
@@ -59,6 +60,8 @@ class Views(_Tensors):
             raise ValueError(f"Views.names: expected {views} names, got {len(self.names)}")
         if self.c2w is not None:
             _check("Views.c2w", self.c2w, (batch, views, 4, 4))
+        if self.assumed and len(self.assumed) != views:
+            raise ValueError(f"Views.assumed: expected {views} flags, got {len(self.assumed)}")
 
     @property
     def count(self) -> int:
@@ -75,7 +78,8 @@ class Views(_Tensors):
         index = list(indices)
         names = tuple(self.names[i] for i in index) if self.names else ()
         c2w = None if self.c2w is None else self.c2w[:, index]
-        return Views(self.images[:, index], self.intrinsics[:, index], names, c2w)
+        assumed = tuple(self.assumed[i] for i in index) if self.assumed else ()
+        return Views(self.images[:, index], self.intrinsics[:, index], names, c2w, assumed)
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,8 @@ def load_photos(
     intrinsics = torch.stack([frame.follow(i.normalised) for frame, i in zip(frames, found)])
     poses = known_poses(found)
     c2w = None if poses is None else poses[None].float()
-    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w), photos)
+    assumed = tuple(photo.intrinsics_source.startswith("default") for photo in photos)
+    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed), photos)
 
 
 def find_photos(paths: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -220,7 +221,7 @@ def _warn_of_losses(photos: Sequence[Photo]) -> None:
     if guessed:
         warn(
             f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across the longer side are "
-            "assumed; --fov or --cameras tells better."
+            "assumed unless the photos themselves tell; --fov or --cameras tells better."
         )
     first: dict[str, str] = {}
     for photo in photos:

@@ -10,13 +10,14 @@ from torch import Tensor
 
 from edit3r import config, reporting
 from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import to_pixels
+from edit3r.geometry.cameras import from_pixels, to_pixels
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.types import Views
+from edit3r_classical.calibration import calibrate
 from edit3r_classical.camera import Picture
 from edit3r_classical.dense import ViewDepth, dense_depth
 from edit3r_classical.filling import upsample
-from edit3r_classical.registration import Registration, RegistrationOptions, register
+from edit3r_classical.registration import FoundFeatures, Registration, RegistrationOptions, find_features, register
 
 __all__ = ["ClassicalMatcher"]
 
@@ -49,6 +50,9 @@ class ClassicalMatcher(Matcher):
         threshold: float = Field(
             1.0, gt=0, le=10, description="distance from the epipolar line that agrees [pixels at a long side of 256]"
         )
+        calibrate: bool = Field(
+            True, description="read the field of view from the photos where neither EXIF nor the user tells it"
+        )
         seed: int = Field(0, ge=0, description="seed of the robust estimates")
 
     def __init__(self, settings: Settings) -> None:
@@ -64,17 +68,24 @@ class ClassicalMatcher(Matcher):
                 f"give photos of at least {MIN_SIZE} pixels a side."
             )
         scenes = [self._match_scene(views, scene) for scene in range(views.images.shape[0])]
-        return MatchedGeometry(*(torch.stack(field).to(views.images.device) for field in zip(*scenes)))
+        *measured, intrinsics = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        return MatchedGeometry(*measured, intrinsics if self._reads_fov(views) else None)
 
-    def _match_scene(self, views: Views, scene: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Poses, depths, confidence and registered flags of one scene."""
+    def _reads_fov(self, views: Views) -> bool:
+        """Whether the field of view is to be read from the photos: where none of them knows its own."""
+        return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
+
+    def _match_scene(self, views: Views, scene: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Poses, depths, confidence, registered flags and intrinsics of one scene."""
         chosen = self.settings
         photos = _pictures(views, scene)
         names = views.names or tuple(f"view {index}" for index in range(views.count))
         options = RegistrationOptions(
             chosen.keypoints, chosen.detection_size, chosen.ratio, chosen.threshold, chosen.seed
         )
-        registration = register(photos, names, options)
+        features = find_features(photos, options)
+        photos = self._calibrated(photos, features, views)
+        registration = register(photos, names, features, options)
         _report(registration, names)
         small = [_reduced(photo, chosen.working_size) for photo in photos]
         depths = dense_depth(small, registration, chosen.neighbours, chosen.planes)
@@ -82,7 +93,19 @@ class ClassicalMatcher(Matcher):
         like = views.images
         c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in registration.poses])).to(like.dtype)
         inverse, confidence = (torch.from_numpy(np.stack(part)).to(like.dtype) for part in zip(*maps))
-        return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered)
+        intrinsics = from_pixels(torch.from_numpy(np.stack([photo.intrinsics for photo in photos])), views.image_size)
+        return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered), intrinsics.to(like.dtype)
+
+    def _calibrated(self, photos: Sequence[Picture], features: FoundFeatures, views: Views) -> Sequence[Picture]:
+        """The photos with a field of view read from their matches, where they have enough."""
+        if not self._reads_fov(views):
+            return photos
+        pairs = {(a, b): features.matches(photos, a, b) for a, b in features.indices}
+        read = calibrate(photos, pairs, self.settings.threshold, self.settings.seed)
+        if read is None:
+            return photos
+        reporting.note("matcher.fov", round(read.fov, 1))
+        return [_with_fov(photo, read.fov) for photo in photos]
 
 
 def _pictures(views: Views, scene: int) -> list[Picture]:
@@ -90,6 +113,14 @@ def _pictures(views: Views, scene: int) -> list[Picture]:
     images = views.images[scene].detach().permute(0, 2, 3, 1).cpu().float().numpy()
     intrinsics = to_pixels(views.intrinsics[scene].detach().double().cpu(), views.image_size).numpy()
     return [Picture(np.ascontiguousarray(image), matrix) for image, matrix in zip(images, intrinsics)]
+
+
+def _with_fov(photo: Picture, fov: float) -> Picture:
+    """The photo through a lens with a field of view of `fov` [degrees] across its longer side."""
+    focal = 0.5 * max(photo.size) / np.tan(np.radians(fov) / 2)
+    intrinsics = photo.intrinsics.copy()
+    intrinsics[0, 0] = intrinsics[1, 1] = focal
+    return Picture(photo.image, intrinsics)
 
 
 def _reduced(photo: Picture, working_size: int) -> Picture:

@@ -1,5 +1,6 @@
 """The reconstructor `classical`: measured depth, one Gaussian a pixel."""
 
+import torch
 from pydantic import Field
 
 from edit3r import config
@@ -9,7 +10,7 @@ from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_classical.apron import apron
 from edit3r_classical.backdrop import backdrop
 from edit3r_classical.splatting import splat
-from edit3r_classical.visibility import floats_in_front
+from edit3r_classical.visibility import floats_in_front, shown_elsewhere
 
 __all__ = ["ClassicalReconstructor"]
 
@@ -26,6 +27,9 @@ class ClassicalReconstructor(Reconstructor):
         footprint: float = Field(0.35, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
         opacity: float = Field(0.6, gt=0, le=1, description="opacity where two views measured the depth")
         guessed_opacity: float = Field(0.45, ge=0, le=1, description="opacity where the depth was filled in")
+        lone_opacity: float = Field(
+            0.8, ge=0, le=1, description="opacity of filled-in pixels whose place no other photo shows"
+        )
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
@@ -40,8 +44,10 @@ class ClassicalReconstructor(Reconstructor):
 
     def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
         geometry = self.matcher.match(views if source is None else source)
+        views = geometry.calibrated(views)
         chosen = self.settings
-        opacities = chosen.guessed_opacity + (chosen.opacity - chosen.guessed_opacity) * geometry.confidence
+        guessed = torch.where(shown_elsewhere(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
+        opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
         kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
         gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))

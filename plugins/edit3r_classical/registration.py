@@ -17,7 +17,7 @@ from edit3r_classical.features import Keypoints, detect, match
 from edit3r_classical.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose
 from edit3r_classical.triangulation import parallax_degrees, triangulate
 
-__all__ = ["PairView", "Registration", "register"]
+__all__ = ["FoundFeatures", "PairView", "Registration", "RegistrationOptions", "find_features", "register"]
 
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
@@ -76,13 +76,35 @@ class RegistrationOptions:
     seed: int
 
 
-def register(photos: Sequence[Picture], names: Sequence[str], options: RegistrationOptions) -> Registration:
+@dataclass(frozen=True)
+class FoundFeatures:
+    """Features of every photo, and which of them look alike."""
+
+    keypoints: tuple[Keypoints, ...]
+    indices: dict[tuple[int, int], np.ndarray]  # (a, b) with a < b: [N, 2] keypoints of the first and second photo
+
+    def matches(self, photos: Sequence[Picture], a: int, b: int) -> Matches:
+        """What photos a and b have in common, as rays of their cameras."""
+        indices = self.indices[a, b]
+        points = (self.keypoints[view].points[indices[:, side]] for side, view in enumerate((a, b)))
+        return _as_matches(photos[a], photos[b], *points)
+
+
+def find_features(photos: Sequence[Picture], options: RegistrationOptions) -> FoundFeatures:
+    """Detect features and match every two photos; needs no intrinsics."""
+    keypoints = tuple(detect(photo.image, options.keypoints, options.detection_size) for photo in photos)
+    every = combinations(range(len(photos)), 2)
+    return FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], options.ratio) for a, b in every})
+
+
+def register(
+    photos: Sequence[Picture], names: Sequence[str], features: FoundFeatures, options: RegistrationOptions
+) -> Registration:
     """Place the photos. Raises MatchingError with the reason when view 0 cannot be placed with any other."""
-    keypoints = [detect(photo.image, options.keypoints, options.detection_size) for photo in photos]
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
-    for a, b in combinations(range(len(photos)), 2):
-        found = _pair(photos[a], photos[b], keypoints[a], keypoints[b], options)
+    for (a, b), indices in features.indices.items():
+        found = _pair(features.matches(photos, a, b), indices, max(*photos[a].size, *photos[b].size), options)
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
@@ -92,7 +114,7 @@ def register(photos: Sequence[Picture], names: Sequence[str], options: Registrat
         reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
         raise MatchingError(f"the photos could not be placed relative to each other ({reasons}). {_ADVICE}")
     pair, (_, partner) = max(first, key=lambda item: _usefulness(item[0]))
-    placing = _Placing(photos, keypoints, pairs, options)
+    placing = _Placing(photos, features.keypoints, pairs, options)
     placing.start(partner, pair)
     placing.place_the_rest()
     return placing.result()
@@ -101,11 +123,9 @@ def register(photos: Sequence[Picture], names: Sequence[str], options: Registrat
 _ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
 
 
-def _pair(a: Picture, b: Picture, keys_a: Keypoints, keys_b: Keypoints, options: RegistrationOptions) -> PairView | str:
-    """The pair's epipolar geometry, or the reason why there is none."""
-    indices = match(keys_a, keys_b, options.ratio)
-    matches = _as_matches(a, b, keys_a.points[indices[:, 0]], keys_b.points[indices[:, 1]])
-    threshold = options.threshold * max(*a.size, *b.size) / 256
+def _pair(matches: Matches, indices: np.ndarray, longest: int, options: RegistrationOptions) -> PairView | str:
+    """The pair's epipolar geometry, or the reason why there is none; `longest` is the photos' longest side [pixels]."""
+    threshold = options.threshold * longest / 256
     found = estimate_pose(matches, threshold, options.seed)
     if found is None or found.log_false_alarms > -MIN_LOG_EVIDENCE or found.inliers.sum() < MIN_INLIERS:
         agreeing = 0 if found is None else int(found.inliers.sum())

@@ -5,6 +5,7 @@ explains most matches with points in front of both cameras wins. Whether that co
 (Moisan and Stival 2004): how many such agreements would matches thrown at random give?
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ from scipy.special import gammaln
 from edit3r_classical.camera import Pose, cross_matrix
 from edit3r_classical.triangulation import triangulate
 
-__all__ = ["Matches", "TwoViewPose", "estimate_pose"]
+__all__ = ["Matches", "TwoViewPose", "estimate_pose", "refine", "rough_pose", "signed_support"]
 
 MIN_INLIERS = 12
 _METHODS = (cv2.USAC_MAGSAC, cv2.USAC_ACCURATE)
@@ -52,7 +53,7 @@ def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose 
         return None
     candidates = _essential_candidates(matches, threshold, seed)
     candidates.sort(key=lambda pose: _support(matches, pose, threshold)[0], reverse=True)
-    refined = [_refine(matches, pose, threshold) for pose in candidates[:_REFINED_CANDIDATES]]
+    refined = [refine(matches, pose, threshold) for pose in candidates[:_REFINED_CANDIDATES]]
     # The epipolar geometry does not tell the sign of the translation; points in front of both cameras do.
     signed = [Pose(pose.rotation, sign * pose.translation) for pose in refined for sign in (1, -1)]
     scored = [(*_support(matches, pose, threshold, in_front=True), pose) for pose in signed]
@@ -62,12 +63,33 @@ def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose 
     return TwoViewPose(pose, inliers, _log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold))
 
 
-def _essential_candidates(matches: Matches, threshold: float, seed: int) -> list[Pose]:
+def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
+    """The pose by one robust estimate alone, refined, up to the sign of its translation; None where there is none."""
+    if len(matches) < MIN_INLIERS:
+        return None
+    candidates = _essential_candidates(matches, threshold, seed, _METHODS[:1], (1.0,))
+    return refine(matches, candidates[0], threshold) if candidates else None
+
+
+def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
+    """Score of `pose` with the sign of its translation for which more points lie in front of both cameras."""
+    return max(
+        _support(matches, Pose(pose.rotation, sign * pose.translation), threshold, in_front=True)[0] for sign in (1, -1)
+    )
+
+
+def _essential_candidates(
+    matches: Matches,
+    threshold: float,
+    seed: int,
+    methods: Sequence[int] = _METHODS,
+    factors: Sequence[float] = _THRESHOLD_FACTORS,
+) -> list[Pose]:
     """Robust estimates by several methods and thresholds; each finds the truth on some photos the others miss."""
     points_a, points_b = (np.ascontiguousarray(rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
     poses = []
-    for method in _METHODS:
-        for factor in _THRESHOLD_FACTORS:
+    for method in methods:
+        for factor in factors:
             cv2.setRNGSeed(seed)
             limit = factor * threshold / matches.focal
             try:
@@ -100,7 +122,7 @@ def _support(matches: Matches, pose: Pose, threshold: float, in_front: bool = Fa
     return float((1 - (errors[inliers] / threshold) ** 2).sum()), inliers
 
 
-def _refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
+def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
     """Minimise the robust Sampson error over rotation and translation direction, reselecting inliers in between."""
     for _ in range(_REFINEMENT_ROUNDS):
         near = np.abs(sampson_errors(matches, pose)) < 2 * threshold

@@ -1,4 +1,4 @@
-"""Which guessed pixels contradict what another view saw."""
+"""What the other views say of a pixel: whether they show its place, and whether they contradict its depth."""
 
 import torch
 import torch.nn.functional as F
@@ -8,7 +8,7 @@ from torch import Tensor
 from edit3r.geometry.cameras import project, unproject
 from edit3r.interfaces import MatchedGeometry
 
-__all__ = ["floats_in_front"]
+__all__ = ["floats_in_front", "shown_elsewhere"]
 
 _MARGIN = 0.03
 """Relative difference in depth by which a pixel must stand before a surface to hide it."""
@@ -29,6 +29,22 @@ def floats_in_front(
                 hides &= geometry.registered[:, other, None, None]
                 floating[:, view] |= hides
     return floating & guessed
+
+
+def shown_elsewhere(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Pixels whose place lies in the picture of another registered view, hidden there or not."""
+    points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
+    shown = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
+    views = geometry.depths.shape[1]
+    for view in range(views):
+        for other in range(views):
+            if other != view:
+                places, depth = project(points[:, view], intrinsics[:, other], geometry.c2w[:, other])
+                inside = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
+                shown[:, view] |= inside & geometry.registered[:, other, None]
+    return shown.view(geometry.depths.shape)
 
 
 def _before(

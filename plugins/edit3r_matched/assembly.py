@@ -23,9 +23,10 @@ VISIBLE_CHANGE = 0.05
 class AssemblySettings:
     """How matched geometry becomes Gaussians before the network's corrections."""
 
-    footprint: float = 0.5  # standard deviation [pixels]
-    opacity: float = 0.7  # of measured points; below 1 so that the views blend
-    filled_opacity: float = 0.6  # of filled-in points
+    footprint: float = 0.35  # standard deviation [pixels]
+    opacity: float = 0.6  # of measured points; below 1 so that the views blend
+    filled_opacity: float = 0.45  # of filled-in points
+    lone_opacity: float = 0.8  # of filled-in points whose place the partner does not show
     floating_opacity: float = 0.02  # of filled-in points in front of what the partner surely sees
     fuse_edits: bool = True  # False: every view shows its own edited colours
 
@@ -79,7 +80,8 @@ def _at_photo_size(outputs: NetworkOutputs, photos: Tensor) -> NetworkOutputs:
 def _opacity_logits(geometry: MatchedGeometry, matches: Correspondence, settings: AssemblySettings) -> Tensor:
     """Honest start: less for filled-in points, next to nothing for those that float in front of the partner's."""
     filled = geometry.confidence < 0.5
-    opacity = torch.where(filled, settings.filled_opacity, settings.opacity)
+    guessed = torch.where(matches.inside.bool(), settings.filled_opacity, settings.lone_opacity)
+    opacity = torch.where(filled, guessed, settings.opacity)
     seen = pull(geometry.confidence[:, partners(filled.shape[1]), None], matches.places, mode="nearest")[:, :, 0]
     floating = filled & (matches.depth_ratio < -0.03) & (seen > 0.5)
     return torch.logit(torch.where(floating, settings.floating_opacity, opacity))

@@ -44,6 +44,9 @@ class Edit3rReconstructor(Reconstructor):
         opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
         opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where two views measured the depth")
         filled_opacity: float = Field(0.45, gt=0, lt=1, description="before correction, where the depth was filled in")
+        lone_opacity: float = Field(
+            0.8, gt=0, lt=1, description="before correction, where it was filled in and no other photo shows the place"
+        )
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
@@ -80,6 +83,7 @@ class Edit3rReconstructor(Reconstructor):
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
+        views, source = geometry.calibrated(views), geometry.calibrated(source)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
             return self._with_surroundings(reconstruction, source, geometry)
@@ -94,6 +98,7 @@ class Edit3rReconstructor(Reconstructor):
             self.settings.footprint,
             self.settings.opacity,
             self.settings.filled_opacity,
+            self.settings.lone_opacity,
             fuse_edits=self.settings.fuse_edits,
         )
         reconstruction = assemble(views, source, unit_geometry, outputs, settings)

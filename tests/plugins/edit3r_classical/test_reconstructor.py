@@ -5,7 +5,7 @@ import torch
 from edit3r_classical.apron import apron
 from edit3r_classical.backdrop import backdrop
 from edit3r_classical.splatting import splat
-from edit3r_classical.visibility import floats_in_front
+from edit3r_classical.visibility import floats_in_front, shown_elsewhere
 
 import edit3r
 from edit3r import Cameras, Views
@@ -96,7 +96,10 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     settings = build(geometry).settings
     opacities = build(geometry, apron=0, backdrop=0)(pair.views).gaussians.opacities
     assert gaussians.count == half.numel()
-    assert opacities.unique().tolist() == pytest.approx([settings.guessed_opacity, settings.opacity])
+    expected = [settings.guessed_opacity, settings.opacity, settings.lone_opacity]
+    assert opacities.unique().tolist() == pytest.approx(expected)
+    shown = shown_elsewhere(geometry, pair.views.intrinsics)
+    assert opacities[0].view(half.shape)[shown & (half == 0)].unique().tolist() == pytest.approx(expected[:1])
 
 
 def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
