@@ -22,6 +22,7 @@ from edit3r.training.stopping import StopRequest
 from edit3r.types import Cameras, Gaussians
 from edit3r_training.batches import TrainingBatch, make_batch
 from edit3r_training.edit_regimes import RegimeShares
+from edit3r_training.geometric_reference import GeometricReference
 from edit3r_training.supervision import (
     colour_error,
     depth_error,
@@ -61,6 +62,7 @@ class RecolorTrainer(Trainer):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self._reference = GeometricReference()
 
     def train(self, job: TrainingJob) -> Path:
         """Train to the last step or until asked to stop; returns the folder of the best weights."""
@@ -92,6 +94,7 @@ class RecolorTrainer(Trainer):
         torch.manual_seed(self.settings.seed)
         network.train()
         processes.share_weights(network)
+        self._reference = GeometricReference.of_start(job)  # before a resumed run's weights are read
         optimizer = torch.optim.AdamW(
             network.parameters(), lr=self.settings.lr, betas=(0.9, 0.95), weight_decay=self.settings.weight_decay
         )
@@ -170,7 +173,7 @@ class RecolorTrainer(Trainer):
         first = batch.source.count if not self.settings.render_context else int(dropped)
         cameras, pictures = _seen(batch, first)
         rendered = job.rasterizer.render(shown, cameras).images
-        inputs = LossInputs(rendered, pictures, gaussians, _reference(batch, gaussians))
+        inputs = LossInputs(rendered, pictures, gaussians, self._reference(batch, gaussians))
         return {name: weight * loss(inputs) for name, (weight, loss) in job.losses.items()}
 
 
@@ -184,18 +187,3 @@ def _seen(batch: TrainingBatch, first: int) -> tuple[Cameras, Tensor]:
         context.image_size,
     )
     return cameras, torch.cat((batch.truth[:, first:], batch.target), 1)
-
-
-def _reference(batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
-    """The prediction moved onto the true surface: what the geometry losses pull towards."""
-    centres = batch.true_centres()
-    if centres is None or centres.shape != gaussians.means.shape:
-        return None
-    return Gaussians(
-        centres,
-        gaussians.scales.detach(),
-        gaussians.quats.detach(),
-        gaussians.opacities.detach(),
-        gaussians.harmonics.detach(),
-        gaussians.view_index,
-    )

@@ -1,0 +1,84 @@
+from dataclasses import replace
+
+import torch
+from edit3r_training.batches import make_batch
+from edit3r_training.edit_regimes import RegimeShares
+from edit3r_training.geometric_reference import GeometricReference
+from edit3r_training.recolor_trainer import RecolorTrainer
+
+from edit3r.registry import build
+from edit3r.testing.trainer import _tiny_job as tiny_job
+from edit3r.training.schedule import step_generator
+
+
+class WithoutDepths:
+    """The formula scenes as photos are: nobody knows their depths."""
+
+    def __init__(self, data) -> None:
+        self.data = data
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, index: int):
+        return replace(self.data[index], context_depths=None)
+
+
+class MovingReconstructor:
+    """Puts the tiny job's Gaussians at a depth that is learned."""
+
+    def __init__(self, inner) -> None:
+        self.inner, self.network = inner, torch.nn.Linear(1, 1)
+
+    def __call__(self, views, source=None):
+        answer = self.inner(views, source)
+        means = answer.gaussians.means * (1 + self.network.weight * 0.1)
+        return replace(answer, gaussians=replace(answer.gaussians, means=means))
+
+
+def _job(out, depths: bool):
+    job = tiny_job(out)
+    data = job.train_data if depths else WithoutDepths(job.train_data)
+    reconstructor = MovingReconstructor(job.reconstructor)
+    losses = {"center": (1.0, build("loss", "center", beta=0.1))}
+    return replace(job, train_data=data, validation_data=None, reconstructor=reconstructor, losses=losses)
+
+
+def _batch(job):
+    return make_batch([job.train_data[0]], RegimeShares(), [step_generator(0, 0, 0)])
+
+
+def test_true_depths_are_the_reference_where_there_are_any(tmp_path):
+    job = _job(tmp_path, depths=True)
+    reference, batch = GeometricReference.of_start(job), _batch(job)
+    gaussians = job.reconstructor(batch.edited).gaussians
+    assert reference.frozen is None
+    assert torch.equal(reference(batch, gaussians).means, batch.true_centres())
+
+
+def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(tmp_path):
+    job = _job(tmp_path, depths=False)
+    reference, batch = GeometricReference.of_start(job), _batch(job)
+    start = job.reconstructor(batch.source).gaussians.means.detach()
+    with torch.no_grad():
+        job.reconstructor.network.weight.add_(1)
+    moved = job.reconstructor(batch.edited).gaussians
+    held = reference(batch, moved).means
+    assert torch.equal(held, start) and not held.requires_grad
+    assert not torch.allclose(held, moved.means)
+
+
+def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference(tmp_path):
+    """Resumed after half of the steps, the reference is still the network before the first."""
+
+    def weights(name: str, *steps_and_resume) -> torch.Tensor:
+        for steps, resume in steps_and_resume:
+            torch.manual_seed(0)
+            job = replace(_job(tmp_path / name, depths=False), resume=resume)
+            shared = {"batch": 1, "warmup": 100, "colour": 0, "weight_decay": 1, "lr": 0.1}
+            RecolorTrainer(RecolorTrainer.Settings(steps=steps, **shared)).train(job)
+        return job.reconstructor.network.weight.detach()
+
+    straight = weights("straight", (4, False))
+    resumed = weights("resumed", (2, False), (4, True))
+    assert torch.equal(straight, resumed)
