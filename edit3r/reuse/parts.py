@@ -48,7 +48,7 @@ class RememberingMatcher(_Remembering, Matcher):
             "match",
             self._key("match", views),
             lambda: self.remembers.match(views),
-            lambda geometry: (dict(vars(geometry)), {}),
+            lambda geometry: ({name: value for name, value in vars(geometry).items() if value is not None}, {}),
             lambda tensors, _: MatchedGeometry(**_on(views.images, tensors)),
         )
 

@@ -51,7 +51,7 @@ def save_state(root: Path, state: SceneState) -> None:
     if state.photos.c2w is not None:
         tensors["known.c2w"] = state.photos.c2w
     facts |= {"names": list(state.photos.names), "prompts": list(state.prompts), "drawn": asdict(state.drawn)}
-    facts |= {"reconstructor": state.reconstructor}
+    facts |= {"reconstructor": state.reconstructor, "assumed": list(state.photos.assumed)}
     facts |= {"path_size": list(state.path.image_size), "records": [asdict(record) for record in state.records]}
     key = fingerprint([tensors[name] for name in sorted(tensors)])
     (root / FOLDER).mkdir(exist_ok=True)
@@ -81,7 +81,8 @@ def load_state(root: str | Path) -> SceneState:
 def _state(entry: Entry, root: Path) -> SceneState:
     tensors, facts = dict(entry.tensors), entry.facts
     lens, known, names = tensors.pop("lens"), tensors.pop("known.c2w", None), tuple(facts["names"])
-    photos, edited = (Views(_unit(tensors.pop(name)), lens, names, known) for name in ("photos", "edited"))
+    assumed = tuple(facts["assumed"])
+    photos, edited = (Views(_unit(tensors.pop(name)), lens, names, known, assumed) for name in ("photos", "edited"))
     path = Cameras(tensors.pop("path.c2w"), tensors.pop("path.intrinsics"), tuple(facts["path_size"]))
     scene = unpack_reconstruction(tensors, facts)
     records = tuple(_record(record) for record in facts["records"])
