@@ -53,7 +53,7 @@ def test_every_claim_of_the_contract_is_tried():
 def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     """The editor inverts; a scene fitted to its edits is nearer to the inverted photos than to the photos."""
     inverted = edit3r.Views(1 - posed.images, posed.intrinsics)
-    fast = {"steps": 30, "edit_steps": 60, "colour_rate": 0.1, "densify_until": 0.0}
+    fast = {"steps": 12, "edit_steps": 36, "colour_rate": 0.15, "densify_until": 0.0}
     settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(method, {})
     result = build(method, **fast, **settings)(inverted, posed, ASK)
     seen = rasterizer.render(result.gaussians, result.cameras).images
