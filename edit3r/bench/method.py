@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from edit3r.config import PartChoice, Settings, make_settings
+from edit3r.config import PartChoice, Settings, make_settings, merge
 from edit3r.errors import SettingsError
 
 __all__ = ["InstrumentSettings", "Method", "read_methods"]
@@ -53,8 +53,10 @@ class InstrumentSettings(Settings):
     lpips: bool = Field(False, description="LPIPS against the truth; needs the extra lpips")
 
 
-def read_methods(values: Mapping[str, Any]) -> tuple[Method, ...]:
-    """The `methods` of a configuration; labels must differ."""
+def read_methods(
+    values: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]] | None = None
+) -> tuple[Method, ...]:
+    """The `methods` of a configuration; `changes` are settings by label. Labels must differ."""
     entries = values.get("methods")
     if set(values) - {"methods"} or not isinstance(entries, list) or not entries:
         raise SettingsError("a benchmark configuration has one key, 'methods', with a list of at least one method.")
@@ -63,7 +65,27 @@ def read_methods(values: Mapping[str, Any]) -> tuple[Method, ...]:
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
         raise SettingsError(f"methods: two are called {twice!r}; give each its own label.")
-    return methods
+    unknown = sorted(set(changes or {}) - set(labels))
+    if unknown:
+        raise SettingsError(f"--set {unknown[0]}: no such method in the configuration; it has {', '.join(labels)}.")
+    return tuple(_changed(method, (changes or {}).get(method.label, {})) for method in methods)
+
+
+def _changed(method: Method, change: Mapping[str, Any]) -> Method:
+    """`method` with settings laid over; a component given by another name starts without the old one's settings."""
+    if not change:
+        return method
+    values = method.model_dump()
+    for key, value in change.items():
+        choice = isinstance(value, Mapping) and isinstance(values.get(key), Mapping)
+        values[key] = merge(values[key], _settings_of(value)) if choice else value
+    return make_settings(Method, values, where=method.label)
+
+
+def _settings_of(choice: Mapping[str, Any]) -> dict[str, Any]:
+    """`{name: ..., width: 3}` as `{name: ..., settings: {width: 3}}`."""
+    named = {"name": choice["name"]} if "name" in choice else {}
+    return {**named, "settings": {key: value for key, value in choice.items() if key != "name"}}
 
 
 _DEFAULTS = {"editor": "oracle", "reconstructor": "edit3r"}

@@ -16,7 +16,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--editor", metavar="NAME", help="2D editor; 'oracle' is the offline stand-in that knows the truth (default)")
     add("--recon", metavar="NAME", help="reconstructor (default edit3r)")
     add("--rasterizer", metavar="NAME", help="draws the pictures that are measured (default auto)")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as editor.disagreement=0.3, poses=false")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="such as poses=false; LABEL.poses=... with --config",
+    )
     add("--scenes", type=int, metavar="N", help="only the first N scenes")
     add("--edits", type=int, metavar="N", help="only the first N edits of each scene")
     add("--types", metavar="A,B", help="only edits of these types: Add, Remove, Modify, Global")
@@ -85,9 +91,9 @@ def _methods(args: argparse.Namespace) -> tuple:
             if isinstance(values.get(key), dict):
                 values[key] = {"name": name, **values[key]}
         return (make_settings(Method, values, where="method"),)
-    if flags or changes:
-        raise SettingsError("--config says which methods are run; leave out --editor, --recon, --rasterizer and --set.")
-    methods = read_methods(read_yaml(find_config(args.config)))
+    if flags:
+        raise SettingsError("--config says which methods are run; leave out --editor, --recon and --rasterizer.")
+    methods = read_methods(read_yaml(find_config(args.config)), changes)
     unknown = set(args.only) - {method.label for method in methods}
     if unknown:
         listed = ", ".join(method.label for method in methods)
