@@ -16,8 +16,8 @@ _HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see doc
 class Expected(Settings):
     """What a point took and gave on one kind of scene."""
 
-    seconds: float = Field(gt=0, description="of all stages of a run without an editor, by the stated clock")
-    seconds_least: float = Field(gt=0, description="quickest of the repeats, mean over the scenes")
+    seconds: float = Field(gt=0, description="all stages of a run without an editor, quickest repeats; mean of scenes")
+    seconds_middle: float = Field(gt=0, description="middle of the repeats, mean over the scenes")
     seconds_most: float = Field(gt=0, description="slowest of the repeats, mean over the scenes")
     memory_mb: float = Field(gt=0, description="peak of the process [MiB]")
     start_memory_mb: float = Field(ge=0, description="of which before anything was made [MiB]")

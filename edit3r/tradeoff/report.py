@@ -43,14 +43,14 @@ def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str,
     return (
         f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; {versions}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1]))) if days else 'nothing measured'}{busy}{shared}. "
-        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time."
+        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat."
     )
 
 
 def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> str:
-    rows = sorted(points, key=lambda p: getattr(p.kinds[kind], clock).middle)
+    rows = sorted(points, key=lambda p: p.kinds[kind].seconds(clock))
     figures = [point.kinds[kind] for point in rows]
-    on_front = front([getattr(f, clock).middle for f in figures], [f.psnr for f in figures])
+    on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in _STAGES if any(name in f.stages for f in figures)]
     titles = ["setting", "preset", "front", "processor s", "wall s", *(f"{s} s" for s in stages), "peak MiB"]
     titles += [

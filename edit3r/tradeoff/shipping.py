@@ -41,8 +41,8 @@ def _rest(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
 
 def _expected(figures: Figures, seconds: Spread) -> Expected:
     return Expected(
-        seconds=round(seconds.middle, 3),
-        seconds_least=round(seconds.least, 3),
+        seconds=round(seconds.least, 3),
+        seconds_middle=round(seconds.middle, 3),
         seconds_most=round(seconds.most, 3),
         memory_mb=round(figures.memory_mb),
         start_memory_mb=round(figures.start_memory_mb),

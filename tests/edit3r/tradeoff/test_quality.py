@@ -14,7 +14,7 @@ def point(label, seconds, psnr, count, memory, preset=None, **settings):
     kinds = {
         kind: {
             "seconds": seconds * slower,
-            "seconds_least": seconds,
+            "seconds_middle": seconds * slower,
             "seconds_most": seconds * 2,
             "memory_mb": memory,
             "start_memory_mb": 300,
