@@ -1,7 +1,7 @@
 """Results appear whole or not at all: files and folders are written under a temporary name and then moved.
 
 A kill at any moment leaves the old result or the new one under the final name, never half of one. What a killed run
-had written stays behind in a hidden folder beside it (`.NAME.partial-...`), which can be deleted.
+had written stays behind in a hidden folder beside it (`.NAME.partial-...`); the next run to the same place removes it.
 """
 
 import json
@@ -15,6 +15,7 @@ from pathlib import Path
 
 from edit3r.errors import InputError, RunError
 from edit3r.io.exchange import exchange
+from edit3r.io.unfinished import remove_abandoned, unfinished_name, writing
 
 MARKER = ".edit3r-run"
 """In every finished run folder: the list of its files. Only a folder that holds nothing else is ever replaced."""
@@ -86,9 +87,11 @@ def atomic_folder(out: str | Path) -> Iterator[Path]:
     """
     final = Path(out).expanduser().resolve()
     check_replaceable(final)
+    remove_abandoned(final)
     partial = _make_partial(final)
     try:
-        yield partial
+        with writing(partial):
+            yield partial
         _list_files(partial)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
@@ -134,7 +137,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 
 def _make_partial(final: Path) -> Path:
-    partial = final.with_name(f".{final.name}.partial-{secrets.token_hex(4)}")
+    partial = unfinished_name(final)
     try:
         partial.mkdir(parents=True)
     except OSError as error:

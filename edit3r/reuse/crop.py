@@ -22,7 +22,10 @@ def boxes_of(gaussians: Gaussians, cameras: Cameras) -> list[Box | None]:
 
 
 def cropped(camera: Cameras, box: Box) -> Cameras:
-    """One camera that takes only the box of its picture, pixel for pixel."""
+    """One camera that takes only the box of its picture, pixel for pixel.
+
+    Rasterizers flatten Gaussians as seen near the picture's border; large ones around the box may differ by a little.
+    """
     top, left, bottom, right = box
     intrinsics = to_pixels(camera.intrinsics, camera.image_size)
     intrinsics[..., 0, 2] -= left

@@ -75,7 +75,7 @@ class RememberingSegmenter(_Remembering, Segmenter):
             "track",
             self._key("track", images, masks),
             lambda: self.remembers.track(images, masks),
-            lambda tracks: (dict(vars(tracks)), {}),
+            lambda tracks: (_tensors(tracks), {}),
             lambda tensors, _: Tracks(**_on(images, tensors)),
         )
 
@@ -133,6 +133,11 @@ def _unpack_proposals(masks: dict[str, Tensor], facts: dict) -> tuple[Proposal, 
         Proposal(**{**numbers, "soft_mask": mask, "box": tuple(numbers["box"])})
         for (_, mask), numbers in zip(sorted(masks.items()), facts["proposals"])
     )
+
+
+def _tensors(answer: Any) -> dict[str, Tensor]:
+    """The fields of a dataclass of tensors that are there."""
+    return {name: value for name, value in vars(answer).items() if value is not None}
 
 
 def _on(like: Tensor, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -89,7 +89,7 @@ def _header(file, path: Path) -> dict[str, str]:
 
 def _packed(tensor: Tensor) -> np.ndarray:
     values = tensor.detach().cpu().contiguous().numpy()
-    planes = values.reshape(-1).view(np.uint8).reshape(values.size, -1).T  # empty tensors have no planes
+    planes = values.reshape(-1).view(np.uint8).reshape(values.size, values.itemsize).T
     return np.frombuffer(zlib.compress(np.ascontiguousarray(planes).tobytes(), LEVEL), np.uint8)
 
 

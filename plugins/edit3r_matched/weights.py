@@ -1,5 +1,6 @@
 """Weights of the small network: fp16 safetensors with a JSON card beside them."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -26,7 +27,14 @@ def load_network(weights: str) -> MatchedEditNetwork:
         raise InputError(f"{path}: not weights of this network (such as {sorted(missing)[0]!r} does not fit).")
     network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
     reporting.note("edit3r.weights", path.name)
+    reporting.note("weights.edit3r", _record(path))
     return network.eval()
+
+
+def _record(path: Path) -> dict[str, str]:
+    """What a run's manifest says of the file."""
+    licence = read_card(path).get("licence", "not stated")
+    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "licence": licence}
 
 
 def save_network(network: MatchedEditNetwork, path: Path, card: dict) -> None:
