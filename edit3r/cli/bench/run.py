@@ -52,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
     if set(types) - set(EDIT_TYPES):
         raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")
     out = Path(args.out)
-    for position, method in enumerate(_methods(args)):
+    for position, method in _methods(args):
         job = Job(
             manifest=Path(args.manifest),
             method=method,
@@ -77,7 +77,8 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _methods(args: argparse.Namespace) -> tuple:
+def _methods(args: argparse.Namespace) -> list:
+    """Methods with their places in the configuration, which are those of their columns."""
     from edit3r.bench.method import Method, read_methods
     from edit3r.config import find_config, make_settings, merge, parse_assignments, read_yaml
     from edit3r.errors import SettingsError
@@ -90,7 +91,7 @@ def _methods(args: argparse.Namespace) -> tuple:
         for key, name in (("editor", "oracle"), ("reconstructor", "edit3r"), ("rasterizer", "auto")):
             if isinstance(values.get(key), dict):
                 values[key] = {"name": name, **values[key]}
-        return (make_settings(Method, values, where="method"),)
+        return [(0, make_settings(Method, values, where="method"))]
     if flags:
         raise SettingsError("--config says which methods are run; leave out --editor, --recon and --rasterizer.")
     methods = read_methods(read_yaml(find_config(args.config)), changes)
@@ -98,7 +99,7 @@ def _methods(args: argparse.Namespace) -> tuple:
     if unknown:
         listed = ", ".join(method.label for method in methods)
         raise SettingsError(f"--only {min(unknown)}: no such method; {args.config} has {listed}.")
-    return tuple(method for method in methods if not args.only or method.label in args.only)
+    return [(n, method) for n, method in enumerate(methods) if not args.only or method.label in args.only]
 
 
 class _Lines:
