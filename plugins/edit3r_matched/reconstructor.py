@@ -29,7 +29,9 @@ class Edit3rReconstructor(Reconstructor):
 
     class Settings(config.Settings):
         matcher: PartChoice = Field(
-            PartChoice(name="classical", settings={"working_size": 160, "keypoints": 1500, "planes": 64}),
+            PartChoice(
+                name="classical", settings={"working_size": 160, "detection_size": 448, "keypoints": 2500, "planes": 64}
+            ),
             description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
         )
         geometry: Literal["matching", "network"] = Field(
