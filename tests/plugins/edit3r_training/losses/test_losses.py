@@ -64,7 +64,7 @@ def test_geometry_has_the_same_gradient_with_and_without_a_reference():
     loss = GeometryLoss(GeometryLoss.Settings(samples=8))
     gradients = []
     for reference in (None, _gaussians(torch.zeros(1, 4, 3), [0, 0, 1, 1])):
-        means = torch.tensor([[[0.0, 0, 0], [1, 1, 0], [0, 3, 0], [4, 0, 1]]], requires_grad=True)
+        means = torch.tensor([[[0.0, 0, 0], [1, 1.5, 0], [0, 3, 0], [4, 0, 1]]], requires_grad=True)
         loss(LossInputs(gaussians=_gaussians(means, [0, 0, 1, 1]), reference=reference)).backward()
         gradients.append(means.grad)
     assert torch.equal(*gradients)
