@@ -97,7 +97,8 @@ def _write(args: argparse.Namespace, folder, plan, points, measurements) -> int:
     if not points:
         failures = "; ".join(dict.fromkeys(m["failure"] for m in measurements if "failure" in m))
         raise RunError(f"no point could be measured on every scene. {failures or 'The time ran out before.'}")
-    measured = {**describe_machine(args.threads), "photos": plan.base.get("views", 2), "clock": args.clock}
+    how = {"photos": plan.base.get("views", 2), "clock": args.clock, "command": _command(args, plan)}
+    measured = {**describe_machine(args.threads), **how}
     quality = make_quality(points, measured, plan)
     presets = {point.label: point.preset for point in quality.points if point.preset}
     text = report(points, measurements, measured, args.clock, presets)
@@ -115,6 +116,16 @@ def _write(args: argparse.Namespace, folder, plan, points, measurements) -> int:
             raise Edit3rError("the presets stay as they are: no three points on the front are 2x apart in time.")
         print(f"wrote {write_quality(quality)}")
     return 0
+
+
+def _command(args: argparse.Namespace, plan) -> str:
+    """What to type to measure the same again, without this machine's folders."""
+    data = " ".join(Path(source).name for source in args.data or plan.data)
+    knobs = f" --knobs {' '.join(Path(name).name for name in args.knobs)}" if args.knobs else ""
+    numbers = f" --scenes {args.scenes} --warm-up {args.warm_up} --repeats {args.repeats} --clock {args.clock}"
+    threads = f" --threads {args.threads}" if args.threads else ""
+    flags = (" --grid" if args.grid else "") + "".join(f" --set {setting}" for setting in args.set)
+    return f"edit3r tradeoff --data {data}{knobs}{numbers}{threads}{flags}"
 
 
 def _write_page(page: Path, text: str, plot: Path, write_into_page) -> None:

@@ -46,10 +46,16 @@ def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, pr
             time.least, accuracy, xerr=around, fmt="*" if preset else "o", ms=15 if preset else 5, color=colour, lw=1
         )
         text = f"{preset}: {point.label}" if preset else point.label
+        left = time.least**2 > line[0][0] * line[-1][0]  # in the right half: towards the middle
         axis.annotate(
-            text, (time.least, accuracy), xytext=(5, 4 if on else -9), textcoords="offset points", fontsize=7,
+            text,
+            (time.least, accuracy),
+            xytext=(-6 if left else 6, 4 if on else -9),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            fontsize=7,
             color=colour if on or preset else "0.4",
-        )  # fmt: skip
+        )
     axis.margins(x=0.2, y=0.1)
     axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: f"{seconds:g}"))

@@ -43,7 +43,8 @@ def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str,
     return (
         f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; {versions}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1]))) if days else 'nothing measured'}{busy}{shared}. "
-        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat."
+        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat; "
+        f"measured by `{measured['command']}`."
     )
 
 

@@ -10,7 +10,7 @@ from edit3r.tradeoff.plot import plot
 from edit3r.tradeoff.report import END, START, report, write_into_page
 from edit3r.tradeoff.shipping import make_quality
 
-MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "clock": "cpu"}
+MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "clock": "cpu", "command": "x"}
 
 
 def test_time_is_the_middle_repeat_and_the_spread_is_kept(measurement):
