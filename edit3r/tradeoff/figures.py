@@ -37,6 +37,7 @@ class Figures:
     scenes: int
     cpu: Spread  # all stages of one run [s]: over the repeats, then the mean over the scenes
     wall: Spread  # the same
+    first: Mapping[str, float]  # the first run of a process, by clock: what a run of the command takes [s]
     stages: Mapping[str, float]  # processor seconds of each stage, median of the repeats
     memory_mb: float  # peak of the process, largest of the scenes [MiB]
     start_memory_mb: float  # of which the program took before it made anything
@@ -96,6 +97,7 @@ def _figures(group: Sequence[Measurement]) -> Figures:
         scenes=len(group),
         cpu=Spread.mean(_times(m, "cpu") for m in group),
         wall=Spread.mean(_times(m, "wall") for m in group),
+        first={clock: fmean(sum(m["runs"][0][clock].values()) for m in group) for clock in ("cpu", "wall")},
         stages=_stages(group),
         memory_mb=max(m["memory_mb"] for m in group),
         start_memory_mb=min(m["start_memory_mb"] for m in group),

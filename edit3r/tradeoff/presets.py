@@ -17,6 +17,7 @@ class Expected(Settings):
     """What a point took and gave on one kind of scene."""
 
     seconds: float = Field(gt=0, description="all stages of a run without an editor, quickest repeats; mean of scenes")
+    seconds_first: float = Field(gt=0, description="first run of a process, as a run of the command is; mean of scenes")
     seconds_middle: float = Field(gt=0, description="middle of the repeats, mean over the scenes")
     seconds_most: float = Field(gt=0, description="slowest of the repeats, mean over the scenes")
     memory_mb: float = Field(gt=0, description="peak of the process [MiB]")

@@ -53,7 +53,16 @@ def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapp
     figures = [point.kinds[kind] for point in rows]
     on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in _STAGES if any(name in f.stages for f in figures)]
-    titles = ["setting", "preset", "front", "processor s", "wall s", *(f"{s} s" for s in stages), "peak MiB"]
+    titles = [
+        "setting",
+        "preset",
+        "front",
+        "processor s",
+        "wall s",
+        "first run, processor s",
+        *(f"{s} s" for s in stages),
+        "peak MiB",
+    ]
     titles += [
         "Gaussians",
         "PLY MB",
@@ -82,7 +91,7 @@ def _cells(f: Figures, stages: Sequence[str]) -> list[str]:
         _number(f.leak, ".4f"),
     ]
     sizes = [f"{f.memory_mb:.0f}", f"{f.gaussians:,.0f}", f"{f.ply_mb:.1f}"]
-    return [_seconds(f.cpu), _seconds(f.wall), *seconds, *sizes, *picture, *others]
+    return [_seconds(f.cpu), _seconds(f.wall), f"{f.first['cpu']:.2f}", *seconds, *sizes, *picture, *others]
 
 
 def _seconds(spread: Spread) -> str:

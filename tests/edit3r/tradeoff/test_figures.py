@@ -18,6 +18,7 @@ def test_time_is_the_middle_repeat_and_the_spread_is_kept(measurement):
     figures = point.kinds["photos"]
     assert figures.cpu == Spread(2.0, 3.0, 6.0)  # means over the two scenes; the warm-up does not count
     assert figures.wall == Spread(4.0, 6.0, 12.0)
+    assert figures.first == {"cpu": 99.0, "wall": 99.0}
     assert figures.seconds("cpu") == 2.0  # ranked by the repeats that were disturbed least
     assert figures.stages == {"edit": pytest.approx(0.75), "render": pytest.approx(2.25)}
 
