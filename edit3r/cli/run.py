@@ -150,7 +150,8 @@ def _inherited(earlier: "SceneState", layers: list[dict[str, Any]]) -> dict[str,
     named = [choice if isinstance(choice, str) else choice.get("name") for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
     wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
-    return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
+    before = {"name": earlier.reconstructor["name"], **earlier.reconstructor["settings"]}
+    return frames if another or wished else {**frames, "reconstructor": before}
 
 
 def _check_names(registry, config) -> None:
