@@ -131,7 +131,7 @@ def _claim(job: Job, manifest: Manifest) -> None:
                     f"{job.out}: holds results with another {key.replace('_', ' ')}; choose another --out."
                 )
         return
-    if any(job.out.iterdir()):
+    if any(not path.name.startswith(".") for path in job.out.iterdir()):  # a kill may leave a hidden half of ours
         raise InputError(f"{job.out}: holds files that are not of a benchmark run; choose another --out.")
     with atomic_write(path) as partial:
         text = json.dumps({**wish, **about}, indent=1, ensure_ascii=False)

