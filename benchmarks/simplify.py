@@ -5,14 +5,15 @@
 Each FOLDER holds photos of one scene with their cameras; further scenes are generated. Two photos are reconstructed;
 the scene with all its Gaussians, with those that `simplify` leaves, and with as many left by each rival, is compared
 with the photo between them. Writes `points.jsonl` (one line per scene, method and share; scenes found there are not
-done again) and `curves.png`, and prints the means.
+measured again) and `curves.png`, and prints the means.
 """
 
 import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,12 @@ from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.io.ply import save_ply
 from edit3r.refine import refine
 from edit3r.simplify import SimplifySettings, simplify
+from edit3r.simplify.simplification import POLISH
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 CURVES = ("simplify", "opacity", "opacity, polished", "random", "random, polished")
-REFINE_STEPS = 30
+PARTS = ("auto", "curves", "refined")
 RENDER_REPEATS = 5
 
 
@@ -43,6 +45,8 @@ def main() -> None:
     parser.add_argument("--procedural", type=int, default=8, help="generated scenes")
     parser.add_argument("--size", type=int, default=256, help="side of the square pictures [pixels]")
     parser.add_argument("--shares", type=float, nargs="*", default=SHARES, help="shares for the curves")
+    parser.add_argument("--refine", type=int, default=30, help="photometric steps of the refined ones")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -52,19 +56,22 @@ def main() -> None:
 
 
 def measured(args: argparse.Namespace, file: Path) -> list[dict]:
-    """All rows, those of earlier calls among them; a scene is written when it is whole."""
+    """All rows, those of earlier calls among them; a scene's rows are written together."""
     recon, rasterizer = edit3r.build("reconstructor", args.recon), edit3r.build("rasterizer", "numba", threads=1)
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-    done = {row["scene"] for row in rows}
-    scenes = [*procedural_scenes(args.procedural, args.size), *real_scenes(args.folders, args.pairs, args.size)]
-    jobs = [(scene.label, lambda scene=scene: measure(scene, recon, rasterizer, args.shares)) for scene in scenes]
-    for label, job in [("flat wall", lambda: measure_wall(args.size, rasterizer)), *jobs]:
-        if label in done:
-            continue
-        new = [{"scene": label, **row} for row in job()]
-        with file.open("a") as lines:
-            lines.writelines(json.dumps(row) + "\n" for row in new)
-        rows += new
+    done = {(row["scene"], row["part"]) for row in rows}
+    scenes = [*real_scenes(args.folders, args.pairs, args.size), *procedural_scenes(args.procedural, args.size)]
+    jobs = [("flat wall", "auto", lambda: measure_wall(args.size, rasterizer))]
+    for part, variants in (("auto", only_auto), ("refined", partial(refined, args.refine)), ("curves", curves)):
+        for scene in scenes if part in args.parts else ():
+            job = partial(measure, scene, recon, rasterizer, variants, args.shares)
+            jobs.append((scene.label, part, job))
+    for label, part, job in jobs:
+        if (label, part) not in done:
+            new = [{"scene": label, "part": part, **row} for row in job()]
+            with file.open("a") as lines:
+                lines.writelines(json.dumps(row) + "\n" for row in new)
+            rows += new
     return rows
 
 
@@ -74,7 +81,9 @@ def measure_wall(size: int, rasterizer: Rasterizer) -> list[dict]:
     return [{"kind": "wall", "method": "auto", "share": auto.gaussians.count / auto.before, "input_match": auto.psnr}]
 
 
-def measure(held_out: HeldOut, recon: Reconstructor, rasterizer: Rasterizer, shares: Sequence[float]) -> list[dict]:
+def measure(
+    held_out: HeldOut, recon: Reconstructor, rasterizer: Rasterizer, variants: Callable, shares: Sequence[float]
+) -> list[dict]:
     photos = views_of([held_out.first, held_out.second])
     try:
         scene = recon(photos)
@@ -86,17 +95,26 @@ def measure(held_out: HeldOut, recon: Reconstructor, rasterizer: Rasterizer, sha
     ]
 
 
-def variants(
-    scene: Reconstruction, images: torch.Tensor, rasterizer: Rasterizer, shares: Sequence[float]
-) -> Iterator[tuple[str, Gaussians, dict]]:
-    """Name of each way to have fewer Gaussians, what it leaves, and what it took."""
-    everything, cameras = scene.gaussians, scene.cameras
-    yield "all", everything, {}
+Variants = Iterator[tuple[str, Gaussians, dict]]
+"""Name of each way to have fewer Gaussians, what it leaves, and what it took."""
+
+
+def only_auto(scene: Reconstruction, images: torch.Tensor, rasterizer: Rasterizer, shares: Sequence[float]) -> Variants:
+    yield "all", scene.gaussians, {}
     start = time.process_time()
-    auto = simplify(everything, cameras, rasterizer).gaussians
+    auto = simplify(scene.gaussians, scene.cameras, rasterizer).gaussians
     yield "auto", auto, {"simplify_cpu_seconds": time.process_time() - start}
-    yield "all, refined", refine(everything, cameras, images, rasterizer, REFINE_STEPS).gaussians, {}
-    yield "auto, refined", refine(auto, cameras, images, rasterizer, REFINE_STEPS).gaussians, {}
+
+
+def refined(
+    steps: int, scene: Reconstruction, images: torch.Tensor, rasterizer: Rasterizer, shares: Sequence[float]
+) -> Variants:
+    for name, gaussians, _ in only_auto(scene, images, rasterizer, shares):
+        yield f"{name}, refined", refine(gaussians, scene.cameras, images, rasterizer, steps).gaussians, {}
+
+
+def curves(scene: Reconstruction, images: torch.Tensor, rasterizer: Rasterizer, shares: Sequence[float]) -> Variants:
+    everything, cameras = scene.gaussians, scene.cameras
     with torch.no_grad():
         shown = rasterizer.render(everything, cameras).images.clamp(0, 1)
     orders = {
@@ -110,7 +128,7 @@ def variants(
             left = everything.select(order[:most])
             yield name, left, {"asked": share}
             # What is left gets the same steps as after merging, so that the choice alone is compared.
-            polished = refine(left, cameras, shown, rasterizer, SimplifySettings().polish).gaussians
+            polished = refine(left, cameras, shown, rasterizer, SimplifySettings().polish, POLISH).gaussians
             yield f"{name}, polished", polished, {"asked": share}
 
 
@@ -163,6 +181,7 @@ def table(rows: list[dict]) -> str:
 
 def table_of(rows: list[dict]) -> Iterator[str]:
     reference = {row["scene"]: row for row in rows if row["method"] == "all"}
+    rows = [row for row in rows if row["scene"] in reference]
     yield "| method | share left | novel view, dB against all (worst) | SSIM | input dB | render time | PLY |"
     yield "| --- | --: | --: | --: | --: | --: | --: |"
     for (method, _), group in grouped(rows).items():
@@ -196,6 +215,7 @@ def plot(rows: list[dict], file: Path) -> None:
         ("novel_ssim", "held-out view: SSIM"),
         ("input_psnr", "input photos: PSNR [dB]"),
     )
+    rows = [row for row in rows if row["scene"] in {row["scene"] for row in rows if row.get("part") == "curves"}]
     figure, axes = pyplot.subplots(len(kinds), 3, figsize=(12, 3.6 * len(kinds)), squeeze=False, layout="constrained")
     for line, kind in zip(axes, kinds):
         groups = grouped([row for row in rows if row["kind"] == kind and "novel_psnr" in row])

@@ -25,7 +25,8 @@ from edit3r.types import Cameras, Gaussians
 
 PATH_CAMERAS = 2  # pictures from between and around, per input view
 PATH_REDUCTION = 2  # of their sides
-POLISH = RefineSettings(colour=0.018, opacity=0.054, scale=0.018, centre=0.054)  # longer strides, for few steps
+PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
+POLISH = RefineSettings()
 LONE_BASELINE = 0.1  # how far new views of a lone picture are taken to be [its median depth]
 
 
@@ -89,23 +90,24 @@ def _tell(result: Simplified) -> None:
 
 
 def looks(cameras: Cameras) -> tuple[Cameras, ...]:
-    """The input views, and some smaller pictures from between and around them.
+    """The input views, and some smaller and wider pictures from between and around them.
 
-    What only a new viewpoint uncovers must stay, although no input view needs it.
+    What only a new viewpoint uncovers, or looks past the border at, must stay, although no input view needs it.
     """
     if cameras.count == 1:
         return (cameras,)
     path = between_and_around(cameras, PATH_CAMERAS * cameras.count)
     height, width = (max(1, size // PATH_REDUCTION) for size in cameras.image_size)
-    return cameras, replace(path, image_size=(height, width))
+    intrinsics = path.intrinsics.clone()
+    intrinsics[..., :2, :2] /= PATH_WIDENING
+    return cameras, replace(path, intrinsics=intrinsics, image_size=(height, width))
 
 
 def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
     """The most that each Gaussian adds to the input views or to the others [pixels of the input views]."""
-    height, width = cameras.image_size
     weights = []
     for look in looks(cameras):
-        area = height * width / (look.image_size[0] * look.image_size[1])
+        area = (_focal(cameras) / _focal(look)) ** 2
         weights.append(area * contributions(gaussians, look, rasterizer)[0])
     return torch.stack(weights).amax(0)
 
@@ -124,9 +126,14 @@ def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
     return gaussians.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
 
 
+def _focal(cameras: Cameras) -> float:
+    """Of the first camera [pixels]."""
+    return float(to_pixels(cameras.intrinsics, cameras.image_size)[0, 0, 0, 0])
+
+
 def _parallax(placement: Placement, cameras: Cameras) -> float:
     """Focal length times the mean distance between neighbouring views [pixels times scene units]."""
-    focal = float(to_pixels(cameras.intrinsics, cameras.image_size)[0, 0, 0, 0])
+    focal = _focal(cameras)
     centres = cameras.c2w[0, :, :3, 3]
     if cameras.count == 1:
         return focal * LONE_BASELINE * float(placement.depth.median())
