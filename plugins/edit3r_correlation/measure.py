@@ -41,37 +41,48 @@ class GeometryScore:
 
 
 class KnownGeometry(Matcher):
-    """Stand-in that answers what it was given."""
+    """Stand-in that answers what it was given last."""
 
-    def __init__(self, geometry: MatchedGeometry) -> None:
-        self._geometry = geometry
+    def __init__(self, geometry: MatchedGeometry | None = None) -> None:
+        self.geometry = geometry
 
     def match(self, views: Views) -> MatchedGeometry:
-        return self._geometry
+        return self.geometry
 
 
-def measure_scene(sample: SceneSample, matcher: Matcher, recon: str, rasterizer: Rasterizer) -> GeometryScore:
+class Renderer:
+    """Pictures of a reconstructor that is told its geometry."""
+
+    def __init__(self, recon: str, rasterizer: Rasterizer) -> None:
+        self._known = KnownGeometry()
+        self._reconstructor: Reconstructor = build("reconstructor", recon, parts={"matcher": self._known})
+        self._rasterizer = rasterizer
+
+    def gaussians(self, views: Views, geometry: MatchedGeometry) -> Gaussians:
+        self._known.geometry = geometry
+        return self._reconstructor(views).gaussians
+
+    def picture(self, gaussians: Gaussians, camera: Cameras) -> np.ndarray:
+        return _array(self._rasterizer.render(gaussians, camera).images[0, 0].clamp(0, 1))
+
+
+def measure_scene(sample: SceneSample, matcher: Matcher, renderer: Renderer) -> GeometryScore:
     """Raises MatchingError as the matcher does."""
     views = Views(sample.context[None], sample.context_cameras.intrinsics)
     found, true = matcher.match(views), true_geometry(sample)
     unit = (found.depths / true.depths).median()
     camera = sample.target_cameras.select([0])
-
-    def show(geometry: MatchedGeometry, camera: Cameras, view: int | None = None) -> np.ndarray:
-        reconstructor: Reconstructor = build("reconstructor", recon, parts={"matcher": KnownGeometry(geometry)})
-        gaussians = reconstructor(views).gaussians
-        return _picture(gaussians if view is None else gaussians.from_view(view), rasterizer, camera)
-
     target, photos = _array(sample.target[0]), [_array(photo) for photo in sample.context]
     nearest = photos[_nearest(sample)]
-    there = _scaled(camera, unit)
+    there, gaussians = _scaled(camera, unit), renderer.gaussians(views, found)
+    perfect = renderer.gaussians(views, true)
     return GeometryScore(
-        novel_view=psnr(show(found, there), target),
-        view_1_alone=psnr(show(found, there, view=1), target),
+        novel_view=psnr(renderer.picture(gaussians, there), target),
+        view_1_alone=psnr(renderer.picture(gaussians.from_view(1), there), target),
         nearest_copy=psnr(nearest, target),
         blurred_nearest=best_blurred_copy([nearest], target).psnr,
         average=psnr(np.mean(photos, 0), target),
-        true_geometry=psnr(show(true, camera), target),
+        true_geometry=psnr(renderer.picture(perfect, camera), target),
         **_pose_errors(found.c2w[0, 1], true.c2w[0, 1]),
         point_error=point_error(found, true, views.intrinsics),
         confident=float(found.confidence.mean()),
@@ -113,10 +124,6 @@ def _nearest(sample: SceneSample) -> int:
     return int(apart.norm(dim=-1).argmin())
 
 
-def _picture(gaussians: Gaussians, rasterizer: Rasterizer, camera: Cameras) -> np.ndarray:
-    return _array(rasterizer.render(gaussians, camera).images[0, 0].clamp(0, 1))
-
-
 def _array(image: Tensor) -> np.ndarray:
     return image.permute(1, 2, 0).contiguous().numpy()
 
@@ -133,12 +140,12 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     matcher = build("matcher", args.matcher, **parse_assignments(args.set))
-    rasterizer = build("rasterizer", "numba")
+    renderer = Renderer(args.recon, build("rasterizer", "numba"))
     data = build("dataset", "procedural", seed=args.seed, image_size=args.size, targets=1, angles=(5, 25))
     scores, failures = [], 0
     for index in range(args.scenes):
         try:
-            scores.append(measure_scene(data[index], matcher, args.recon, rasterizer))
+            scores.append(measure_scene(data[index], matcher, renderer))
         except MatchingError:
             failures += 1
     print(f"{args.matcher} {args.set} at {args.size} pixels: {len(scores)} scenes, {failures} not matched")

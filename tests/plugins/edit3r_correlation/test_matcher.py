@@ -2,7 +2,7 @@ import pytest
 import torch
 from edit3r_correlation.adjustment import evidence_of
 from edit3r_correlation.matcher import NetworkMatcher, network_size
-from edit3r_correlation.measure import KnownGeometry, measure_scene, true_geometry
+from edit3r_correlation.measure import KnownGeometry, Renderer, measure_scene, true_geometry
 from edit3r_correlation.network import CorrelationNetwork, PairPrediction
 from edit3r_correlation.pair_geometry import pair_geometry
 from edit3r_correlation.scene_memory import GeometryBatch
@@ -133,7 +133,7 @@ def test_evidence_is_in_double_precision():
 def test_the_measure_gives_a_perfect_matcher_no_error():
     sample = build("dataset", "procedural", image_size=32, textures=8, scenes=1, targets=1)[0]
     perfect = KnownGeometry(true_geometry(sample))
-    score = measure_scene(sample, perfect, "classical", build("rasterizer", "numba"))
+    score = measure_scene(sample, perfect, Renderer("classical", build("rasterizer", "numba")))
     assert score.rotation_error == 0 and score.point_error < 1e-6
     assert score.novel_view == pytest.approx(score.true_geometry, abs=1e-3)
     assert score.novel_view > score.nearest_copy
