@@ -88,9 +88,11 @@ def test_killed_and_resumed_gives_the_same_report(straight, job, cards):
     command = ["bench", "run", str(job.manifest), "--recon", "cards", "--plugin", cards, "--out", str(job.out)]
     command += ["--set", "label=cards", "--no-effnet", "--edits", "3", "--quiet"]
     process = subprocess.Popen([sys.executable, "-m", "edit3r.cli.main", *command])
-    wait_for(lambda: process.poll() is not None or lines(job.out) >= 2)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    try:
+        wait_for(lambda: process.poll() is not None or lines(job.out) >= 2)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
     run_job(job)
     assert summary_of(read_columns([job.out])) == straight
 
@@ -100,7 +102,7 @@ def lines(out):
     return path.read_bytes().count(b"\n") if path.is_file() else 0
 
 
-def wait_for(condition, seconds=60):
+def wait_for(condition, seconds=300):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "the run did not get that far"
