@@ -50,7 +50,6 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
     ("trainer", "geometry"): "trains the network of matcher 'network' only",
-    ("matcher", "network"): "its weights are still being trained",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""
 
