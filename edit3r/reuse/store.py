@@ -41,10 +41,9 @@ def save_entry(path: Path, entry: Entry) -> None:
     """Write one entry; the same entry gives the same bytes."""
     packed = {name: _packed(tensor) for name, tensor in entry.tensors.items()}
     shapes = {name: [_name(tensor.dtype), list(tensor.shape)] for name, tensor in entry.tensors.items()}
-    header = {"format": FORMAT, "version": VERSION, "stage": entry.stage, "key": entry.key}
-    header |= {"tensors": json.dumps(shapes), "facts": json.dumps(entry.facts)}
+    header = {"version": VERSION, "stage": entry.stage, "key": entry.key, "tensors": shapes, "facts": entry.facts}
     with atomic_write(path) as partial:
-        partial.write_bytes(save(packed, header))
+        partial.write_bytes(save(packed, {FORMAT: json.dumps(header)}))  # one key: safetensors shuffles several
 
 
 def read_key(path: Path) -> tuple[str, str]:
@@ -59,9 +58,9 @@ def load_entry(path: Path) -> Entry:
     with _opened(path) as file:
         header = _header(file, path)
         try:
-            shapes = json.loads(header["tensors"])
+            shapes = header["tensors"]
             tensors = {name: _unpacked(file.get_tensor(name), *shape) for name, shape in shapes.items()}
-            return Entry(header["stage"], header["key"], tensors, json.loads(header["facts"]))
+            return Entry(header["stage"], header["key"], tensors, header["facts"])
         except (KeyError, TypeError, ValueError, zlib.error, safetensors.SafetensorError) as error:
             raise InputError(f"{path}: damaged ({' '.join(str(error).split())}); {ADVICE}") from None
 
@@ -76,14 +75,14 @@ def _opened(path: Path):
         raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())}); {ADVICE}") from None
 
 
-def _header(file, path: Path) -> dict[str, str]:
-    header = file.metadata() or {}
-    if header.get("format") != FORMAT or not {"stage", "key", "version"} <= header.keys():
-        raise InputError(f"{path}: not written by edit3r for editing again; {ADVICE}")
-    if header["version"] != VERSION:
-        raise InputError(
-            f"{path}: written in version {header['version']} of this layout, this edit3r reads {VERSION}; {ADVICE}"
-        )
+def _header(file, path: Path) -> dict[str, Any]:
+    try:
+        header = json.loads((file.metadata() or {})[FORMAT])
+        version = header["version"]
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: not written by edit3r for editing again; {ADVICE}") from None
+    if version != VERSION:
+        raise InputError(f"{path}: written in version {version} of this layout, this edit3r reads {VERSION}; {ADVICE}")
     return header
 
 
@@ -95,6 +94,8 @@ def _packed(tensor: Tensor) -> np.ndarray:
 
 def _unpacked(packed: np.ndarray, dtype: str, shape: list[int]) -> Tensor:
     like = torch.empty(0, dtype=_DTYPES[dtype])
+    if 0 in shape:
+        return like.reshape(shape)
     planes = np.frombuffer(zlib.decompress(packed.tobytes()), np.uint8)
     together = np.ascontiguousarray(planes.reshape(like.element_size(), -1).T)
     return torch.from_numpy(together.reshape(-1).copy()).view(like.dtype).reshape(shape)

@@ -1,5 +1,7 @@
 """What is kept for the next run comes back bit for bit, or is refused with a sentence."""
 
+import json
+
 import pytest
 import safetensors.torch
 import torch
@@ -63,7 +65,7 @@ def test_a_file_of_another_program_or_version_is_refused(tmp_path):
     safetensors.torch.save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(InputError, match="not written by edit3r"):
         read_key(path)
-    header = {"format": "edit3r-reuse", "version": "99", "stage": "match", "key": "k"}
+    header = {"edit3r-reuse": json.dumps({"version": "99", "stage": "match", "key": "k"})}
     safetensors.torch.save_file({"a": torch.zeros(1)}, path, header)
     with pytest.raises(InputError, match=f"version 99 of this layout, this edit3r reads {VERSION}"):
         read_key(path)
