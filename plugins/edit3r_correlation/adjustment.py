@@ -22,8 +22,6 @@ DOUBTFUL = 2.0
 """Error at which the weight of a match or of a predicted depth falls to a half [its own spread]."""
 HOPELESS = 40.0
 """Loss of a match that lies behind the other camera."""
-FARTHEST = 1.5
-"""A depth moves at most so far from its prediction [log]: nothing else holds points that are too far to be measured."""
 LEAST_SPREAD = 0.04
 """A depth prediction is never trusted to be nearer than this [log]."""
 POSE, SCALE = slice(0, 6), 6
@@ -89,7 +87,7 @@ def _descend(evidence: Evidence, start: Estimate, match_spread: float, rounds: i
     current, best = start, _linearise(evidence, start, match_spread)
     damping = torch.full_like(start.log_scale, 1e-3)
     for _ in range(rounds):
-        moved = _moved(evidence, current, best, damping)
+        moved = _moved(current, best, damping)
         found = _linearise(evidence, moved, match_spread)
         better = found.cost < best.cost
         current, best = _where(better, moved, current), _where(better, found, best)
@@ -199,7 +197,7 @@ def _pose_derivative(at: Estimate, points: Tensor, there: Tensor) -> Float[Tenso
     return torch.stack((first, second), 1)
 
 
-def _moved(evidence: Evidence, at: Estimate, system: _Linearised, damping: Tensor) -> Estimate:
+def _moved(at: Estimate, system: _Linearised, damping: Tensor) -> Estimate:
     """One damped step; log depths move by at most 0.5, the pose by at most 0.3."""
     depth_matrix = system.depth_matrix * (1 + damping[:, None, None])
     ratio = system.mixed / depth_matrix[..., None]
@@ -209,14 +207,11 @@ def _moved(evidence: Evidence, at: Estimate, system: _Linearised, damping: Tenso
     step = -torch.linalg.solve(matrix + torch.diag_embed(diagonal), vector[..., None])[..., 0]
     step = step / (step.abs().amax(-1, keepdim=True) / 0.3).clamp(min=1)
     depth_step = -(system.depth_vector + torch.einsum("bvni,bi->bvn", system.mixed, step)) / depth_matrix
-    log_scale = at.log_scale + step[:, SCALE]
-    predicted = evidence.prior + torch.stack((torch.zeros_like(log_scale), log_scale), 1)[..., None]
-    log_depths = at.log_depths + depth_step.clamp(-0.5, 0.5)
     return Estimate(
         at.rotation @ torch.linalg.matrix_exp(cross_matrix(step[:, :3])),
         at.translation + torch.einsum("bij,bj->bi", at.rotation, step[:, 3:6]),
-        log_scale,
-        torch.minimum(torch.maximum(log_depths, predicted - FARTHEST), predicted + FARTHEST),
+        at.log_scale + step[:, SCALE],
+        at.log_depths + depth_step.clamp(-0.5, 0.5),
     )
 
 

@@ -18,6 +18,8 @@ TURNS = (-20.0, -7.0, 7.0, 20.0)
 """Further starts of the adjustment: view 1 gone around the scene by so much [degrees]."""
 REACH = 60.0  # smoothness weight of completion
 COLOUR = 12.0  # 8-bit colour difference at which the smoothness falls to 1/e
+FARTHEST = 1.5
+"""A depth moves at most so far from its prediction [log]."""
 DOUBT = 20.0
 """Information [1 / log^2] at which a cell's own depth and its neighbours' corrections count the same."""
 
@@ -95,19 +97,21 @@ def _completed(prior: Tensor, found: Tensor, information: Tensor, images: Tensor
     grid = prior.shape[-2:]
     small = torch.nn.functional.interpolate(images.flatten(0, 1), grid, mode="area")
     guides = (small.clamp(0, 1) * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
+    found = torch.minimum(torch.maximum(found, prior - FARTHEST), prior + FARTHEST)
     corrections = (found - prior).flatten(0, 1).cpu().numpy().astype(np.float32)
-    weights = information.flatten(0, 1).cpu().numpy().astype(np.float32)
+    share = information / (information + DOUBT)
+    weights = share.flatten(0, 1).cpu().numpy().astype(np.float32)
     smooth = [_smooth(*maps) for maps in zip(corrections, weights, np.ascontiguousarray(guides))]
     smooth = torch.from_numpy(np.stack(smooth)).to(prior).reshape(prior.shape)
-    share = information / (information + DOUBT)
     return prior + smooth + share * (found - prior - smooth)
 
 
 def _smooth(values: np.ndarray, weights: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """Weighted mean along the picture; 0 far from any weight."""
+    """Weighted mean along the picture, never beyond what went in; 0 far from any weight."""
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, REACH, COLOUR)
     total = smoother.filter(weights + np.float32(1e-3))
-    return smoother.filter(values * weights) / np.maximum(total, 1e-8)
+    # The two filtered maps lose precision where hardly any weight reaches, and their ratio with it.
+    return np.clip(smoother.filter(values * weights) / np.maximum(total, 1e-6), values.min(), values.max())
 
 
 def _matrix(rotation: Tensor, translation: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from edit3r_correlation.adjustment import evidence_of
 from edit3r_correlation.matcher import NetworkMatcher, network_size
 from edit3r_correlation.measure import KnownGeometry, Renderer, measure_scene, true_geometry
 from edit3r_correlation.network import CorrelationNetwork, PairPrediction
-from edit3r_correlation.pair_geometry import pair_geometry
+from edit3r_correlation.pair_geometry import FARTHEST, _completed, pair_geometry
 from edit3r_correlation.scene_memory import GeometryBatch
 from edit3r_correlation.supervision import true_pairs
 from torch import nn
@@ -116,6 +116,24 @@ def test_without_adjustment_the_pose_is_procrustes_and_depths_are_as_predicted(m
     plain = pair_geometry(prediction, small.intrinsics, small.images, adjusting=False)
     assert torch.allclose(plain.depths[:, 0], prediction.log_depths[:, 0].exp(), rtol=1e-5)
     assert rotation_angle(plain.c2w[0, :3, :3], SCENE.cameras.c2w[0, 1, :3, :3]) < 0.02
+
+
+def test_completion_stays_near_the_prediction_however_uneven_the_information():
+    random = torch.Generator().manual_seed(0)
+    prior = torch.rand(1, 2, 24, 32, generator=random)
+    found = prior + torch.randn(prior.shape, generator=random) * 40
+    information = 10 ** (torch.rand(prior.shape, generator=random, dtype=torch.float64) * 20 - 10)
+    completed = _completed(prior.double(), found.double(), information, SCENE.views.images[:, :2])
+    assert (completed - prior).abs().max() <= FARTHEST + 1e-6
+
+
+def test_completion_carries_corrections_to_where_nothing_matched():
+    prior = torch.zeros(1, 2, 24, 32, dtype=torch.float64)
+    information = torch.zeros_like(prior)
+    information[..., ::4, ::4] = 1e4
+    found = torch.where(information > 0, 0.3, 0.0)
+    completed = _completed(prior, found, information, torch.full((1, 2, 3, 48, 64), 0.5))
+    assert (completed > 0.2).all() and (completed < 0.31).all()
 
 
 def test_network_pictures_keep_the_photos_shape_in_multiples_of_8():
