@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, PluginError, is_out_of_memory
+from edit3r.errors import Edit3rError, MatchingError, PluginError, is_out_of_memory
 from edit3r.interfaces import INTERFACES, Editor, Rasterizer, Reconstructor
 from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 
@@ -108,3 +108,15 @@ def _require_finite(component: Any, what: str, tensor: torch.Tensor) -> None:
     bad = int((~torch.isfinite(tensor)).sum())
     if bad:
         raise PluginError(f"{_who(component)} returned {what} with {bad} of {tensor.numel()} values not finite.")
+
+
+def require_matchable(views: Views, least_size: int) -> None:
+    """For matchers: raise MatchingError for fewer than two photos, or a side shorter than `least_size` [pixels]."""
+    if views.count < 2:
+        raise MatchingError(f"matching needs at least two photos of the scene, got {views.count}.")
+    if min(views.image_size) < least_size:
+        height, width = views.image_size
+        raise MatchingError(
+            f"the photos have {width} x {height} pixels, too few to match; "
+            f"give photos of at least {least_size} pixels a side."
+        )

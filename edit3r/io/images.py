@@ -111,11 +111,11 @@ def load_photos(
         images.append(_to_tensor(frame.cut(picture.pixels)))
     names = _names(files, names)
     photos = tuple(map(_record, names, files, frames, found))
-    _warn_of_losses(photos)
+    assumed = tuple(i.assumed for i in found)
+    _warn_of_losses(photos, assumed)
     intrinsics = torch.stack([frame.follow(i.normalised) for frame, i in zip(frames, found)])
     poses = known_poses(found)
     c2w = None if poses is None else poses[None].float()
-    assumed = tuple(photo.intrinsics_source.startswith("default") for photo in photos)
     return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed), photos)
 
 
@@ -216,8 +216,8 @@ def _sha256(file: Path) -> str:
     return digest.hexdigest()
 
 
-def _warn_of_losses(photos: Sequence[Photo]) -> None:
-    guessed = [photo.name for photo in photos if photo.intrinsics_source.startswith("default")]
+def _warn_of_losses(photos: Sequence[Photo], assumed: Sequence[bool]) -> None:
+    guessed = [photo.name for photo, unknown in zip(photos, assumed) if unknown]
     if guessed:
         warn(
             f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across the longer side are "

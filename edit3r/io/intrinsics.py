@@ -29,6 +29,7 @@ class Intrinsics:
     normalised: Float64[Tensor, "3 3"]
     source: str
     c2w: Float64[Tensor, "4 4"] | None = None  # in the file's own frame and unit
+    assumed: bool = False  # nobody knows them
 
 
 def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
@@ -61,7 +62,8 @@ class IntrinsicsFinder:
         if picture.focal is not None:
             return Intrinsics(_from_focal(picture.focal, size), picture.focal_source)
         focal = 0.5 * max(size) / math.tan(math.radians(DEFAULT_FOV) / 2)
-        return Intrinsics(_from_focal(focal, size), f"default ({DEFAULT_FOV:g} degrees across the longer side)")
+        source = f"default ({DEFAULT_FOV:g} degrees across the longer side)"
+        return Intrinsics(_from_focal(focal, size), source, assumed=True)
 
     def check_all_used(self, files: Sequence[Path]) -> None:
         """Raise InputError when a given camera file knows none of the photos; warn for those it does not know."""

@@ -11,10 +11,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.geometry.cameras import from_pixels, project, to_pixels, unproject
+from edit3r.geometry.cameras import from_pixels, to_pixels, unproject
 from edit3r.interfaces import MatchedGeometry
 from edit3r.types import Gaussians, Views
 from edit3r_classical.splatting import splat
+from edit3r_classical.visibility import shown_by
 
 __all__ = ["apron"]
 
@@ -28,7 +29,7 @@ def apron(views: Views, geometry: MatchedGeometry, width: float, opacity: float)
     """Rims `width` (of the long side) wide around every registered view."""
     pad = BLOCK * math.ceil(width * max(views.image_size) / BLOCK)
     wide, depths = _widened(views, geometry.depths, pad)
-    rim = _outside_all(wide, depths, views, geometry, pad)
+    rim = _outside_all(wide, depths, views, geometry)
     opacities = opacity * rim.to(depths.dtype)
     sides = MatchedGeometry(geometry.c2w, depths, torch.zeros_like(depths), geometry.registered)
     gaussians = splat(wide, sides, opacities, _BLOCK_FOOTPRINT)
@@ -55,14 +56,12 @@ def _widened(
 
 
 def _outside_all(
-    wide: Views, depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry, pad: int
+    wide: Views, depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry
 ) -> Bool[Tensor, "batch view rows columns"]:
     """Blocks whose centre no registered photo shows, their own among them."""
     points = unproject(depths, wide.intrinsics, geometry.c2w).flatten(2, 3)
     outside = geometry.registered[..., None].expand(points.shape[:3]).clone()
     for other in range(views.count):
         for view in range(views.count):
-            places, z = project(points[:, view], views.intrinsics[:, other], geometry.c2w[:, other])
-            shown = ((places > 0) & (places < 1)).all(-1) & (z > 0) & geometry.registered[:, other, None]
-            outside[:, view] &= ~shown
+            outside[:, view] &= ~shown_by(points[:, view], geometry, views.intrinsics, other)
     return outside.view(depths.shape)

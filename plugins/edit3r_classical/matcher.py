@@ -9,9 +9,9 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
-from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import from_pixels, to_pixels
 from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_classical.calibration import calibrate
 from edit3r_classical.camera import Picture
@@ -59,14 +59,7 @@ class ClassicalMatcher(Matcher):
         self.settings = settings
 
     def match(self, views: Views) -> MatchedGeometry:
-        if views.count < 2:
-            raise MatchingError(f"matching needs at least two photos of the scene, got {views.count}.")
-        if min(views.image_size) < MIN_SIZE:
-            height, width = views.image_size
-            raise MatchingError(
-                f"the photos have {width} x {height} pixels, too few to match; "
-                f"give photos of at least {MIN_SIZE} pixels a side."
-            )
+        require_matchable(views, MIN_SIZE)
         scenes = [self._match_scene(views, scene) for scene in range(views.images.shape[0])]
         *measured, intrinsics = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
         return MatchedGeometry(*measured, intrinsics if self._reads_fov(views) else None)

@@ -8,7 +8,7 @@ from torch import Tensor
 from edit3r.geometry.cameras import project, unproject
 from edit3r.interfaces import MatchedGeometry
 
-__all__ = ["floats_in_front", "shown_elsewhere"]
+__all__ = ["floats_in_front", "shown_by", "shown_elsewhere"]
 
 _MARGIN = 0.03
 """Relative difference in depth by which a pixel must stand before a surface to hide it."""
@@ -41,10 +41,19 @@ def shown_elsewhere(
     for view in range(views):
         for other in range(views):
             if other != view:
-                places, depth = project(points[:, view], intrinsics[:, other], geometry.c2w[:, other])
-                inside = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
-                shown[:, view] |= inside & geometry.registered[:, other, None]
+                shown[:, view] |= shown_by(points[:, view], geometry, intrinsics, other)
     return shown.view(geometry.depths.shape)
+
+
+def shown_by(
+    points: Float[Tensor, "batch point 3"],
+    geometry: MatchedGeometry,
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    view: int,
+) -> Bool[Tensor, "batch point"]:
+    """Points that lie in the picture of `view`, hidden there or not; none where it is not registered."""
+    places, depth = project(points, intrinsics[:, view], geometry.c2w[:, view])
+    return ((places > 0) & (places < 1)).all(-1) & (depth > 0) & geometry.registered[:, view, None]
 
 
 def _before(

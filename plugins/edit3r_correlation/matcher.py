@@ -10,6 +10,7 @@ from torch import Tensor
 from edit3r import config, reporting
 from edit3r.errors import MatchingError
 from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_correlation.encoder import GRID
 from edit3r_correlation.network import CorrelationNetwork
@@ -46,14 +47,7 @@ class NetworkMatcher(Matcher):
 
     @torch.no_grad()
     def match(self, views: Views) -> MatchedGeometry:
-        if views.count < 2:
-            raise MatchingError(f"matching needs at least two photos of the scene, got {views.count}.")
-        if min(views.image_size) < MIN_SIZE:
-            height, width = views.image_size
-            raise MatchingError(
-                f"the photos have {width} x {height} pixels, too few to match; "
-                f"give photos of at least {MIN_SIZE} pixels a side."
-            )
+        require_matchable(views, MIN_SIZE)
         small = _resized(views.images, network_size(views.image_size, self.settings.network_size))
         pairs = [self._pair(small, views.intrinsics, other) for other in range(1, views.count)]
         textured = small.std((2, 3, 4)) > FLAT

@@ -5,21 +5,21 @@ from dataclasses import replace
 import torch
 from pydantic import Field
 
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note, track
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, Gaussians, Views
 from edit3r_refit.edits import edited, edited_from, for_views
 from edit3r_refit.fitting import FixedPictures
 from edit3r_refit.fusion import fuse, nearest_views
+from edit3r_refit.method import FittingMethod
 from edit3r_refit.renders import depths_of
-from edit3r_refit.scenes import Scene, Workshop, each_scene
+from edit3r_refit.scenes import Scene
 from edit3r_refit.settings import MethodSettings
 from edit3r_refit.trimming import attention_maps, attention_of, trim
 
 __all__ = ["EditSplatReconstructor"]
 
 
-class EditSplatReconstructor(Reconstructor):
+class EditSplatReconstructor(FittingMethod):
     """Multi-view fusion guidance and attention-guided trimming (Lee et al. 2025) around a second fit.
 
     First edits are the views it is given, or its own where those are not edited. Each view is then edited again,
@@ -36,18 +36,9 @@ class EditSplatReconstructor(Reconstructor):
             0.5, ge=0, le=1, description="attention from which a Gaussian counts as attended; the most is 1"
         )
 
-    def __init__(
-        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
-    ) -> None:
-        self.settings, self.reconstructor = settings, reconstructor
-        self.editor, self.rasterizer = editor, rasterizer
-
-    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
-        return each_scene(self.settings, views, source, request, self._scene)
-
     @torch.no_grad()
     def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        workshop = self.workshop()
         gaussians, cameras = workshop.fit_photos(scene)
         first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
         guided = self._guided(scene, first, gaussians, cameras)

@@ -10,11 +10,12 @@ from torch import Tensor
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refit.edits import edited, for_views
 from edit3r_refit.fitting import FixedPictures
+from edit3r_refit.method import FittingMethod
 from edit3r_refit.renders import FittedGeometry, depths_of, rendered
-from edit3r_refit.scenes import Scene, Workshop, each_scene
+from edit3r_refit.scenes import Scene
 from edit3r_refit.settings import MethodSettings
 
 __all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "references_of", "takes_depth"]
@@ -23,7 +24,7 @@ ALIGNMENT = "views are not aligned to reference views by attention, only the sec
 DEPTH = "edits are not conditioned on the fitted depth"
 
 
-class GaussCtrlReconstructor(Reconstructor):
+class GaussCtrlReconstructor(FittingMethod):
     """Renders of the fitted scene, its depths as condition, attention across views, then a second fit (Wu et al. 2024).
 
     Depth and alignment are the editor's to use: `controlnet-depth` does both. With another editor the views are edited
@@ -39,16 +40,12 @@ class GaussCtrlReconstructor(Reconstructor):
     def __init__(
         self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
     ) -> None:
-        self.settings, self.reconstructor = settings, reconstructor
-        self.editor, self.rasterizer = editor, rasterizer
+        super().__init__(settings, reconstructor, editor, rasterizer)
         self._twin: Editor | None = None  # of the editor, to be given other depths; it shares the loaded weights
-
-    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
-        return each_scene(self.settings, views, source, request, self._scene)
 
     @torch.no_grad()
     def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        workshop = self.workshop()
         gaussians, cameras = workshop.fit_photos(scene)
         views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
         geometry = depths_of(gaussians, cameras, self.rasterizer)

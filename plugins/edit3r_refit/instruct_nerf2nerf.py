@@ -3,17 +3,18 @@
 import torch
 from pydantic import Field, model_validator
 
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.interfaces import Editor
 from edit3r.reporting import note
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, Gaussians
 from edit3r_refit.dataset_update import Renewal, RenewedPictures
-from edit3r_refit.scenes import Scene, Workshop, each_scene
+from edit3r_refit.method import FittingMethod
+from edit3r_refit.scenes import Scene
 from edit3r_refit.settings import MethodSettings
 
 __all__ = ["InstructNerf2NerfReconstructor"]
 
 
-class InstructNerf2NerfReconstructor(Reconstructor):
+class InstructNerf2NerfReconstructor(FittingMethod):
     """Iterative dataset update on Gaussians instead of a NeRF (Haque et al. 2023).
 
     It edits by itself: the edited views it is given are not looked at, only the photos before editing. Real partial
@@ -35,18 +36,9 @@ class InstructNerf2NerfReconstructor(Reconstructor):
                 )
             return self
 
-    def __init__(
-        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
-    ) -> None:
-        self.settings, self.reconstructor = settings, reconstructor
-        self.editor, self.rasterizer = editor, rasterizer
-
-    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
-        return each_scene(self.settings, views, source, request, self._scene)
-
     @torch.no_grad()
     def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        workshop = self.workshop()
         gaussians, cameras = workshop.fit_photos(scene)
         chosen = self.settings
         strengths = (chosen.least_strength, chosen.most_strength)
