@@ -18,15 +18,19 @@ def layer_norm(width: int) -> nn.LayerNorm:
 class SelfAttention(nn.Module):
     """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each [head, channel]."""
 
+    turned: ClassVar[dict[str, int]] = {"qkv": 2}  # layer: how many blocks of its features are queries or keys
+
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
+        self.adjacent = False  # whether pairs of channels that turn together stand side by side in queries and keys
         self.qkv = nn.Linear(width, 3 * width)
         self.proj = nn.Linear(width, width)
 
     def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
         query_key, value = self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
-        query, key = rotation(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
+        turn = rotation.adjacent if self.adjacent else rotation
+        query, key = turn(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
         return self.proj(attend(query, key, value.squeeze(2)))
 
 
@@ -37,9 +41,12 @@ class CrossAttention(nn.Module):
     than projecting a concatenated memory for every reader and gives the same numbers.
     """
 
+    turned: ClassVar[dict[str, int]] = {"query": 1, "key_value": 1}
+
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
+        self.adjacent = False
         self.query = nn.Linear(width, width)
         self.key_value = nn.Linear(width, 2 * width)
         self.proj = nn.Linear(width, width)
@@ -53,9 +60,10 @@ class CrossAttention(nn.Module):
     ) -> Float[Tensor, "batch reader token width"]:
         """`reads[i]` lists, in view order, which entries of `memory` reader i sees."""
         batch, readers = x.shape[:2]
-        query = rotation(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
+        turn = rotation.adjacent if self.adjacent else rotation
+        query = turn(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
         key, value = self.key_value(memory).flatten(0, 1).unflatten(-1, (2, self.heads, -1)).unbind(2)
-        key, value = (_gather(tokens, reads, batch) for tokens in (rotation(key), value))
+        key, value = (_gather(tokens, reads, batch) for tokens in (turn(key), value))
         return self.proj(attend(query, key, value)).unflatten(0, (batch, readers))
 
 

@@ -89,21 +89,31 @@ def double_rows(x: Float[Tensor, "batch channel h w"], start: int, stop: int) ->
 
 
 def in_strips(
-    height: int, rows: int, compute: Callable[[int, int], Float[Tensor, "batch channel row width"]], halo: int = 1
+    height: int, rows: int, compute: Callable[[int, int], Float[Tensor, "batch channel row width"]]
 ) -> Float[Tensor, "batch channel height width"]:
-    """Join `compute(start, stop)` over strips of at most `rows` rows; each is computed `halo` rows wider, then cut.
+    """Join `compute(start, stop)` over strips of at most `rows` rows.
 
     Large maps never exist as a whole, and a strip stays in the cache from one layer to the next.
     """
-    if rows >= height:
-        return compute(0, height)
-    strips = []
-    for start in range(0, height, rows):
-        stop = min(start + rows, height)
-        above = max(start - halo, 0)
-        strip = compute(above, min(stop + halo, height))
-        strips.append(strip[:, :, start - above : stop - above])
-    return torch.cat(strips, 2)
+    strips = [compute(start, min(start + rows, height)) for start in range(0, height, rows)]
+    return strips[0] if len(strips) == 1 else torch.cat(strips, 2)
+
+
+def with_border(
+    rows_of: Callable[[int, int], Float[Tensor, "batch channel row width"]],
+    start: int,
+    stop: int,
+    height: int,
+    border: int,
+) -> Float[Tensor, "batch channel row+2border width"]:
+    """Rows `start - border` to `stop + border` of a map with `height` rows, zero beyond its edges.
+
+    What a convolution without padding in the rows needs to give exactly the rows `start` to `stop`.
+    """
+    first, last = max(start - border, 0), min(stop + border, height)
+    rows = rows_of(first, last)
+    above, below = first - (start - border), stop + border - last
+    return F.pad(rows, (0, 0, above, below)) if above or below else rows
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:

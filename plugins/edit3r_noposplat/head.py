@@ -1,5 +1,6 @@
 """Head `dpt-gaussian`: dense maps of centres and attributes, one Gaussian per pixel."""
 
+from functools import partial
 from typing import ClassVar
 
 from jaxtyping import Float
@@ -10,10 +11,13 @@ from edit3r.config import Settings
 from edit3r.errors import SettingsError
 from edit3r.interfaces import Backbone, GaussianHead
 from edit3r.types import Features, Gaussians
-from edit3r_noposplat.dpt import DptTrunk, double_rows, in_strips
+from edit3r_noposplat.dpt import DptTrunk, double_rows, in_strips, with_border
 from edit3r_noposplat.gaussians import assemble, attribute_channels
 from edit3r_noposplat.initialise import construct
 from edit3r_noposplat.roles import ROLES, assign_roles
+
+IN_STRIPS = {3: (0, 1), 7: (0, 3)}
+"""Padding (rows, columns) by kernel size of layers that see strips: these bring their bordering rows along."""
 
 
 class DptGaussianHead(GaussianHead):
@@ -114,17 +118,19 @@ class CentrePredictor(nn.Module):
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, settings.feature_width)
         self.conv1 = nn.Conv2d(settings.feature_width, settings.point_width, 3, padding=1)
-        self.conv2 = nn.Conv2d(settings.point_width, settings.point_width, 3, padding=1)
+        self.conv2 = nn.Conv2d(settings.point_width, settings.point_width, 3, padding=IN_STRIPS[3])
         self.act = nn.ReLU()
         self.out = nn.Conv2d(settings.point_width, 3, 1)
 
     def forward(self, maps: list[Tensor]) -> Float[Tensor, "batch 3 height width"]:
         half = self.conv1(self.trunk(maps))
+        height = 2 * half.shape[2]
 
         def strip(start: int, stop: int) -> Tensor:
-            return self.out(self.act(self.conv2(double_rows(half, start, stop))))
+            rows = with_border(partial(double_rows, half), start, stop, height, 1)
+            return self.out(self.act(self.conv2(rows)))
 
-        return in_strips(2 * half.shape[2], self.strip_rows, strip)
+        return in_strips(height, self.strip_rows, strip)
 
 
 class AttributePredictor(nn.Module):
@@ -137,9 +143,9 @@ class AttributePredictor(nn.Module):
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
-        self.shortcut = nn.Conv2d(3, width, 7, padding=3)
+        self.shortcut = nn.Conv2d(3, width, 7, padding=IN_STRIPS[7])
         self.shortcut_act = nn.ReLU()
-        self.conv = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.conv = nn.Conv2d(width, width, 3, padding=IN_STRIPS[3], bias=False)
         self.act = nn.ReLU()
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
@@ -147,20 +153,18 @@ class AttributePredictor(nn.Module):
         self, maps: list[Tensor], pixels: Float[Tensor, "batch 3 height width"]
     ) -> Float[Tensor, "batch channel height width"]:
         half = self.trunk(maps)
+        height = 2 * half.shape[2]
         pixels = pixels.to(half.dtype)
 
-        def strip(start: int, stop: int) -> Tensor:
-            seen = _rows_of(self.shortcut, pixels, start, stop, halo=3)
-            return self.out(self.act(self.conv(double_rows(half, start, stop) + self.shortcut_act(seen))))
+        def seen(start: int, stop: int) -> Tensor:
+            near = with_border(lambda first, last: pixels[:, :, first:last], start, stop, height, 3)
+            return double_rows(half, start, stop) + self.shortcut_act(self.shortcut(near))
 
-        return in_strips(2 * half.shape[2], self.strip_rows, strip)
+        def strip(start: int, stop: int) -> Tensor:
+            return self.out(self.act(self.conv(with_border(seen, start, stop, height, 1))))
+
+        return in_strips(height, self.strip_rows, strip)
 
 
 def _on_grid(tokens: Float[Tensor, "token channel"], grid: tuple[int, int]) -> Float[Tensor, "1 channel rows columns"]:
     return tokens.T.unflatten(1, grid)[None]
-
-
-def _rows_of(conv: nn.Module, pixels: Tensor, start: int, stop: int, halo: int) -> Tensor:
-    """Rows `start` to `stop` of `conv(pixels)`, the convolution reaching `halo` rows to either side."""
-    above = max(start - halo, 0)
-    return conv(pixels[:, :, above : stop + halo])[:, :, start - above : stop - above]

@@ -7,7 +7,7 @@ channel j + d/4 (not with its neighbour), and the pair turns by `position * base
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Complex, Float, Int
 from torch import Tensor
 
 
@@ -17,11 +17,17 @@ class Rotation:
 
     cos: Float[Tensor, "token 1 channel"]
     sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
+    turns: Complex[Tensor, "token 1 channel/2"]  # the same, one per pair
 
     def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
         """Turn queries or keys; dtype of `x` is kept."""
         partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
         return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
+
+    def adjacent(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
+        """The same for float32 channels in `adjacent_order`: one complex product, several times as fast."""
+        pairs = torch.view_as_complex(x.unflatten(-1, (-1, 2)))
+        return torch.view_as_real(pairs * self.turns).flatten(-2)
 
 
 def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
@@ -42,4 +48,10 @@ def make_rotation(
     angles = positions.double()[:, None, :, None, None] * frequencies  # [token, 1, axis, 1, pair]
     cos = angles.cos().expand(-1, -1, -1, 2, -1)
     sin = torch.cat((-angles.sin(), angles.sin()), -2)
-    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))
+    turns = torch.complex(angles.cos(), angles.sin()).flatten(2)
+    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)), turns.cfloat().to(device))
+
+
+def adjacent_order(head_width: int) -> Int[Tensor, "channel"]:
+    """The channels of a head, reordered so that the two of a pair stand side by side."""
+    return torch.arange(head_width).view(2, 2, -1).transpose(1, 2).flatten()

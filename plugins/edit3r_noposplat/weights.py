@@ -39,6 +39,8 @@ def load_network(
         network = sized_like(loaded, backbone, head)
         _tell(loaded, network)
         source = fill(network, loaded, settings.seed)
+    if "stored" in (plan.backbone, plan.head):
+        note("reconstructor.arithmetic", "float32 on weights stored in bfloat16, which this processor would emulate")
     _prepare(network, source, plan, device)
     return loaded, network.eval()
 

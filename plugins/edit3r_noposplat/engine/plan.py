@@ -1,6 +1,7 @@
 """Which numeric form each part of the network takes, decided from settings and machine before anything loads."""
 
 import platform
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,8 @@ import torch
 from edit3r.errors import SettingsError
 
 Precision = Literal["float32", "bfloat16", "float16", "int8"]
+Form = Literal[Precision, "stored"]
+"""What a layer holds and computes in; stored: bfloat16 weights, float32 arithmetic."""
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -18,8 +21,8 @@ DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch
 class EnginePlan:
     """How the layers of a network are to be held and run."""
 
-    backbone: Precision  # int8: linears, with float32 between them
-    head: Precision
+    backbone: Form  # int8: linears, with float32 between them
+    head: Form
     packed: bool  # weights in oneDNN's own layout; inference on a CPU only
     winograd: bool  # 3x3 convolutions on large maps with a quarter of the multiplications
 
@@ -38,7 +41,8 @@ def make_plan(
     if head_precision == "auto":
         head_precision = _head_precision(precision)
     packed = packed and on_cpu and torch.backends.mkldnn.is_available()
-    return EnginePlan(precision, head_precision, packed, packed and head_precision == "float32" and _mkl_is_fast())
+    backbone, head = (_form(value, packed) for value in (precision, head_precision))
+    return EnginePlan(backbone, head, packed, packed and head in ("float32", "stored") and _mkl_is_fast())
 
 
 def _head_precision(precision: Precision) -> Precision:
@@ -48,10 +52,14 @@ def _head_precision(precision: Precision) -> Precision:
     return "bfloat16" if has_bf16_instructions() else "int8"
 
 
+def _form(precision: Precision, packed: bool) -> Form:
+    """Emulated, bfloat16 products cost four times those of float32: a CPU that must emulate them only stores it."""
+    return "stored" if precision == "bfloat16" and packed and not has_bf16_instructions() else precision
+
+
 def has_bf16_instructions() -> bool:
-    """True when the CPU multiplies bfloat16 itself (AVX512-BF16 or AMX) instead of emulating it."""
-    flags = _cpu_info()
-    return "avx512_bf16" in flags or "amx_bf16" in flags
+    """True when the CPU multiplies bfloat16 itself (AVX512-BF16, AMX, or Arm's BF16) instead of emulating it."""
+    return re.search(r"\b(avx512_bf16|amx_bf16|bf16)\b", _cpu_info()) is not None
 
 
 def _mkl_is_fast() -> bool:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from edit3r_noposplat.engine.packed import Activation
 
 TILE, PATCH = 4, 6
-TILES_AT_ONCE = 128
+TILES_AT_ONCE = 64
 """Patches transformed together; large enough for fast products, small enough to stay in the cache."""
 
 # Interpolation points 0, 1, -1, 2, -2 and infinity.
@@ -37,15 +37,16 @@ _OUTPUT = ((1, 1, 1, 1, 1, 0), (0, 1, -1, 2, -2, 0), (0, 1, 1, 4, 4, 0), (0, 1, 
 
 
 class WinogradConv(nn.Module):
-    """Float32 3x3 convolution with stride 1 and padding 1, channels-last, with a ReLU on request; inference only."""
+    """Float32 3x3 convolution with stride 1, channels-last, with a ReLU on request; inference only."""
 
     def __init__(self, conv: nn.Conv2d, activation: Activation = "none") -> None:
         super().__init__()
-        if (conv.kernel_size, conv.stride, conv.padding, conv.dilation) != ((3, 3), (1, 1), (1, 1), (1, 1)):
-            raise ValueError("WinogradConv: expected a 3x3 convolution with stride 1, padding 1 and no dilation")
+        if (conv.kernel_size, conv.stride, conv.dilation, conv.groups) != ((3, 3), (1, 1), (1, 1), 1):
+            raise ValueError("WinogradConv: expected a 3x3 convolution with stride 1, no dilation and one group")
         if activation not in ("none", "relu"):
             raise ValueError(f"WinogradConv: no activation {activation!r}")
         self.relu = activation == "relu"
+        self.padding = conv.padding  # (rows, columns)
         kernel, source, target = (torch.tensor(m, dtype=torch.float64) for m in (_KERNEL, _INPUT, _OUTPUT))
         transformed = torch.einsum("ia,jb,ocab->ijco", kernel, kernel, conv.weight.detach().double())
         self.register_buffer("kernels", transformed.flatten(0, 1).float(), persistent=False)  # [36, in, out]
@@ -57,9 +58,12 @@ class WinogradConv(nn.Module):
         return torch.cat([self._picture(picture) for picture in x.permute(0, 2, 3, 1)]).permute(0, 3, 1, 2)
 
     def _picture(self, x: Float[Tensor, "h w channel"]) -> Float[Tensor, "1 h w out"]:
-        height, width = x.shape[:2]
+        above, left = self.padding
+        height, width = x.shape[0] + 2 * above - 2, x.shape[1] + 2 * left - 2
         rows, columns = -(-height // TILE), -(-width // TILE)
-        padded = F.pad(x, (0, 0, 1, 1 + columns * TILE - width, 1, 1 + rows * TILE - height))
+        # To whole tiles, and by the convolution's own padding.
+        right, below = left + columns * TILE - width, above + rows * TILE - height
+        padded = F.pad(x, (0, 0, left, right, above, below)) if any((left, right, above, below)) else x
         result = x.new_empty(rows * TILE, columns * TILE, self.kernels.shape[-1])
         step = max(1, TILES_AT_ONCE // columns)
         for row in range(0, rows, step):

@@ -1,10 +1,12 @@
 """Faster layers against the plain ones they replace."""
 
+from functools import partial
+
 import pytest
 import torch
-from edit3r_noposplat.dpt import double, double_rows, in_strips
+from edit3r_noposplat.dpt import double, double_rows, in_strips, with_border
 from edit3r_noposplat.engine.int8 import Int8Conv, Int8Linear, quantise_input, quantise_weight
-from edit3r_noposplat.engine.packed import FusedConv, PackedLinear
+from edit3r_noposplat.engine.packed import FusedConv, PackedLinear, StoredLinear
 from edit3r_noposplat.engine.plan import make_plan
 from edit3r_noposplat.engine.winograd import WinogradConv
 from torch import nn
@@ -35,6 +37,22 @@ def test_packed_linear_in_bf16_rounds_and_no_more():
     assert (result.float() - linear(x)).norm() / linear(x).norm() < 0.01
 
 
+@pytest.mark.parametrize("activation", ["none", "gelu"])
+def test_stored_layers_err_by_the_rounding_of_their_weights_alone(activation):
+    linear, x = nn.Linear(48, 72), torch.randn(2, 9, 48)
+    linear.weight.data = linear.weight.data.bfloat16().float()
+    expected = linear(x) if activation == "none" else nn.functional.gelu(linear(x))
+    stored = StoredLinear(linear, activation)
+    assert stored.weight.dtype == torch.bfloat16
+    torch.testing.assert_close(stored(x), expected, atol=1e-5, rtol=1e-5)
+
+    conv, x = nn.Conv2d(5, 6, 3, padding=1), torch.randn(1, 5, 9, 11)
+    conv.weight.data = conv.weight.data.bfloat16().float()
+    stored = FusedConv(conv, torch.bfloat16, "relu", arithmetic=torch.float32)
+    assert stored.weight.dtype == torch.bfloat16
+    torch.testing.assert_close(stored(x), conv(x).relu(), atol=1e-5, rtol=1e-5)
+
+
 @pytest.mark.parametrize("activation", ["none", "relu"])
 @pytest.mark.parametrize(("kernel", "stride"), [(1, 1), (3, 1), (3, 2), (7, 1)])
 def test_fused_conv_equals_the_plain_one(kernel, stride, activation):
@@ -43,10 +61,11 @@ def test_fused_conv_equals_the_plain_one(kernel, stride, activation):
     torch.testing.assert_close(FusedConv(conv, torch.float32, activation)(x), expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (4, 4), (5, 9), (34, 70)])
+@pytest.mark.parametrize("size", [(3, 1), (4, 4), (5, 9), (34, 70)])
+@pytest.mark.parametrize("padding", [(1, 1), (0, 1)])
 @pytest.mark.parametrize("bias", [False, True])
-def test_winograd_equals_the_plain_convolution_for_any_size(size, bias):
-    conv, x = nn.Conv2d(6, 7, 3, padding=1, bias=bias), torch.randn(2, 6, *size)
+def test_winograd_equals_the_plain_convolution_for_any_size(size, padding, bias):
+    conv, x = nn.Conv2d(6, 7, 3, padding=padding, bias=bias), torch.randn(2, 6, *size)
     torch.testing.assert_close(WinogradConv(conv)(x), conv(x), atol=2e-5, rtol=1e-5)
 
 
@@ -92,9 +111,10 @@ def test_weights_of_a_silent_channel_quantise_to_zero():
 
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])
 def test_strips_equal_the_whole_map(rows):
-    conv, half = nn.Conv2d(4, 4, 3, padding=1), torch.randn(1, 4, 5, 7)
-    strips = in_strips(10, rows, lambda start, stop: conv(double_rows(half, start, stop)))
-    torch.testing.assert_close(strips, conv(double(half)), atol=1e-5, rtol=1e-5)
+    conv, half = nn.Conv2d(4, 4, 3, padding=(0, 1)), torch.randn(1, 4, 5, 7)
+    strips = in_strips(10, rows, lambda start, stop: conv(with_border(partial(double_rows, half), start, stop, 10, 1)))
+    whole = nn.functional.conv2d(double(half), conv.weight, conv.bias, padding=1)
+    torch.testing.assert_close(strips, whole, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("height", [1, 2, 5])
@@ -109,6 +129,15 @@ def test_heads_beside_int8_follow_what_the_processor_multiplies(monkeypatch):
     assert make_plan("int8", "auto", True, CPU).head == "bfloat16"
     monkeypatch.setattr("edit3r_noposplat.engine.plan._cpu_info", lambda: "flags: avx2")
     assert make_plan("int8", "auto", True, CPU).head == "int8"
+
+
+@pytest.mark.parametrize(
+    ("flags", "form"), [("avx512f avx2", "stored"), ("avx512_bf16", "bfloat16"), ("asimd bf16", "bfloat16")]
+)
+def test_bfloat16_is_only_stored_where_the_processor_would_emulate_it(flags, form, monkeypatch):
+    monkeypatch.setattr("edit3r_noposplat.engine.plan._cpu_info", lambda: f"flags: {flags}")
+    assert make_plan("bfloat16", "auto", True, CPU).backbone == form
+    assert make_plan("bfloat16", "auto", False, CPU).backbone == "bfloat16"  # plain layers: as asked
 
 
 def test_int8_needs_the_packed_engine():
