@@ -72,7 +72,9 @@ class RecolorEditor(Editor):
         recolored = images
         for step in wish.steps:
             recolored = apply_step(recolored, region.masks, step, parameters)
-        return blend_regions(images, recolored[None], self.settings.strength * region.masks[None])
+        # Given masks blend once more behind every editor, so that a soft edge must not count here already.
+        masks = (region.masks > 0).to(images) if given is not None else region.masks
+        return blend_regions(images, recolored[None], self.settings.strength * masks[None])
 
 
 def _note_wish(wish: Wish, parameters: RecolorParameters) -> None:

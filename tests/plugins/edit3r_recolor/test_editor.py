@@ -6,6 +6,7 @@ from edit3r_recolor.editor import RecolorEditor
 
 from edit3r.errors import InputError, PromptError, SettingsError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
+from edit3r.pipeline import composite
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.types import EditRequest, Views
@@ -69,9 +70,10 @@ def test_pixels_outside_the_given_mask_are_bit_equal():
     assert report.notes["editor.region"] == "masks"
 
 
-def test_a_soft_mask_blends_between_photo_and_colour():
+def test_a_soft_mask_blends_once_between_photo_and_colour():
     full = edit("paint it red", masks=torch.ones(1, 2, HEIGHT, WIDTH))[0]
-    half = edit("paint it red", masks=torch.full((1, 2, HEIGHT, WIDTH), 0.5))[0]
+    masks = torch.full((1, 2, HEIGHT, WIDTH), 0.5)
+    half = composite(photos().images, edit("paint it red", masks=masks)[0], masks)  # as the pipeline does
     assert torch.allclose(half, 0.5 * full + 0.5 * photos().images, atol=1e-6)
 
 
