@@ -111,9 +111,10 @@ def _impossible(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
         least = min(cost[key] for cost in costs)
         if least > most:
             flag, unit, scale = _FLAGS[key]
+            way_out = f"; --gaussians {most} merges down to it, at an unmeasured loss" if key == "gaussians" else ""
             return (
                 f"{flag} {most * scale:.0f}: too little for {photos} photos; "
-                f"the least that was measured is {ceil(least * scale)} {unit}."
+                f"the least that was measured is {ceil(least * scale)} {unit}{way_out}."
             )
     given = wish.model_dump(exclude_none=True).items()
     wished = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in given)

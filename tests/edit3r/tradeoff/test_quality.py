@@ -78,7 +78,10 @@ def test_a_budget_takes_the_most_accurate_point_that_fits(shipped, wish, label):
     ("wish", "said"),
     [
         ({"budget_ms": 1000}, "--budget-ms 1000: too little for 2 photos; the least that was measured is 1250 ms."),
-        ({"max_gaussians": 5}, "--max-gaussians 5: too little for 2 photos; the least that was measured is 900 Gauss"),
+        (
+            {"max_gaussians": 5},
+            "--max-gaussians 5: too little for 2 photos; the least that was measured is 900 Gaussians; --gaussians 5",
+        ),
         ({"max_memory": 100}, "--max-memory 100: too little for 2 photos; the least that was measured is 400 MiB."),
         (
             {"max_gaussians": 950, "quality": "fast"},
