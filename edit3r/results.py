@@ -1,6 +1,7 @@
 """What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -11,17 +12,19 @@ import torch
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, save_image
+from edit3r.io.images import LoadedPhotos, save_pixels, to_bytes
 from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, recorded, write_manifest
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
+from edit3r.io.png import Pixels
 from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track, warn
 from edit3r.reuse.fingerprint import identity
-from edit3r.reuse.frames import changed_between, earlier_frames, redraw
-from edit3r.reuse.state import FOLDER, Drawn, SceneState, frame_file, hash_of, save_state
+from edit3r.reuse.frames import Render, changed_between, earlier_frames, hash_of, redraw
+from edit3r.reuse.reach import measured_footprint
+from edit3r.reuse.state import FOLDER, Drawn, SceneState, frame_file, save_state
 from edit3r.stage_checks import blaming, check_rendering, component_name
 from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering
 
@@ -39,14 +42,18 @@ def write(
     masks: dict[str, str],
     rasterizer: Rasterizer,
     config: "RunConfig",
+    earlier: SceneState | None = None,
 ) -> None:
-    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256."""
+    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256.
+
+    What the scene of an `earlier` run shows alike is taken from its pictures.
+    """
     folder = RunFolder(root)
     report = result.report
     with collecting(report), torch.no_grad():
         with report.stage("render"):
             rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
-            path, frames = _camera_path(result, rendered, rasterizer, config.frames)
+            path, frames = _camera_path(result, rendered, rasterizer, config.frames, earlier)
             note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
         with report.stage("write files"):
             _write_pictures(folder, result, rendered, frames)
@@ -80,19 +87,36 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
 
 
 def _camera_path(
-    result: "RunResult", rendered: Rendering, rasterizer: Rasterizer, count: int
-) -> tuple[Cameras, list[torch.Tensor]]:
+    result: "RunResult", rendered: Rendering, rasterizer: Rasterizer, count: int, earlier: SceneState | None
+) -> tuple[Cameras, list[Pixels]]:
     """The camera path and its pictures; after an earlier run the same path, drawn again where something changed."""
-    earlier = result.earlier
-    before = earlier_frames(earlier, count, identity(rasterizer)) if earlier is not None else None
-    changed = changed_between(earlier.scene.gaussians, result.gaussians) if before is not None else None
-    note("reuse.frames", changed is not None)
-    if changed is None:
-        path = path_around(result.cameras, rendered, count)
-        return path, _clipped(render_each(rasterizer, result.gaussians, path, "render camera path"))
-    draw = partial(_render_one, rasterizer, result.gaussians)
-    drawn = redraw(before, changed, earlier.path, draw)
-    return earlier.path, [frame.clamp(0, 1).cpu() for frame in track(drawn, "render camera path", count)]
+    path = path_around(result.cameras, rendered, count)
+    draw = partial(_render_one, rasterizer)
+    drawn = None
+    if earlier is not None and (result.earlier is earlier or _nearly_same(path, earlier.path)):
+        drawn = _redrawn(result.gaussians, rasterizer, count, earlier, draw)
+        path = earlier.path if drawn is not None else path
+    note("reuse.frames", drawn is not None)
+    if drawn is None:
+        pictures = (draw(result.gaussians, path.select([index])).images[0, 0] for index in range(count))
+        drawn = (to_bytes(picture) for picture in pictures)
+    return path, list(track(drawn, "render camera path", count))
+
+
+def _redrawn(
+    gaussians: Gaussians, rasterizer: Rasterizer, count: int, earlier: SceneState, draw: Render
+) -> Iterator[Pixels] | None:
+    """The pictures along the earlier run's path from those it left; None where that cannot be done exactly."""
+    before = earlier_frames(earlier, count, identity(rasterizer))
+    changed = changed_between(earlier.scene.gaussians.to(gaussians.means.device), gaussians) if before else None
+    footprint = measured_footprint(rasterizer, gaussians.means) if changed is not None else None
+    return redraw(before, changed, gaussians, earlier.path, footprint, draw) if footprint is not None else None
+
+
+def _nearly_same(path: Cameras, other: Cameras) -> bool:
+    """Whether two camera paths differ by no more than rounding."""
+    same = path.image_size == other.image_size and path.c2w.shape == other.c2w.shape
+    return same and all(torch.allclose(getattr(path, n), getattr(other, n)) for n in ("c2w", "intrinsics"))
 
 
 def _write_for_editing_again(
@@ -105,7 +129,7 @@ def _write_for_editing_again(
 ) -> None:
     if result.photos.images.shape[0] != 1:
         return
-    frames = tuple(hash_of(frame_file(folder.renders, index)) for index in range(path.count))
+    frames = tuple(hash_of(frame_file(folder.renders, index).read_bytes()) for index in range(path.count))
     before = result.earlier.prompts if result.earlier is not None else ()
     used = set(result.photos.names)
     state = SceneState(
@@ -133,20 +157,16 @@ def _write_scene(folder: RunFolder, result: "RunResult") -> None:
     save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
 
 
-def _clipped(rendering: Rendering) -> list[torch.Tensor]:
-    return list(rendering.images[0].clamp(0, 1).cpu())
-
-
-def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[torch.Tensor]) -> None:
+def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[Pixels]) -> None:
     views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
     jobs = [
-        (picture, directory / f"{name}.png")
+        (to_bytes(picture), directory / f"{name}.png")
         for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
         for name, picture in zip(result.photos.names, pictures)
     ]
     jobs += [(frame, frame_file(folder.renders, index)) for index, frame in enumerate(frames)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        list(pool.map(lambda job: save_image(*job), jobs))
+        list(pool.map(lambda job: save_pixels(*job), jobs))
     subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"
     title = result.request.prompt or "no prompt"
     save_before_after(folder.before_after, *views, names=result.photos.names, title=title, subtitle=subtitle)

@@ -97,7 +97,7 @@ def main(args: argparse.Namespace) -> int:
                 earlier=earlier if goes_on else None,
                 memory=memory,
             )
-            results.write(folder, result, photos, hashes, rasterizer, config)
+            results.write(folder, result, photos, hashes, rasterizer, config, earlier)
     if not args.quiet:
         print(results.summary(Path(args.out), result))
     return 0

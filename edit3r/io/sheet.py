@@ -56,7 +56,7 @@ def save_before_after(
     """Write the sheet of V views as PNG. `title` is usually the prompt, `subtitle` editor and reconstructor."""
     sheet = draw_before_after(photos, edited, rendered, names=names, title=title, subtitle=subtitle)
     with atomic_write(path) as partial:
-        sheet.save(partial)
+        sheet.save(partial, compress_level=1)  # a third of the default's time for a tenth more bytes
 
 
 def draw_before_after(

@@ -1,53 +1,79 @@
-"""Pictures of an edited scene from those of the scene before: only the part that can differ is drawn."""
+"""Pictures of an edited scene from those of the scene before: only the part that can differ is drawn.
 
+    earlier picture ------------------------------------------.
+    changed Gaussians --> cells they may show in --.           +--> picture
+                          all that may show there --> drawn --'
+
+What is drawn is the same, bit for bit, as in a picture drawn whole: same camera, and of the Gaussians only those are
+left out that show nowhere in the cells. The rest was drawn so before.
+"""
+
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 
-import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
-from edit3r.io.decode import read_image
-from edit3r.reuse.crop import boxes_of, cropped
-from edit3r.reuse.graft import differing, same_structure
-from edit3r.reuse.state import SceneState, frame_file, hash_of
+from edit3r.io.images import to_bytes
+from edit3r.io.png import Pixels, decode_png
+from edit3r.reuse.graft import VALUES, differing, same_structure
+from edit3r.reuse.reach import Footprint, Outlines, pixels_of
+from edit3r.reuse.state import SceneState, frame_file
 from edit3r.types import Cameras, Gaussians, Rendering
 
-Render = Callable[[Cameras], Rendering]
-Picture = Float[Tensor, "3 height width"]
+Render = Callable[[Gaussians, Cameras], Rendering]
+MOST = 0.7  # of the Gaussians; to leave out fewer than the rest is no gain
 
 
-def earlier_frames(earlier: SceneState, count: int, rasterizer: str) -> list[Picture] | None:
-    """The frames of the earlier run's camera path; None unless they are as it left them and show its whole scene.
+def earlier_frames(earlier: SceneState, count: int, rasterizer: str) -> list[bytes] | None:
+    """The files of the earlier run's frames; None unless they are as it left them and show its whole scene.
 
     `count` is how many are asked for, `rasterizer` the identity of what would draw them.
     """
     if not earlier.drawn.whole or earlier.drawn.rasterizer != rasterizer or earlier.path.count != count:
         return None
     files = [frame_file(earlier.root / "renders", index) for index in range(count)]
-    if [hash_of(file) for file in files] != list(earlier.drawn.frames):
-        return None
-    return [torch.from_numpy(np.array(read_image(file))).permute(2, 0, 1) / 255 for file in files]
+    contents = [file.read_bytes() if file.is_file() else b"" for file in files]
+    return contents if [hash_of(content) for content in contents] == list(earlier.drawn.frames) else None
 
 
-def redraw(before: Sequence[Picture], changed: Gaussians, cameras: Cameras, render: Render) -> Iterator[Picture]:
-    """One picture per camera: `before`, drawn anew inside the box that the `changed` Gaussians, old and new, reach.
+def hash_of(content: bytes) -> str:
+    """Of a frame's file."""
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
 
-    `before` may have been rounded to eight bits; then so are the parts that stay, and the seam is below half a step.
+
+def redraw(
+    before: Sequence[bytes],
+    changed: Gaussians,
+    gaussians: Gaussians,
+    cameras: Cameras,
+    footprint: Footprint,
+    render: Render,
+) -> Iterator[Pixels]:
+    """One picture of `gaussians` per camera: the files `before`, drawn anew where any of `changed` may show.
+
+    From the first picture on of which so little stays that nothing is gained, all are drawn whole.
     """
-    for index, (picture, box) in enumerate(zip(before, boxes_of(changed, cameras))):
-        if box is None:
-            yield picture
+    new, everything, partly = Outlines(changed, footprint), Outlines(gaussians, footprint), True
+    for index, content in enumerate(before):
+        camera = cameras.select([index])
+        if partly:
+            cells = new.cells(cameras, index)
+            near = everything.meeting(cameras, index, cells).nonzero()[:, 0]
+            partly = len(near) <= MOST * gaussians.count
+        if not partly:
+            yield to_bytes(render(gaussians, camera).images[0, 0])
             continue
-        top, left, bottom, right = box
-        picture = picture.clone()
-        picture[:, top:bottom, left:right] = render(cropped(cameras.select([index]), box)).images[0, 0].to(picture)
+        picture = decode_png(content)
+        if len(near):
+            drawn = pixels_of(cells, cameras.image_size).cpu().numpy()
+            picture[drawn] = to_bytes(render(gaussians.select(near), camera).images[0, 0])[drawn]
         yield picture
 
 
 def changed_between(before: Gaussians, after: Gaussians) -> Gaussians | None:
-    """Gaussians of either scene that the other lacks; None where that cannot be told (another number, or order)."""
+    """Gaussians that show wherever pictures of the scenes can differ; None: cannot be told (another number or order).
+
+    Of two that differ in colour or opacity alone, one will do.
+    """
     if not same_structure(before, after):
         return None
-    differs = differing(before, after)
-    return Gaussians.cat((before.select(differs), after.select(differs)))
+    differs, moved = (differing(before, after, names).nonzero()[:, 0] for names in (VALUES, ("means", "scales")))
+    return Gaussians.cat((before.select(moved), after.select(differs)))

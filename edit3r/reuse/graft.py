@@ -15,6 +15,7 @@ from torch import Tensor
 
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import note
+from edit3r.reuse.reach import Outlines, cells_of, measured_footprint
 from edit3r.simplify.contribution import contributions
 from edit3r.simplify.placement import place
 from edit3r.types import Cameras, Gaussians
@@ -97,10 +98,21 @@ def _graft_sets(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
 def _shows_outside(
     gaussians: Gaussians, asked: Bool[Tensor, "gaussian"], region: Region, cameras: Cameras, rasterizer: Rasterizer
 ) -> Bool[Tensor, "gaussian"]:
-    """Which of the Gaussians `asked` about add anything to a pixel outside the region; False for the others."""
-    if not asked.any() or region.all():
-        return torch.zeros_like(asked)
-    return asked & (_weights(gaussians, ~region, cameras, rasterizer) > 0)
+    """Which of the Gaussians `asked` about add anything to a pixel outside the region; False for the others.
+
+    The rasterizer is only asked about those near the outside, and shown all that is there.
+    """
+    footprint = measured_footprint(rasterizer, gaussians.means)
+    if footprint is None or not asked.any() or region.all():
+        return asked & (_weights(gaussians, ~region, cameras, rasterizer) > 0)
+    everything, found = Outlines(gaussians, footprint), torch.zeros_like(asked)
+    for index in range(cameras.count):
+        border = asked & everything.meeting(cameras, index, cells_of(~region[index]))
+        cells = Outlines(gaussians.select(border.nonzero()[:, 0]), footprint).cells(cameras, index)
+        near = everything.meeting(cameras, index, cells & cells_of(~region[index])).nonzero()[:, 0]
+        weights = _weights(gaussians.select(near), ~region[index, None], cameras.select([index]), rasterizer)
+        found[near[weights > 0]] = True
+    return asked & found
 
 
 def _weights(gaussians: Gaussians, pixels: Region, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "n"]:

@@ -1,6 +1,5 @@
 """The scene as a run leaves it to the next one: photos, their edits, Gaussians, cameras."""
 
-import hashlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -25,7 +24,7 @@ class Drawn:
 
     whole: bool  # of the state's very Gaussians, none made fewer or refined
     rasterizer: str  # identity of what drew them
-    frames: tuple[str, ...]  # hash of each file
+    frames: tuple[str, ...]  # hash of each file, as `edit3r.reuse.frames` takes it
 
 
 @dataclass(frozen=True)
@@ -94,11 +93,6 @@ def _state(entry: Entry, root: Path) -> SceneState:
 def frame_file(folder: Path, index: int) -> Path:
     """A picture of the camera path."""
     return folder / f"path_{index:04d}.png"
-
-
-def hash_of(file: Path) -> str:
-    """Of the file's bytes; empty where there is none."""
-    return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest() if file.is_file() else ""
 
 
 def _record(record: dict) -> Photo:
