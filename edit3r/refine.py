@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.adam import Adam
 from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
@@ -100,8 +101,7 @@ class _Variables:
             "centre": torch.zeros_like(self.start.means),
         }
         self.values = {name: value.clone().requires_grad_(True) for name, value in values.items()}
-        groups = [{"params": [value], "lr": getattr(settings, name)} for name, value in self.values.items()]
-        self.optimizer = torch.optim.Adam(groups)
+        self.optimizer = Adam(list(self.values.values()), [getattr(settings, name) for name in self.values])
 
     def gaussians(self) -> Gaussians:
         return replace(
@@ -113,10 +113,7 @@ class _Variables:
         )
 
     def step(self, loss: Float[Tensor, ""]) -> None:
-        gradients = torch.autograd.grad(loss, list(self.values.values()))
-        for value, gradient in zip(self.values.values(), gradients):
-            value.grad = gradient
-        self.optimizer.step()
+        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())))
 
 
 def _held_back(images: Tensor, settings: RefineSettings) -> Bool[Tensor, "batch camera height width"]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from kornia.losses import ssim_loss
 from torch import Tensor
 
+from edit3r.adam import Adam
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.geometry.harmonics import basis, colour_to_dc
 from edit3r.geometry.rotations import matrices_to_quats
@@ -67,19 +68,17 @@ def _search(
     """World-to-camera pose with the smallest loss met on the way."""
     unit = gaussians.means.norm(dim=-1).median()
     turn, shift = (torch.zeros(3, dtype=w2c.dtype, device=w2c.device, requires_grad=True) for _ in range(2))
-    groups = [{"params": [turn], "lr": options.rotation_rate}, {"params": [shift], "lr": options.translation_rate}]
-    optimizer = torch.optim.Adam(groups)
+    optimizer = Adam((turn, shift), (options.rotation_rate, options.translation_rate))
     best, best_loss = w2c, float("inf")
     for _ in range(options.steps + 1):
         with torch.enable_grad():
             motion = rigid_motion(turn, shift * unit)
             scene = in_camera_frame(gaussians, motion @ w2c)
             loss = _difference(rasterizer.render(scene, lens).images[0, 0], photo, options.ssim_weight)
-            optimizer.zero_grad()
-            loss.backward()
+            gradients = torch.autograd.grad(loss, (turn, shift))
         if loss.item() < best_loss:
             best, best_loss = w2c, loss.item()
-        optimizer.step()
+        optimizer.step(gradients)
         with torch.no_grad():  # the step becomes part of the pose, and the next one starts from nothing
             w2c = rigid_motion(turn, shift * unit) @ w2c
             turn.zero_(), shift.zero_()
