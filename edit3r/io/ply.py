@@ -49,7 +49,7 @@ def save_ply(
     comments = ["3D Gaussians by edit3r", _FRAME, *_view_runs(gaussians.view_index.cpu().numpy()), *comment_lines]
     with atomic_write(path) as partial, partial.open("wb") as file:
         file.write(_header(table, comments))
-        file.write(table.tobytes())
+        file.write(table.data)
 
 
 def load_ply(path: str | Path) -> Gaussians:
@@ -71,26 +71,25 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
     opacities = gaussians.opacities[0].detach().double().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
-    harmonics = gaussians.harmonics[0, :, :coefficients].detach().double()
+    harmonics = gaussians.harmonics[0, :, :coefficients].detach()
     columns = (
-        gaussians.means[0].detach().double(),
-        torch.zeros_like(gaussians.means[0], dtype=torch.float64),
+        gaussians.means[0].detach(),
+        torch.zeros(gaussians.count, 3),
         harmonics[:, 0],
         harmonics[:, 1:].transpose(1, 2).flatten(1),  # [G, 3 * (K - 1)]
         torch.logit(opacities)[:, None],
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
         quats / quats.norm(dim=-1, keepdim=True).clamp(min=1e-12),
     )
-    values = torch.cat(columns, 1).cpu().numpy()
-    if not np.isfinite(values).all():
+    table = torch.cat([column.to("cpu", torch.float32) for column in columns], 1)
+    if not torch.isfinite(table).all():
         raise ValueError("save_ply: the Gaussians hold values that are not finite")
     names = [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
         *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
         *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
     ]
-    table = np.ascontiguousarray(values, dtype="<f4")
-    return table.view([(name, "<f4") for name in names])[:, 0]
+    return table.numpy().astype("<f4", copy=False).view([(name, "<f4") for name in names])[:, 0]
 
 
 def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:

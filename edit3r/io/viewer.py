@@ -45,7 +45,8 @@ def save_viewer(
     """
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
         raise ValueError("save_viewer writes one scene, got a batch")
-    gaussians = gaussians.select(_shown(gaussians)).to("cpu", torch.float32)
+    shown = _shown(gaussians)
+    gaussians = (gaussians if len(shown) == gaussians.count else gaussians.select(shown)).to("cpu", torch.float32)
     cameras = cameras.to("cpu", torch.float64)
     scale_low, scale_step, data = _pack(gaussians, cameras)
     distance = _typical_distance(gaussians, cameras)
@@ -60,11 +61,11 @@ def save_viewer(
         "title": title,
         "subtitle": subtitle,
     }
-    page = files("edit3r.io").joinpath("viewer.html").read_text(encoding="utf-8")
+    head, tail = files("edit3r.io").joinpath("viewer.html").read_text(encoding="utf-8").split("__DATA__")
     content = json.dumps(meta, allow_nan=False).replace("<", "\\u003c")  # no text may end the script element
-    page = page.replace("__TITLE__", html.escape(title or "3D scene")).replace("__META__", content)
+    head = head.replace("__TITLE__", html.escape(title or "3D scene")).replace("__META__", content)
     with atomic_write(path) as partial:
-        partial.write_text(page.replace("__DATA__", base64.b64encode(data).decode()), encoding="utf-8")
+        partial.write_bytes(b"".join((head.encode(), base64.b64encode(data), tail.encode())))
 
 
 def _shown(gaussians: Gaussians) -> torch.Tensor:

@@ -1,5 +1,6 @@
 """What stages answered in this run and in the one before it, by fingerprint."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -46,9 +47,13 @@ class Memory:
         return answer
 
     def save(self, folder: Path) -> None:
-        """Write everything that this run asked for."""
+        """Write everything that this run asked for; what an earlier run wrote is copied."""
         for key, entry in self._entries.items():
-            save_entry(folder / f"{entry.stage}-{key[:16]}{SUFFIX}", entry)
+            file = folder / f"{entry.stage}-{key[:16]}{SUFFIX}"
+            if key in self._files:
+                shutil.copyfile(self._files[key], file)
+            else:
+                save_entry(file, entry)
 
     def _count(self, stages: list[str], stage: str) -> None:
         stages.append(stage)

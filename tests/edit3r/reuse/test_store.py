@@ -1,6 +1,7 @@
 """What is kept for the next run comes back bit for bit, or is refused with a sentence."""
 
 import json
+import zlib
 
 import pytest
 import safetensors.torch
@@ -69,3 +70,14 @@ def test_a_file_of_another_program_or_version_is_refused(tmp_path):
     safetensors.torch.save_file({"a": torch.zeros(1)}, path, header)
     with pytest.raises(InputError, match=f"version 99 of this layout, this edit3r reads {VERSION}"):
         read_key(path)
+
+
+def test_planes_that_do_not_shrink_are_stored_and_the_stream_is_still_plain_zlib(tmp_path):
+    generator = torch.Generator().manual_seed(0)
+    numbers = 1 + torch.rand(50000, generator=generator)  # noise in the low bytes, one sign and exponent
+    save_entry(tmp_path / "a.safetensors", Entry("match", "key", {"numbers": numbers}))
+    assert torch.equal(load_entry(tmp_path / "a.safetensors").tensors["numbers"], numbers)
+    stream = safetensors.torch.load_file(tmp_path / "a.safetensors")["numbers"].numpy().tobytes()
+    planes = numbers.numpy().view("u1").reshape(-1, 4).T.tobytes()
+    assert zlib.decompress(stream) == planes and len(stream) < 0.8 * len(planes)
+    assert planes[:50000] in stream
