@@ -42,7 +42,9 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", metavar="FOLDER")
     parser.add_argument("--recon", default="classical")
     parser.add_argument("--pairs", type=int, default=3, help="pairs per folder")
+    parser.add_argument("--skip", type=int, default=0, help="of these, leave out so many (those settings are tuned on)")
     parser.add_argument("--procedural", type=int, default=8, help="generated scenes")
+    parser.add_argument("--seed", type=int, default=99, help="of the generated scenes")
     parser.add_argument("--size", type=int, default=256, help="side of the square pictures [pixels]")
     parser.add_argument("--shares", type=float, nargs="*", default=SHARES, help="shares for the curves")
     parser.add_argument("--refine", type=int, default=30, help="photometric steps of the refined ones")
@@ -60,7 +62,10 @@ def measured(args: argparse.Namespace, file: Path) -> list[dict]:
     recon, rasterizer = edit3r.build("reconstructor", args.recon), edit3r.build("rasterizer", "numba", threads=1)
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     done = {(row["scene"], row["part"]) for row in rows}
-    scenes = [*real_scenes(args.folders, args.pairs, args.size), *procedural_scenes(args.procedural, args.size)]
+    scenes = [
+        *real_scenes(args.folders, args.pairs, args.size, args.skip),
+        *procedural_scenes(args.procedural, args.size, args.seed),
+    ]
     jobs = [("flat wall", "auto", lambda: measure_wall(args.size, rasterizer))]
     for part, variants in (("auto", only_auto), ("refined", partial(refined, args.refine)), ("curves", curves)):
         for scene in scenes if part in args.parts else ():

@@ -37,11 +37,11 @@ class HeldOut:
         return Cameras(c2w, intrinsics, self.target.image.shape[:2])
 
 
-def real_scenes(folders: Sequence[str], pairs: int, size: int) -> Iterator[HeldOut]:
-    """Up to `pairs` triples of each folder of posed photos."""
+def real_scenes(folders: Sequence[str], pairs: int, size: int, skip: int = 0) -> Iterator[HeldOut]:
+    """Up to `pairs` triples of each folder of posed photos, without the first `skip` of them."""
     for name in folders:
         folder = read_posed_folder(name)
-        for triple in choose_triples(folder.cameras, pairs):
+        for triple in choose_triples(folder.cameras, pairs)[skip:]:
             photos = (folder.load(i, size) for i in (triple.first, triple.second, triple.target))
             yield HeldOut("real", f"{Path(name).name} {triple.first}-{triple.second}", *photos)
 
@@ -52,7 +52,7 @@ def procedural_scenes(count: int, size: int, seed: int = 99) -> Iterator[HeldOut
     for index in range(count):
         sample = data[index]
         photos = [*_photos(sample.context, sample.context_cameras), *_photos(sample.target, sample.target_cameras)]
-        yield HeldOut("procedural", f"procedural {index}", *photos)
+        yield HeldOut("procedural", f"procedural {seed}-{index}", *photos)
 
 
 def _photos(images: torch.Tensor, cameras: Cameras) -> list[Photo]:

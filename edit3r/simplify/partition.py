@@ -21,6 +21,7 @@ from edit3r.types import Cameras
 MARGIN = 0.5  # Gaussians further outside a picture than this are never merged [picture sizes]
 MERGE, ALONG_X, ALONG_Y, STAY = 0, 1, 2, 3
 ROWS, COLUMNS = -2, -1
+LEAST_PRICE = 0.1  # of the highest that the settings allow
 LOWEST_PRICE, HIGHEST_PRICE, PRICE_STEP = 1e-9, 1e6, 1.02
 
 
@@ -95,6 +96,20 @@ def partition(cells: Cells, price: float) -> Int[Tensor, "gaussian"]:
             break
     group[cells.inside[torch.cat(merged)]] = _numbered(torch.cat(keys), table.numel())
     return group
+
+
+def own_price(cells: Cells, settings: SimplifySettings) -> float:
+    """The price that suits the scene: the mean error of merging 2x2 pixels, so that sharp, clean scenes stay so.
+
+    Where the finest detail is strong, photos were noisy or do not fit together, and its reconstruction is off by as
+    much; where it is faint, the same error would be the worst of the picture. Flat scenes pay `LEAST_PRICE` at least.
+    """
+    if cells.levels == 0:
+        return settings.price
+    errors = cells.error[1, 1][cells.count[1, 1] > 1]
+    errors = errors[errors.isfinite()].double()
+    mean = float(errors.mean()) if errors.numel() else 0.0
+    return min(max(settings.relative_price * mean, LEAST_PRICE * settings.price), settings.price)
 
 
 def count_left(cells: Cells, price: float) -> int:

@@ -15,7 +15,10 @@ class SimplifySettings(Settings):
         1 / 255, ge=0, le=1, description="change of a pixel up to which harmonics of higher degrees are dropped"
     )
     price: float = Field(
-        0.005, ge=0, description="squared error, summed over pixels, that may be made to save one Gaussian"
+        0.005, ge=0, description="squared error, summed over pixels, that may at most be made to save one Gaussian"
+    )
+    relative_price: float = Field(
+        1, ge=0, description="that error against the mean one of merging 2x2 pixels; at least a tenth of `price`"
     )
     gradient_share: float = Field(
         0.5, ge=0, le=1, description="share of a linear change of colour that counts as error within a merged cell"
@@ -33,7 +36,7 @@ class SimplifySettings(Settings):
         10, ge=0, le=1000, description="most steps that bring the pictures back towards those of all Gaussians"
     )
     largest_cell: int = Field(5, ge=0, le=8, description="merged cells have sides of at most 2^this pixels")
-    spread: float = Field(1.9, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")
+    spread: float = Field(1.75, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")
     behind: float = Field(
         0.25, ge=0, le=2, description="how far a merged Gaussian moves away from its camera [its largest scale]"
     )

@@ -18,7 +18,7 @@ from edit3r.simplify.contribution import contributions
 from edit3r.simplify.degree import needed_degree
 from edit3r.simplify.duplicates import duplicates
 from edit3r.simplify.merging import merge_groups
-from edit3r.simplify.partition import measure_cells, partition, price_for
+from edit3r.simplify.partition import measure_cells, own_price, partition, price_for
 from edit3r.simplify.placement import Placement, place
 from edit3r.simplify.settings import SimplifySettings
 from edit3r.types import Cameras, Gaussians
@@ -26,7 +26,8 @@ from edit3r.types import Cameras, Gaussians
 PATH_CAMERAS = 2  # pictures from between and around, per input view
 PATH_REDUCTION = 2  # of their sides
 PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
-POLISH = RefineSettings()
+# Larger steps than towards photos: merged Gaussians reach across the borders of things and must shrink within few.
+POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08)
 LONE_BASELINE = 0.1  # how far new views of a lone picture are taken to be [its median depth]
 
 
@@ -53,7 +54,7 @@ def simplify(
     """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of `view_index`.
 
     `most` is a budget: with it the price of a Gaussian is searched so that at most so many are left; None: the price
-    of the settings.
+    follows from the scene's detail, see `own_price`.
     """
     settings = settings or SimplifySettings()
     if gaussians.means.shape[0] != 1:
@@ -117,7 +118,7 @@ def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: S
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     parallax = _parallax(placement, cameras)
     cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
-    price = settings.price if most is None else price_for(cells, most)
+    price = own_price(cells, settings) if most is None else price_for(cells, most)
     return merge_groups(gaussians, partition(cells, price), cameras, settings)
 
 

@@ -11,7 +11,7 @@ from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.simplify import SimplifySettings, simplify
 from edit3r.testing.contract import Contract
 from edit3r.testing.gaussians import require_valid_gaussians
-from edit3r.testing.scenes import cameras_around, gaussian_cloud
+from edit3r.testing.scenes import cameras_around, gaussian_cloud, photograph
 from edit3r.types import Gaussians
 
 from .scenes import flat_wall, gaussian_per_pixel, textured
@@ -52,6 +52,18 @@ def test_a_textured_scene_loses_two_thirds_and_little_else(rasterizer):
     before, after = (pictures(rasterizer, g, cameras) for g in (gaussians, result.gaussians))
     assert result.psnr == pytest.approx(psnr(after, before), abs=1e-3)
     assert psnr(after, photos.numpy()) > psnr(before, photos.numpy()) - 1
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_new_view_between_the_inputs_loses_under_a_fifth_of_a_decibel(rasterizer, seed):
+    scene = photograph(3, (96, 128), seed=seed)
+    inputs, between = scene.cameras.select([0, 2]), scene.cameras.select([1])
+    gaussians = gaussian_per_pixel(scene.views.images[0, [0, 2]], scene.depths[0, [0, 2]], inputs)
+    fewer = simplify(gaussians, inputs, rasterizer).gaussians
+    assert fewer.count < gaussians.count / 3
+    photo = scene.views.images[:, [1]].numpy()
+    before, after = (psnr(pictures(rasterizer, g, between), photo) for g in (gaussians, fewer))
+    assert after > before - 0.2
 
 
 @pytest.mark.parametrize("most", [1, 40, 500, 3000])
