@@ -25,7 +25,7 @@ class Int8Linear(nn.Module):
         self.register_buffer("bias", linear.bias.detach().float(), persistent=False)
 
     def forward(self, x: Float[Tensor, "*batch in"]) -> Float[Tensor, "*batch out"]:
-        values, scale, zero = quantise_input(x.reshape(-1, self.in_features))
+        values, scale, zero = quantise_input(x.reshape(-1, self.in_features).contiguous())
         result = _ops.qlinear_pointwise(
             values,
             scale,
@@ -96,7 +96,7 @@ def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
 
     `x` is contiguous or channels-last; the values have its layout.
     """
-    if x.dim() == 4 and x.is_contiguous(memory_format=torch.channels_last):
+    if not x.is_contiguous():
         values, scale, zero = quantise_input(x.permute(0, 2, 3, 1))
         return values.permute(0, 3, 1, 2), scale, zero
     low, high = (value.item() for value in torch.aminmax(x))

@@ -153,6 +153,21 @@ def test_a_finer_grid_gives_one_gaussian_per_photo_pixel():
     assert gaussians.count == 2 * 40 * 56
 
 
+@pytest.mark.parametrize(
+    ("precision", "most"), [("float32", 1e-5), ("bfloat16", 0.01), ("int8", 0.05)], ids=["float32", "bfloat16", "int8"]
+)
+@pytest.mark.parametrize("size", [(16, 16), (80, 48)])
+def test_layers_wide_enough_for_every_fast_form_agree_with_plain_ones(precision, most, size, monkeypatch):
+    monkeypatch.setattr("edit3r_noposplat.engine.plan._cpu_info", lambda: "GenuineIntel")  # Winograd; bfloat16 stored
+    wide = {**TINY, "head": {"feature_width": 128, "point_width": 128, "layer_widths": (64, 64, 64, 64)}}
+    views = views_of(torch.rand(1, 2, 3, *size))
+    plain = build(engine="eager", **wide)(views).gaussians
+    fast = build(precision=precision, **wide)(views).gaussians
+    for name in ("means", "scales", "opacities", "harmonics"):
+        expected = getattr(plain, name)
+        assert (getattr(fast, name) - expected).norm() < most * expected.norm(), name
+
+
 def test_packed_and_eager_engines_agree(reconstructor):
     views = views_of(torch.rand(1, 3, 3, 32, 48))
     packed, eager = reconstructor(views).gaussians, build(engine="eager")(views).gaussians
