@@ -90,12 +90,11 @@ def _camera_path(
     result: "RunResult", rendered: Rendering, rasterizer: Rasterizer, count: int, earlier: SceneState | None
 ) -> tuple[Cameras, list[Pixels]]:
     """The camera path and its pictures; after an earlier run the same path, drawn again where something changed."""
-    path = path_around(result.cameras, rendered, count)
     draw = partial(_render_one, rasterizer)
-    drawn = None
-    if earlier is not None and (result.earlier is earlier or _nearly_same(path, earlier.path)):
-        drawn = _redrawn(result.gaussians, rasterizer, count, earlier, draw)
-        path = earlier.path if drawn is not None else path
+    path, drawn = path_around(result.cameras, rendered, count), None
+    if earlier is not None and earlier.path.count == count and _same(result.cameras, earlier.scene.cameras):
+        path = earlier.path.to(path.c2w)
+        drawn = _redrawn(result.gaussians, path, rasterizer, earlier, draw)
     note("reuse.frames", drawn is not None)
     if drawn is None:
         pictures = (draw(result.gaussians, path.select([index])).images[0, 0] for index in range(count))
@@ -104,19 +103,19 @@ def _camera_path(
 
 
 def _redrawn(
-    gaussians: Gaussians, rasterizer: Rasterizer, count: int, earlier: SceneState, draw: Render
+    gaussians: Gaussians, path: Cameras, rasterizer: Rasterizer, earlier: SceneState, draw: Render
 ) -> Iterator[Pixels] | None:
     """The pictures along the earlier run's path from those it left; None where that cannot be done exactly."""
-    before = earlier_frames(earlier, count, identity(rasterizer))
-    changed = changed_between(earlier.scene.gaussians.to(gaussians.means.device), gaussians) if before else None
+    before = earlier_frames(earlier, identity(rasterizer))
+    changed = changed_between(earlier.scene.gaussians.to(gaussians.means), gaussians) if before else None
     footprint = measured_footprint(rasterizer, gaussians.means) if changed is not None else None
-    return redraw(before, changed, gaussians, earlier.path, footprint, draw) if footprint is not None else None
+    return redraw(before, changed, gaussians, path, footprint, draw) if footprint is not None else None
 
 
-def _nearly_same(path: Cameras, other: Cameras) -> bool:
-    """Whether two camera paths differ by no more than rounding."""
-    same = path.image_size == other.image_size and path.c2w.shape == other.c2w.shape
-    return same and all(torch.allclose(getattr(path, n), getattr(other, n)) for n in ("c2w", "intrinsics"))
+def _same(cameras: Cameras, other: Cameras | None) -> bool:
+    """Whether the photos are placed alike, bit for bit."""
+    same = other is not None and cameras.image_size == other.image_size
+    return same and all(torch.equal(getattr(cameras, n).cpu(), getattr(other, n)) for n in ("c2w", "intrinsics"))
 
 
 def _write_for_editing_again(

@@ -74,14 +74,16 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     harmonics = gaussians.harmonics[0, :, :coefficients].detach()
     columns = (
         gaussians.means[0].detach(),
-        torch.zeros(gaussians.count, 3),
+        torch.zeros(1, 3).expand(gaussians.count, -1),
         harmonics[:, 0],
         harmonics[:, 1:].transpose(1, 2).flatten(1),  # [G, 3 * (K - 1)]
         torch.logit(opacities)[:, None],
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
         quats / quats.norm(dim=-1, keepdim=True).clamp(min=1e-12),
     )
-    table = torch.cat([column.to("cpu", torch.float32) for column in columns], 1)
+    table = torch.empty(gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32)
+    for part, column in zip(table.split([column.shape[1] for column in columns], 1), columns):
+        part.copy_(column)
     if not torch.isfinite(table).all():
         raise ValueError("save_ply: the Gaussians hold values that are not finite")
     names = [

@@ -22,14 +22,14 @@ Render = Callable[[Gaussians, Cameras], Rendering]
 MOST = 0.7  # of the Gaussians; to leave out fewer than the rest is no gain
 
 
-def earlier_frames(earlier: SceneState, count: int, rasterizer: str) -> list[bytes] | None:
+def earlier_frames(earlier: SceneState, rasterizer: str) -> list[bytes] | None:
     """The files of the earlier run's frames; None unless they are as it left them and show its whole scene.
 
-    `count` is how many are asked for, `rasterizer` the identity of what would draw them.
+    `rasterizer` is the identity of what would draw them.
     """
-    if not earlier.drawn.whole or earlier.drawn.rasterizer != rasterizer or earlier.path.count != count:
+    if not earlier.drawn.whole or earlier.drawn.rasterizer != rasterizer:
         return None
-    files = [frame_file(earlier.root / "renders", index) for index in range(count)]
+    files = [frame_file(earlier.root / "renders", index) for index in range(earlier.path.count)]
     contents = [file.read_bytes() if file.is_file() else b"" for file in files]
     return contents if [hash_of(content) for content in contents] == list(earlier.drawn.frames) else None
 
@@ -62,7 +62,7 @@ def redraw(
             yield to_bytes(render(gaussians, camera).images[0, 0])
             continue
         picture = decode_png(content)
-        if len(near):
+        if cells.any():
             drawn = pixels_of(cells, cameras.image_size).cpu().numpy()
             picture[drawn] = to_bytes(render(gaussians.select(near), camera).images[0, 0])[drawn]
         yield picture

@@ -102,14 +102,18 @@ def _shows_outside(
 
     The rasterizer is only asked about those near the outside, and shown all that is there.
     """
+    found = torch.zeros_like(asked)
+    if not asked.any() or region.all():
+        return found
     footprint = measured_footprint(rasterizer, gaussians.means)
-    if footprint is None or not asked.any() or region.all():
+    if footprint is None:
         return asked & (_weights(gaussians, ~region, cameras, rasterizer) > 0)
-    everything, found = Outlines(gaussians, footprint), torch.zeros_like(asked)
+    everything = Outlines(gaussians, footprint)
     for index in range(cameras.count):
-        border = asked & everything.meeting(cameras, index, cells_of(~region[index]))
+        outside = cells_of(~region[index])
+        border = asked & everything.meeting(cameras, index, outside)
         cells = Outlines(gaussians.select(border.nonzero()[:, 0]), footprint).cells(cameras, index)
-        near = everything.meeting(cameras, index, cells & cells_of(~region[index])).nonzero()[:, 0]
+        near = everything.meeting(cameras, index, cells & outside).nonzero()[:, 0]
         weights = _weights(gaussians.select(near), ~region[index, None], cameras.select([index]), rasterizer)
         found[near[weights > 0]] = True
     return asked & found

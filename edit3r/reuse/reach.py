@@ -11,7 +11,7 @@ from edit3r.geometry.cameras import from_pixels, invert_rigid, to_pixels
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians
 
-CELL = 4  # [pixels]
+CELL = 2  # [pixels]
 SPARE = 0.5  # pixels around, for rounding
 NEAR = 5  # a Gaussian nearer than this many times its reach may show anywhere: its outline is no ellipse
 
@@ -101,12 +101,12 @@ def _grid(image_size: tuple[int, int]) -> tuple[int, int]:
 
 
 def measured_footprint(rasterizer: Rasterizer, like: Tensor) -> Footprint | None:
-    """How far `rasterizer` draws, read from its pictures of a point and of a Gaussian; None: to their very border.
+    """How far `rasterizer` draws, read from its pictures of a point and of a Gaussian; None: cannot be told.
 
     It is asked because rasterizers and their settings differ. `like` gives device and type.
     """
     point, disc = (_drawn_radius(rasterizer, size, like) for size in (1e-3, _PROBE_SIZE))
-    if disc >= _PROBE // 2 - 1:
+    if not 0 < disc < _PROBE // 2 - 1:  # it is culled, or shows to the picture's border
         return None
     # Between the last pixel that shows and the next lies the true bound; both figures take the next.
     deviations = max(0.0, (disc + 1) ** 2 - point**2) ** 0.5 / _PROBE_SIZE

@@ -4,12 +4,13 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.io.images import save_image
+from edit3r.io.images import save_image, to_bytes
 from edit3r.pipeline import run
 from edit3r.reuse.graft import differing
 from edit3r.reuse.memory import Memory
@@ -106,6 +107,22 @@ def test_given_photos_are_edited_from_the_start_with_what_is_known_of_them(plant
     assert again(folders, *more) == 0
     assert sorted(planted.calls[first:]) == ["edit", "reconstruct"]
     assert load_state(folders / "second").prompts == ("B",)
+
+
+@pytest.mark.parametrize("photos", [(), ("a.png", "b.png")], ids=["scene", "photos"])
+def test_frames_of_a_further_run_are_those_of_its_scene_drawn_whole(folders, rasterizer, photos):
+    photos = [str(folders / name) for name in photos] + ["--fov", "51.57", "--recon", "planted"][: 4 * bool(photos)]
+    assert again(folders, *photos, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
+    notes = json.loads((folders / "second" / "run.json").read_text())["notes"]
+    assert notes["reuse.frames"] is True
+    one, two = (load_state(folders / name) for name in ("first", "second"))
+    assert torch.equal(two.path.c2w, one.path.c2w)
+    for index, picture in enumerate(rasterizer.render(two.scene.gaussians, two.path).images[0]):
+        assert (read_pixels(folders / "second" / "renders" / f"path_{index:04d}.png") == to_bytes(picture)).all()
+
+
+def read_pixels(file):
+    return np.array(Image.open(file))
 
 
 def test_what_changed_is_computed_again(planted, folders):

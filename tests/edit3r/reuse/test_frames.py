@@ -66,6 +66,15 @@ def test_gaussians_that_moved_leave_no_trace_where_they_were(edit, rasterizer):
     assert all((a == b).all() for a, b in zip(pictures, drawn_whole(rasterizer, after, path), strict=True))
 
 
+def test_where_all_gaussians_went_behind_the_camera_the_background_is_drawn(edit, rasterizer):
+    scene, _, path = edit
+    before = scene.select(torch.arange(40))
+    after = replace(before, means=before.means + torch.tensor([0, 0, -100.0]))
+    pictures, drawn = redrawn(rasterizer, before, after, path)
+    assert max(drawn) == 0 and not any(picture.any() for picture in pictures)
+    assert any(picture.any() for picture in drawn_whole(rasterizer, before, path))
+
+
 def test_pictures_of_an_unchanged_scene_are_not_drawn_and_of_a_new_one_drawn_whole(edit, rasterizer):
     before, _, path = edit
     pictures, drawn = redrawn(rasterizer, before, before, path)

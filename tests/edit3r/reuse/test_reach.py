@@ -41,8 +41,8 @@ def test_nothing_shows_outside_its_cells(any_rasterizer):
 def test_those_that_do_not_meet_the_cells_add_nothing_there(any_rasterizer):
     cameras, cloud = cameras_around(1, SIZE), small_cloud(400, 3)
     footprint = measured_footprint(any_rasterizer, cloud.means)
-    cells = torch.zeros(17, 25, dtype=torch.bool)
-    cells[4:9, 10:14] = cells[12, 2] = True
+    cells = torch.zeros(33, 49, dtype=torch.bool)
+    cells[8:18, 20:28] = cells[24, 4] = True
     near = Outlines(cloud, footprint).meeting(cameras, 0, cells)
     part, whole = (any_rasterizer.render(some, cameras).images[0, 0] for some in (cloud.select(near), cloud))
     inside = pixels_of(cells, SIZE)
@@ -68,9 +68,14 @@ def test_a_rasterizer_that_draws_without_bound_has_no_footprint(any_rasterizer):
     assert measured_footprint(Boundless(), torch.zeros(1)) is None
 
 
+def test_a_rasterizer_that_does_not_draw_the_probe_has_no_footprint():
+    far_off = edit3r.build("rasterizer", "numba", threads=1, near=5.0)
+    assert measured_footprint(far_off, torch.zeros(1)) is None
+
+
 def test_cells_hold_their_pixels():
     pixels = torch.zeros(SIZE, dtype=torch.bool)
     pixels[65, 96] = pixels[3, 4] = True
     cells = cells_of(pixels)
-    assert cells.shape == (17, 25) and cells.nonzero().tolist() == [[0, 1], [16, 24]]
-    assert pixels_of(cells, SIZE).sum() == 16 + 2
+    assert cells.shape == (33, 49) and cells.nonzero().tolist() == [[1, 2], [32, 48]]
+    assert pixels_of(cells, SIZE).sum() == 4 + 2
