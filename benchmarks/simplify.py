@@ -5,7 +5,7 @@
 Each FOLDER holds photos of one scene with their cameras; further scenes are generated. Two photos are reconstructed;
 the scene with all its Gaussians, with those that `simplify` leaves, and with as many left by each rival, is compared
 with the photo between them. Writes `points.jsonl` (one line per scene, method and share; scenes found there are not
-measured again) and `curves.png`, and prints the means.
+measured again) and, where curves were measured, `curves.png`, and prints the means.
 """
 
 import argparse
@@ -54,7 +54,8 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     rows = measured(args, args.out / "points.jsonl")
     print(table(rows))
-    plot(rows, args.out / "curves.png")
+    if any(row["part"] == "curves" for row in rows):
+        plot(rows, args.out / "curves.png")
 
 
 def measured(args: argparse.Namespace, file: Path) -> list[dict]:

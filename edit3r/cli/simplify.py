@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--cameras", metavar="FILE", help="cameras.json or transforms.json of the views; default: beside the scene")
     add("--gaussians", default="auto", metavar="auto|N", help="as many as the scene requires (default), or at most N")
     add("--rasterizer", default="auto", metavar="NAME", help="rasterizer that judges what is seen (default auto)")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as simplify.price=0.01")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as simplify.relative_price=2")
     add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
     add("--out", metavar="FILE", required=True, help="the simplified scene, also as 3DGS PLY")
     add("--quiet", action="store_true", help="print errors only")
