@@ -95,7 +95,7 @@ def _camera_path(
     if earlier is not None and earlier.path.count == count and _same(result.cameras, earlier.scene.cameras):
         path = earlier.path.to(path.c2w)
         drawn = _redrawn(result.gaussians, path, rasterizer, earlier, draw)
-    note("reuse.frames", drawn is not None)
+    note("reuse.frames", 0)
     if drawn is None:
         pictures = (draw(result.gaussians, path.select([index])).images[0, 0] for index in range(count))
         drawn = (to_bytes(picture) for picture in pictures)

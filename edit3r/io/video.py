@@ -1,8 +1,9 @@
 """Pictures to a video that browsers play: WebM with VP8 (RFC 6386), every frame a key frame.
 
 Pillow does the coding: the payload of a lossy WebP picture *is* a VP8 key frame, so a video is those payloads in a WebM
-container. That needs no encoder with a GPL or patent licence, takes a fifth of the time of OpenCV's VP8 and a twentieth
-of its VP9, gives the same bytes every time, and can be stopped and stepped at any frame; files are larger by half.
+container. That needs no encoder with a GPL or patent licence, takes less than a fifth of the time of OpenCV's VP8 and a
+twentieth of its VP9, gives the same bytes every time, and can be stopped and stepped at any frame; files are larger by
+three quarters.
 """
 
 import io

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from edit3r.io.images import to_bytes
 from edit3r.io.png import Pixels, decode_png
+from edit3r.reporting import note
 from edit3r.reuse.graft import VALUES, differing, same_structure
 from edit3r.reuse.reach import Footprint, Outlines, pixels_of
 from edit3r.reuse.state import SceneState, frame_file
@@ -65,6 +66,7 @@ def redraw(
         if cells.any():
             drawn = pixels_of(cells, cameras.image_size).cpu().numpy()
             picture[drawn] = to_bytes(render(gaussians.select(near), camera).images[0, 0])[drawn]
+        note("reuse.frames", index + 1)
         yield picture
 
 

@@ -85,7 +85,7 @@ def test_a_second_edit_computes_only_the_edit_and_one_reconstruction(planted, fo
     assert sorted(planted.calls[first:]) == ["edit", "reconstruct"]
     notes = json.loads((folders / "second" / "run.json").read_text())["notes"]
     assert notes["reuse.reused"] == ["match"] and notes["reuse.edits"] == ["A", "B"]
-    assert notes["reuse.computed"] == [] and notes["reuse.frames"] is True
+    assert notes["reuse.computed"] == [] and notes["reuse.frames"] == 3
 
 
 def test_a_sequence_of_edits_keeps_the_first_and_its_outside(planted, folders, rasterizer):
@@ -109,20 +109,29 @@ def test_given_photos_are_edited_from_the_start_with_what_is_known_of_them(plant
     assert load_state(folders / "second").prompts == ("B",)
 
 
-@pytest.mark.parametrize("photos", [(), ("a.png", "b.png")], ids=["scene", "photos"])
-def test_frames_of_a_further_run_are_those_of_its_scene_drawn_whole(folders, rasterizer, photos):
-    photos = [str(folders / name) for name in photos] + ["--fov", "51.57", "--recon", "planted"][: 4 * bool(photos)]
-    assert again(folders, *photos, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
-    notes = json.loads((folders / "second" / "run.json").read_text())["notes"]
-    assert notes["reuse.frames"] is True
+def assert_frames_are_taken_up_and_those_drawn_whole(folders, rasterizer):
+    assert json.loads((folders / "second" / "run.json").read_text())["notes"]["reuse.frames"] == 3
     one, two = (load_state(folders / name) for name in ("first", "second"))
-    assert torch.equal(two.path.c2w, one.path.c2w)
+    assert torch.equal(two.path.c2w, one.path.c2w) and two.drawn.frames != one.drawn.frames
     for index, picture in enumerate(rasterizer.render(two.scene.gaussians, two.path).images[0]):
-        assert (read_pixels(folders / "second" / "renders" / f"path_{index:04d}.png") == to_bytes(picture)).all()
+        file = folders / "second" / "renders" / f"path_{index:04d}.png"
+        assert (np.array(Image.open(file)) == to_bytes(picture)).all()
 
 
-def read_pixels(file):
-    return np.array(Image.open(file))
+def test_frames_of_a_further_edit_are_those_of_its_scene_drawn_whole(folders, rasterizer):
+    assert again(folders, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
+    assert_frames_are_taken_up_and_those_drawn_whole(folders, rasterizer)
+
+
+def test_frames_of_another_edit_of_the_photos_are_those_of_its_scene_drawn_whole(folders, rasterizer):
+    for file in masks_of(folders, 0):
+        mask = np.array(Image.open(file))
+        mask[: len(mask) // 2] = 0
+        Image.fromarray(mask).save(file)
+    photos = [str(folders / f"{name}.png") for name in ("a", "b")]
+    more = (*photos, "--fov", "51.57", "--recon", "planted", "--prompt", "B", "--mask", *masks_of(folders, 0))
+    assert again(folders, *more) == 0
+    assert_frames_are_taken_up_and_those_drawn_whole(folders, rasterizer)
 
 
 def test_what_changed_is_computed_again(planted, folders):
