@@ -1,5 +1,6 @@
 """The picture of a sweep: time against accuracy, a panel for each kind of scene."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from edit3r.tradeoff.figures import MeasuredPoint
 from edit3r.tradeoff.front import front
 
 CLOCKS = {"cpu": "processor time", "wall": "time"}
+PANEL, LINE = 260, 9  # about the height of all points, and of a line of text [typographic points]
+NAMES = 0.6  # room for names, left of the points, against the width of these
 
 
 def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str], file: Path) -> None:
@@ -45,20 +48,34 @@ def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, pr
         axis.errorbar(
             time.least, accuracy, xerr=around, fmt="*" if preset else "o", ms=15 if preset else 5, color=colour, lw=1
         )
-        text = f"{preset}: {point.label}" if preset else point.label
-        left = time.least**2 > line[0][0] * line[-1][0]  # in the right half: towards the middle
-        axis.annotate(
-            text,
-            (time.least, accuracy),
-            xytext=(-6 if left else 6, 4 if on else -9),
-            textcoords="offset points",
-            ha="right" if left else "left",
-            fontsize=7,
-            color=colour if on or preset else "0.4",
-        )
-    axis.margins(x=0.2, y=0.1)
+    axis.margins(y=0.1)
+    quickest, slowest = min(t.least for t in times), max(t.most for t in times)
+    axis.set_xlim(quickest * (quickest / slowest) ** NAMES, slowest * 1.3)
     axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: f"{seconds:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right", fontsize=8)
+    named = [(t.least, a, p.label) for p, t, a, on in zip(points, times, accuracies, on_front) if on]
+    _name(axis, sorted(named), presets, max(accuracies) - min(accuracies))
+
+
+def _name(axis: Any, named: Sequence[tuple[float, float, str]], presets: Mapping[str, str], span: float) -> None:
+    """Write the front's names, quickest first, to its left, where no point can be, and none on another.
+
+    The others' names are in the table.
+    """
+    top = -math.inf
+    for index, (seconds, accuracy, label) in enumerate(named):
+        preset = presets.get(label)
+        at = accuracy / max(span, 1e-9) * PANEL  # [typographic points]
+        top = max(at + 3, top + LINE)
+        axis.annotate(
+            f"{preset}: {label}" if preset else label,
+            (seconds, accuracy),
+            xytext=(10 if index == 0 else -8, top - at),
+            textcoords="offset points",
+            ha="left" if index == 0 else "right",
+            fontsize=7,
+            color="tab:red" if preset else "tab:blue",
+        )
