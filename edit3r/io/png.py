@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["decode_png", "encode_png"]
+__all__ = ["Pixels", "decode_png", "encode_png"]
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from edit3r.io.images import to_bytes
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.images import save_pixels, to_bytes
 
 __all__ = ["COLUMNS", "draw_before_after", "save_before_after"]
 
@@ -55,8 +55,7 @@ def save_before_after(
 ) -> None:
     """Write the sheet of V views as PNG. `title` is usually the prompt, `subtitle` editor and reconstructor."""
     sheet = draw_before_after(photos, edited, rendered, names=names, title=title, subtitle=subtitle)
-    with atomic_write(path) as partial:
-        sheet.save(partial, compress_level=1)  # a third of the default's time for a tenth more bytes
+    save_pixels(np.asarray(sheet), path)
 
 
 def draw_before_after(

@@ -39,8 +39,8 @@ def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, pr
         ylabel="novel view PSNR [dB]",
         title=kind,
     )
-    line = sorted((t.least, a) for t, a, on in zip(times, accuracies, on_front) if on)
-    axis.step(*zip(*line), where="post", color="tab:blue", linewidth=1, label="front")
+    line = sorted((t.least, a, p.label) for p, t, a, on in zip(points, times, accuracies, on_front) if on)
+    axis.step(*list(zip(*line))[:2], where="post", color="tab:blue", linewidth=1, label="front")
     for point, time, accuracy, on in zip(points, times, accuracies, on_front):
         preset = presets.get(point.label)
         around = [[0], [time.most - time.least]]
@@ -56,8 +56,7 @@ def _panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, pr
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right", fontsize=8)
-    named = [(t.least, a, p.label) for p, t, a, on in zip(points, times, accuracies, on_front) if on]
-    _name(axis, sorted(named), presets, max(accuracies) - min(accuracies))
+    _name(axis, line, presets, max(accuracies) - min(accuracies))
 
 
 def _name(axis: Any, named: Sequence[tuple[float, float, str]], presets: Mapping[str, str], span: float) -> None:

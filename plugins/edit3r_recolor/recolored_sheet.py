@@ -10,8 +10,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from edit3r.io.images import to_bytes
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.images import save_pixels, to_bytes
 
 MOST_ROWS = 12
 CELL = 320
@@ -38,8 +37,7 @@ def save_sheet(
         place = (4, index * lines[0].shape[-2] + 4)
         draw.rectangle(draw.textbbox(place, names[row]), fill=(0, 0, 0))
         draw.text(place, names[row], fill=(255, 255, 255))
-    with atomic_write(path) as partial:
-        sheet.save(partial)
+    save_pixels(np.asarray(sheet), path)
 
 
 def _painted(photos: Images, masks: Float[Tensor, "object view height width"]) -> Images:
