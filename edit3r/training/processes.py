@@ -5,6 +5,7 @@ in one message, so all processes take the same optimiser step; nothing has to wr
 keeps to itself. One process is the same code with nothing to send.
 """
 
+import importlib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -116,6 +117,9 @@ def joined_processes(device: torch.device | None = None) -> Iterator[Processes]:
     on_gpu = device is not None and device.type == "cuda"
     if on_gpu:
         torch.cuda.set_device(device)
+    # torch.distributed.nn takes the group that stands when it is imported as a default argument and keeps it, with its
+    # threads, beyond the end of Python, where they abort the process now and then; imported before, it keeps None.
+    importlib.import_module("torch.distributed.nn")
     dist.init_process_group("nccl" if on_gpu else "gloo")
     try:
         yield Processes(dist.get_rank(), dist.get_world_size())

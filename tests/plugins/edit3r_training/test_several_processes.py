@@ -68,3 +68,8 @@ def test_a_signal_to_one_process_stops_all_and_resuming_gives_the_straight_run_s
     for name, expected in straight[0].items():
         assert torch.equal(half[0][name], half[1][name]) and not torch.equal(half[0][name], expected)
         assert torch.equal(resumed[0][name], expected) and torch.equal(resumed[1][name], expected)
+
+
+def test_nothing_of_the_group_outlives_the_training(run):
+    """Its threads would run into the end of Python, which aborts the process now and then."""
+    assert [(run / f"group-{rank}.txt").read_text() for rank in (0, 1)] == ["gone", "gone"]

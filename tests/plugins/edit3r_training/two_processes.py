@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def train(job: TrainingJob, name: str, rank: int) -> None:
 
 def main(out: Path) -> None:
     with joined_processes() as processes:
-        rank = processes.rank
+        rank, group = processes.rank, weakref.ref(dist.group.WORLD)
         straight, stopped = tiny_job(out / "straight"), tiny_job(out / "stopped")
         if rank == 1:  # must not matter: the first process's weights count
             torch.nn.init.zeros_(straight.reconstructor.network.weight)
@@ -57,6 +58,7 @@ def main(out: Path) -> None:
         train(stopped, "half", rank)
         dist.barrier()
         train(replace(tiny_job(out / "stopped"), resume=True), "weights", rank)
+    (out / f"group-{rank}.txt").write_text("gone" if group() is None else "held")
 
 
 if __name__ == "__main__":
