@@ -178,15 +178,12 @@ class Gaussians(_Tensors):
         return round(self.harmonics.shape[2] ** 0.5) - 1
 
     def select(self, index: Tensor) -> "Gaussians":
-        """The Gaussians at a boolean or integer `index` along G, the same for every scene of the batch."""
-        return Gaussians(
-            self.means[:, index],
-            self.scales[:, index],
-            self.quats[:, index],
-            self.opacities[:, index],
-            self.harmonics[:, index],
-            self.view_index[index],
-        )
+        """The Gaussians at a boolean or integer (from 0) `index` along G, the same for every scene of the batch."""
+        if index.dtype == torch.bool:
+            index = index.nonzero()[:, 0]
+        # A third of the time of indexing with [:, index].
+        own = {f.name: getattr(self, f.name).index_select(1, index) for f in fields(Gaussians)[:-1]}
+        return Gaussians(**own, view_index=self.view_index.index_select(0, index))
 
     def from_view(self, view: int) -> "Gaussians":
         """Only those that came from input view `view`."""

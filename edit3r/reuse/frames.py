@@ -57,7 +57,7 @@ def redraw(
         camera = cameras.select([index])
         if partly:
             cells = new.cells(cameras, index)
-            near = everything.meeting(cameras, index, cells).nonzero()[:, 0]
+            near = everything.meeting(cameras, index, cells)
             partly = len(near) <= MOST * gaussians.count
         if not partly:
             yield to_bytes(render(gaussians, camera).images[0, 0])

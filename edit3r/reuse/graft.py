@@ -111,9 +111,9 @@ def _shows_outside(
     everything = Outlines(gaussians, footprint)
     for index in range(cameras.count):
         outside = cells_of(~region[index])
-        border = asked & everything.meeting(cameras, index, outside)
-        cells = Outlines(gaussians.select(border.nonzero()[:, 0]), footprint).cells(cameras, index)
-        near = everything.meeting(cameras, index, cells & outside).nonzero()[:, 0]
+        border = everything.meeting(cameras, index, outside)
+        cells = Outlines(gaussians.select(border[asked[border]]), footprint).cells(cameras, index)
+        near = everything.meeting(cameras, index, cells & outside)
         weights = _weights(gaussians.select(near), ~region[index, None], cameras.select([index]), rasterizer)
         found[near[weights > 0]] = True
     return asked & found

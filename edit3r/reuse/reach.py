@@ -1,10 +1,11 @@
 """Where in a picture Gaussians may show, and which Gaussians may show at given places."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from edit3r.geometry.cameras import from_pixels, invert_rigid, to_pixels
@@ -14,6 +15,7 @@ from edit3r.types import Cameras, Gaussians
 CELL = 2  # [pixels]
 SPARE = 0.5  # pixels around, for rounding
 NEAR = 5  # a Gaussian nearer than this many times its reach may show anywhere: its outline is no ellipse
+BLOCK = 16  # neighbours in the list that are tried as one first; one per pixel, they lie side by side
 
 Cells = Bool[Tensor, "row column"]
 """Squares of CELL pixels a side; those at the right and at the bottom may be cut."""
@@ -38,50 +40,85 @@ class Outlines:
     """
 
     def __init__(self, gaussians: Gaussians, footprint: Footprint) -> None:
-        self._means = gaussians.means[0].T.contiguous()
-        self._sizes = footprint.deviations * gaussians.scales[0].amax(-1)
-        self._least = (footprint.deviations * footprint.smoothing**0.5 + SPARE) / CELL  # [cells]
+        least = footprint.deviations * footprint.smoothing**0.5 + SPARE
+        self._each = _Balls(
+            gaussians.means[0].T.contiguous(), footprint.deviations * gaussians.scales[0].amax(-1), least
+        )
 
     def cells(self, cameras: Cameras, index: int) -> Cells:
         """Those of one camera's picture that any of them may show in."""
         rows, columns = _grid(cameras.image_size)
-        x, y, far = self._placed(cameras, index)
+        x, y, far = self._each.placed(cameras, index)
         x, y, far = (values[far >= 0] for values in (x, y, far))
-        left, right = (x - far).clamp(0, columns).long(), (x + far + 1).clamp(0, columns).long()
-        top, bottom = (y - far).clamp(0, rows).long(), (y + far + 1).clamp(0, rows).long()
-        corners = torch.zeros((rows + 1) * (columns + 1), dtype=torch.int32, device=x.device)
+        left, right = (x - far).clamp_(0, columns).long(), (x + far).add_(1).clamp_(0, columns).long()
+        top, bottom = (y - far).clamp_(0, rows).long(), (y + far).add_(1).clamp_(0, rows).long()
+        top, bottom, corners = top * (columns + 1), bottom * (columns + 1), (rows + 1) * (columns + 1)
         # Each square counts in the sum over all that is above and to the left, from its first to its last corner.
-        for row, column, sign in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
-            corners.scatter_add_(0, row * (columns + 1) + column, torch.full_like(row, sign, dtype=torch.int32))
-        return corners.view(rows + 1, columns + 1).cumsum(0).cumsum(1)[:-1, :-1] > 0
+        more = torch.cat((top + left, bottom + right)).bincount(minlength=corners)
+        less = torch.cat((top + right, bottom + left)).bincount(minlength=corners)
+        return (more - less).view(rows + 1, columns + 1).cumsum(0).cumsum(1)[:-1, :-1] > 0
 
-    def meeting(self, cameras: Cameras, index: int, cells: Cells) -> Bool[Tensor, "gaussian"]:
-        """Which of them may show in any of `cells` of one camera's picture."""
+    def meeting(self, cameras: Cameras, index: int, cells: Cells) -> Int[Tensor, "found"]:
+        """Which of them may show in any of `cells` of one camera's picture, in rising order."""
         if not cells.any():
-            return torch.zeros_like(self._sizes, dtype=torch.bool)
-        rows, columns = cells.shape
+            return torch.zeros(0, dtype=torch.long, device=cells.device)
         steps = cv2.distanceTransform((~cells).to("cpu", torch.uint8).numpy(), cv2.DIST_C, 3)
-        steps = torch.from_numpy(steps).to(self._sizes).flatten()  # along the longer of x and y [cells]
-        x, y, far = self._placed(cameras, index)
+        steps = torch.from_numpy(steps).to(self._each.sizes)  # along the longer of x and y [cells]
+        means, sizes, blocks = self._blocks
+        tried = blocks.meeting(cameras, index, steps).nonzero()[:, 0]
+        members = _Balls(means[:, tried].flatten(1), sizes[tried].flatten(), self._each.least)
+        found = members.meeting(cameras, index, steps).nonzero()[:, 0]
+        found = tried[found // BLOCK] * BLOCK + found % BLOCK
+        return found[: torch.searchsorted(found, len(self._each.sizes))]
+
+    @cached_property
+    def _blocks(self) -> tuple[Float[Tensor, "3 block member"], Float[Tensor, "block member"], "_Balls"]:
+        """Centres and sizes of BLOCK neighbours each, the last filled up with its last member; and each as one."""
+        each = self._each
+        filled = -len(each.sizes) % BLOCK
+        means = torch.cat((each.means, each.means[:, -1:].expand(-1, filled)), 1).unflatten(1, (-1, BLOCK))
+        sizes = torch.cat((each.sizes, each.sizes[-1:].expand(filled))).unflatten(0, (-1, BLOCK))
+        low, high = means.aminmax(dim=2)
+        centres = (low + high) / 2
+        spread = (high - centres).norm(dim=0) * (1 + 1e-5) + 1e-6 * centres.norm(dim=0)  # and rounding
+        return means, sizes, _Balls(centres, sizes.amax(1), each.least + SPARE, spread)
+
+
+@dataclass(frozen=True)
+class _Balls:
+    """Round Gaussians, or groups of such with their centres within `spread` of the group's."""
+
+    means: Float[Tensor, "3 ball"]
+    sizes: Float[Tensor, "ball"]  # of a group, its largest
+    least: float  # half side of the square around one of no size [pixels]
+    spread: Float[Tensor, "ball"] | float = 0.0
+
+    def meeting(self, cameras: Cameras, index: int, steps: Float[Tensor, "row column"]) -> Bool[Tensor, "ball"]:
+        """Which may show in a cell where `steps`, the way to the nearest wanted cell, is 0."""
+        rows, columns = steps.shape
+        x, y, far = self.placed(cameras, index)
         # From outside the picture, its nearest cell is nearer to all others than the centre is.
         place = y.clamp_(0, rows - 1).int().mul_(columns).add_(x.clamp_(0, columns - 1).int())
-        return steps.index_select(0, place) <= far.add_(1)
+        return steps.flatten().index_select(0, place) <= far.add_(1)
 
-    def _placed(self, cameras: Cameras, index: int) -> tuple[Tensor, Tensor, Tensor]:
+    def placed(self, cameras: Cameras, index: int) -> tuple[Tensor, Tensor, Tensor]:
         """Centre (x, y) and half side [cells]: infinite for those that may show anywhere, or (negative) nowhere."""
         lens = to_pixels(cameras.intrinsics, cameras.image_size)[0, index]
         lens[:2] /= CELL
         w2c = invert_rigid(cameras.c2w[0, index])
         shift = lens @ w2c[:3, 3]
-        x, y, z = ((lens @ w2c[:3, :3]) @ self._means).unbind()
+        x, y, z = ((lens @ w2c[:3, :3]) @ self.means).unbind()
         x, y, z = x.add_(shift[0]), y.add_(shift[1]), z.add_(shift[2])
-        per_z = z.clamp(min=1e-12).reciprocal_()
+        nearest = z - self.spread
+        per_z, per_nearest = (values.clamp(min=1e-12).reciprocal_() for values in (z, nearest))
         x, y = x.mul_(per_z), y.mul_(per_z)
         aside = torch.maximum((x - lens[0, 2]).abs_(), (y - lens[1, 2]).abs_())
-        steepest = float(torch.maximum(lens[0, :2].norm(), lens[1, 1]))
-        far = aside.add_(steepest).mul_(self._sizes).mul_(per_z).add_(self._least)
-        far = torch.where(z < NEAR * self._sizes, torch.inf, far)
-        return x, y, torch.where(z <= 0, -torch.inf, far)
+        aside = aside.add_(float(torch.maximum(lens[0, :2].norm(), lens[1, 1])))
+        # A point d away from the centre shows at most `aside` d / nearest away from where the centre does.
+        apart = aside * self.spread * per_nearest
+        far = (aside + apart).mul_(self.sizes).mul_(per_nearest).add_(apart).add_(self.least / CELL)
+        far = torch.where(nearest < NEAR * self.sizes, torch.inf, far)
+        return x, y, torch.where(z + self.spread <= 0, -torch.inf, far)
 
 
 def cells_of(pixels: Bool[Tensor, "height width"]) -> Cells:

@@ -18,7 +18,8 @@ class StepEnd:
     """A pipeline's `callback_on_step_end`: tells the progress and, with a mask, blends the photo back in.
 
     Diffusion inpainting by replacement (RePaint's known region): the area outside the mask follows the photo's own
-    noised latents, so what is drawn inside grows to fit what stays outside.
+    noised latents, so what is drawn inside grows to fit what stays outside. A soft edge counts as inside here: mixed in
+    at every step it would count many times, and the pipeline mixes the finished picture by it once.
     """
 
     def __init__(
@@ -31,9 +32,9 @@ class StepEnd:
         if self.mask is None or self.photo_at is None:
             return tensors
         latents = tensors["latents"]
-        mask = resize_mask(self.mask.to(latents), latents.shape[-2:])
+        inside = resize_mask(self.mask.to(latents), latents.shape[-2:]) > 0
         photo = self.photo_at(pipeline.scheduler, next_timestep(pipeline.scheduler, timestep)).to(latents)
-        return {**tensors, "latents": mask * latents + (1 - mask) * photo}
+        return {**tensors, "latents": torch.where(inside, latents, photo)}
 
 
 def next_timestep(scheduler: Any, timestep: Tensor) -> Tensor | None:

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.reuse.reach import Outlines, cells_of, measured_footprint, pixels_of
+from edit3r.reuse import reach
+from edit3r.reuse.reach import Footprint, Outlines, cells_of, measured_footprint, pixels_of
 from edit3r.testing.scenes import cameras_around, gaussian_cloud
 
 SETTINGS = [{}, {"eps2d": 10.0}, {"min_alpha": 1e-4}, {"eps2d": 0.01, "min_alpha": 0.3}]
@@ -33,7 +34,7 @@ def test_nothing_shows_outside_its_cells(any_rasterizer):
             shown = any_rasterizer.render(one, cameras.select([camera])).alphas[0, 0, 0] > 0
             cells = Outlines(one, footprint).cells(cameras, camera)
             assert not (shown & ~pixels_of(cells, SIZE)).any()
-            assert bool(Outlines(one, footprint).meeting(cameras, camera, cells)) == bool(cells.any())
+            assert len(Outlines(one, footprint).meeting(cameras, camera, cells)) == bool(cells.any())
             seen += bool(shown.any()) and not bool(cells.all())
     assert seen > 20
 
@@ -46,7 +47,22 @@ def test_those_that_do_not_meet_the_cells_add_nothing_there(any_rasterizer):
     near = Outlines(cloud, footprint).meeting(cameras, 0, cells)
     part, whole = (any_rasterizer.render(some, cameras).images[0, 0] for some in (cloud.select(near), cloud))
     inside = pixels_of(cells, SIZE)
-    assert torch.equal(part[:, inside], whole[:, inside]) and 0 < int(near.sum()) < cloud.count
+    assert torch.equal(part[:, inside], whole[:, inside]) and 0 < len(near) < cloud.count
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_trying_neighbours_as_one_first_loses_and_adds_none(monkeypatch, seed):
+    generator = torch.Generator().manual_seed(seed)
+    cloud = small_cloud(300, seed)  # a line through all depths, close to the cameras and behind them too
+    line = torch.linspace(-3, 3, 300)[:, None] * torch.randn(3, generator=generator)
+    cloud = replace(cloud, means=cloud.means * 0.05 + line)
+    cameras, footprint = cameras_around(3, SIZE), Footprint(3.0, 0.3)
+    cells = torch.rand(33, 49, generator=generator) > 0.99
+    found = {}
+    for size in (1, 7, 64):
+        monkeypatch.setattr(reach, "BLOCK", size)
+        found[size] = [Outlines(cloud, footprint).meeting(cameras, index, cells).tolist() for index in range(3)]
+    assert found[1] == found[7] == found[64] and 0 < sum(map(len, found[1])) < 900
 
 
 def test_gaussians_behind_the_camera_reach_nothing_and_close_ones_everything(rasterizer):

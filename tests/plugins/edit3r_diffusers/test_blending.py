@@ -33,6 +33,13 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
         assert torch.equal(latents[..., :4], edit[..., :4])
 
 
+def test_a_soft_edge_is_left_to_the_pipeline_which_mixes_it_in_once(scheduler):
+    clean, noise, edit = torch.randn(3, 1, 4, 8, 8)
+    step_end = blending.StepEnd("x", 4, torch.full((1, 1, 16, 16), 0.1), blending.noised(clean, noise))
+    latents = step_end(Pipeline(scheduler), 0, scheduler.timesteps[0], {"latents": edit})["latents"]
+    assert torch.equal(latents, edit)
+
+
 def test_without_a_mask_the_latents_are_untouched(scheduler):
     tensors = {"latents": torch.randn(1, 4, 8, 8)}
     step_end = blending.StepEnd("x", 4)
