@@ -9,7 +9,6 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.io.framing import Frame
 from edit3r.io.images import Photo
-from edit3r.reuse.fingerprint import fingerprint
 from edit3r.reuse.parts import pack_reconstruction, unpack_reconstruction
 from edit3r.reuse.store import Entry, load_entry, save_entry
 from edit3r.types import Cameras, Reconstruction, Views
@@ -52,9 +51,8 @@ def save_state(root: Path, state: SceneState) -> None:
     facts |= {"names": list(state.photos.names), "prompts": list(state.prompts), "drawn": asdict(state.drawn)}
     facts |= {"reconstructor": state.reconstructor, "assumed": list(state.photos.assumed)}
     facts |= {"path_size": list(state.path.image_size), "records": [asdict(record) for record in state.records]}
-    key = fingerprint([tensors[name] for name in sorted(tensors)])
     (root / FOLDER).mkdir(exist_ok=True)
-    save_entry(root / FOLDER / FILE, Entry("scene", key, tensors, facts))
+    save_entry(root / FOLDER / FILE, Entry("scene", "", tensors, facts))
 
 
 def load_state(root: str | Path) -> SceneState:
@@ -69,8 +67,6 @@ def load_state(root: str | Path) -> SceneState:
             f"--from takes what edit3r run wrote with --out."
         )
     entry = load_entry(file)
-    if fingerprint([entry.tensors[name] for name in sorted(entry.tensors)]) != entry.key:
-        raise InputError(f"{file}: damaged, its content is not what was written; start again from the photos.")
     try:
         return _state(entry, root)
     except (KeyError, TypeError, ValueError) as error:

@@ -45,14 +45,25 @@ def _widened(
     blocks = (math.ceil(full[0] / BLOCK), math.ceil(full[1] / BLOCK))
     maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
     reach = 2 * min(pad // 2, height // 2, width // 2) // 2  # an average over the border's surroundings, not one row
-    smooth = maps
-    for kernel, padding in (((2 * reach + 1, 1), (reach, 0)), ((1, 2 * reach + 1), (0, reach))):  # the square, by turns
-        smooth = F.avg_pool2d(smooth, kernel, stride=1, padding=padding, count_include_pad=False)
+    smooth = _mean_around(_mean_around(maps, 2, reach), 3, reach)
     coarse = F.interpolate(F.pad(smooth, (pad,) * 4, mode="replicate"), blocks, mode="area")
     coarse = coarse.view(*views.images.shape[:2], 4, *blocks)
     intrinsics = to_pixels(views.intrinsics, views.image_size)
     intrinsics[..., :2, 2] += pad
     return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
+
+
+def _mean_around(maps: Float[Tensor, "batch channel height width"], side: int, reach: int) -> Tensor:
+    """Mean over what lies at most `reach` away along one side, inside the picture.
+
+    From running sums in float64, whose cost does not grow with the reach.
+    """
+    size = maps.shape[side]
+    sums = F.pad(maps, (0, 0, 1, 0) if side == 2 else (1, 0)).cumsum(side, dtype=torch.float64)
+    places = torch.arange(size, device=maps.device)
+    first, end = (places - reach).clamp(min=0), (places + reach + 1).clamp(max=size)
+    count = (end - first).view(-1, 1) if side == 2 else end - first
+    return ((sums.index_select(side, end) - sums.index_select(side, first)) / count).to(maps.dtype)
 
 
 def _outside_all(

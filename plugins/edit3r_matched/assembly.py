@@ -10,6 +10,7 @@ from edit3r.geometry.cameras import to_pixels, unproject
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import MatchedGeometry
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r_matched.edit_reach import near_an_edit
 from edit3r_matched.guided_upsampling import guided_upsample
 from edit3r_matched.local_colour import blur, change_of
 from edit3r_matched.network import NetworkOutputs
@@ -17,6 +18,9 @@ from edit3r_matched.warping import Correspondence, correspond, partners, pull
 
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
+
+MEASURED = 0.5
+"""Confidence below which a depth was filled in."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,12 @@ def assemble(
     fine = _at_photo_size(outputs, photos)
     depths = geometry.depths * fine.depth_correction.exp()
     matches = correspond(depths, source.intrinsics, geometry.c2w)
-    colours = fuse_colours(edited.images, photos, fine, matches) if settings.fuse_edits else edited.images
-    opacities = torch.sigmoid(_opacity_logits(geometry, matches, settings) + fine.opacity_correction)
+    colours, logits = edited.images, _opacity_logits(geometry, matches, settings) + fine.opacity_correction
+    if settings.fuse_edits:
+        near = near_an_edit(edited.images, photos, matches, geometry.confidence >= MEASURED)
+        colours = fuse_colours(edited.images, photos, fine, matches, near)
+        logits = logits + near * fine.disagreement
+    opacities = torch.sigmoid(logits)
     focal = to_pixels(source.intrinsics, source.image_size)[..., 0, 0]
     scales = settings.footprint * depths / focal[..., None, None] * fine.scale_correction.exp()
     gaussians = _gaussians(unproject(depths, source.intrinsics, geometry.c2w), scales, opacities, colours)
@@ -52,15 +60,16 @@ def fuse_colours(
     photos: Float[Tensor, "batch view 3 height width"],
     outputs: NetworkOutputs,
     matches: Correspondence,
+    near: Float[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view 3 height width"]:
-    """Convex mix of the candidates; exactly `edited` where neither the reference nor the view was edited."""
+    """Convex mix of the candidates; exactly `edited` where it is not `near` a change."""
     shape = photos.shape[:2]
     carried = (photos + change_of(outputs.maps.flatten(0, 1), photos.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
     reference = torch.cat((edited[:, :1], (edited - photos)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
     pulled, change = pull(reference, matches.places).split(3, 2)
     presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
     presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
-    choice = outputs.choice
+    choice = outputs.choice * near[:, :, None]
     taken = choice[:, :, 2:] * presence
     # What is not taken along the geometry for want of an edit there goes to the photo under the carried map.
     mapped = choice[:, :, 1:2] + choice[:, :, 2:] - taken
@@ -69,21 +78,22 @@ def fuse_colours(
 
 def _at_photo_size(outputs: NetworkOutputs, photos: Tensor) -> NetworkOutputs:
     """The network's maps at the photos' size, along the photos' edges."""
-    single = (outputs.depth_correction, outputs.opacity_correction, outputs.scale_correction)
+    single = (outputs.depth_correction, outputs.opacity_correction, outputs.scale_correction, outputs.disagreement)
     stacked = torch.cat((torch.stack(single, 2), outputs.maps, outputs.choice), 2)
     fine = guided_upsample(stacked.flatten(0, 1), photos.flatten(0, 1)).unflatten(0, photos.shape[:2])
-    depth, opacity, scale = fine[:, :, :3].unbind(2)
+    depth, opacity, scale, disagreement = fine[:, :, :4].unbind(2)
     choice = fine[:, :, -outputs.choice.shape[2] :]
-    return NetworkOutputs(depth, opacity, scale, fine[:, :, 3:-3], choice / choice.sum(2, keepdim=True).clamp(min=1e-6))
+    choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
+    return NetworkOutputs(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
 
 
 def _opacity_logits(geometry: MatchedGeometry, matches: Correspondence, settings: AssemblySettings) -> Tensor:
     """Honest start: less for filled-in points, next to nothing for those that float in front of the partner's."""
-    filled = geometry.confidence < 0.5
+    filled = geometry.confidence < MEASURED
     guessed = torch.where(matches.inside.bool(), settings.filled_opacity, settings.lone_opacity)
     opacity = torch.where(filled, guessed, settings.opacity)
     seen = pull(geometry.confidence[:, partners(filled.shape[1]), None], matches.places, mode="nearest")[:, :, 0]
-    floating = filled & (matches.depth_ratio < -0.03) & (seen > 0.5)
+    floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
     return torch.logit(torch.where(floating, settings.floating_opacity, opacity))
 
 

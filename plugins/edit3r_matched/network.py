@@ -44,6 +44,7 @@ class NetworkOutputs:
     depth_correction: Float[Tensor, "batch view height width"]  # added to log depth
     opacity_correction: Float[Tensor, "batch view height width"]  # added to the logit
     scale_correction: Float[Tensor, "batch view height width"]  # added to the log scale
+    disagreement: Float[Tensor, "batch view height width"]  # added to the logit near an edit, <= 0; 0 for the reference
     maps: Float[Tensor, "batch view 12 height width"]  # carried affine colour maps; 0 for the reference
     choice: Float[Tensor, "batch view 3 height width"]  # convex weights of the colour candidates
 
@@ -101,8 +102,9 @@ def _outputs(features: SourceFeatures, fused: list[FusedEdit]) -> NetworkOutputs
     assert maps.shape[2] == CHANNELS and choice.shape[2] == CANDIDATES
     return NetworkOutputs(
         features.depth_correction,
-        features.opacity_correction + less[:, :, 0],
+        features.opacity_correction,
         features.scale_correction,
+        less[:, :, 0],
         maps,
         choice,
     )

@@ -175,4 +175,5 @@ def _with_share(outputs: NetworkOutputs, depth: float, opacity: float) -> Networ
         depth_correction=depth * outputs.depth_correction,
         opacity_correction=opacity * outputs.opacity_correction,
         scale_correction=opacity * outputs.scale_correction,
+        disagreement=opacity * outputs.disagreement,
     )

@@ -31,6 +31,12 @@ def test_unknown_components_end_the_run_before_anything_else(capsys, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_program_is_main_and_leaves_without_a_search_for_cycles():
+    code = "import gc, sys; from edit3r.cli.main import program; print(program(), gc.get_freeze_count() > 0)"
+    done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("edit3r ") and done.stdout.split()[-2:] == ["0", "True"]
+
+
 def test_options_and_photos_may_be_mixed(capsys, tmp_path):
     missing = str(tmp_path / "a.jpg")
     assert main(["run", missing, "--prompt", "x", str(tmp_path / "b.jpg"), "--editor", "none"]) == 2

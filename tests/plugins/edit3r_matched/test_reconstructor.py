@@ -2,6 +2,7 @@ from typing import ClassVar
 
 import pytest
 import torch
+import torch.nn.functional as F
 from edit3r_matched.network import MatchedEditNetwork, network_grid
 from edit3r_matched.reconstructor import Edit3rReconstructor
 from edit3r_matched.weights import load_network, save_network
@@ -89,6 +90,22 @@ def test_views_that_agree_stay_as_they_are():
     edited = _recoloured(_views(), (0, 1))
     gap = (_colours(_reconstructor()(edited, _views())) - edited.images[0]).abs()
     assert gap.mean() < 0.02
+
+
+def test_what_lies_away_from_an_edit_stays_bit_for_bit():
+    views, edited = _views(3), _recoloured(_views(3), (0, 1))
+    plain, changed = (_reconstructor()(given, views).gaussians for given in (views, edited))
+    pixels = 3 * SIZE[0] * SIZE[1]
+    same = [
+        (getattr(plain, name)[0, :pixels] == getattr(changed, name)[0, :pixels]).reshape(3, *SIZE, -1).all(-1)
+        for name in ("means", "scales", "opacities", "harmonics")
+    ]
+    kept = torch.stack(same).all(0)
+    reach = 2 * 5 + 1  # of a change, and of what hangs on it
+    near = F.max_pool2d(SCENE.objects[1, 0, :, None], 2 * reach + 1, 1, reach)[:, 0] > 0
+    assert kept[:2][~near[:2]].all() and near[:2].float().mean() < 0.7
+    assert not kept[1][_inside(1)].any()
+    assert 0.5 < kept[2][~near[2]].float().mean() < 1  # it was not edited, so what only it shows may take the edit
 
 
 def test_switching_fusion_off_shows_every_view_s_own_edit():
