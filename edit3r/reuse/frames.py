@@ -20,7 +20,7 @@ from edit3r.reuse.state import SceneState, frame_file
 from edit3r.types import Cameras, Gaussians, Rendering
 
 Render = Callable[[Gaussians, Cameras], Rendering]
-MOST = 0.5  # of the Gaussians; telling which to leave out takes nearly as long as drawing half of them
+MOST = 0.35  # of the Gaussians; telling which to leave out takes longer than drawing half of them
 
 
 def earlier_frames(earlier: SceneState, rasterizer: str) -> list[bytes] | None:

@@ -12,7 +12,6 @@ from PIL import Image
 from edit3r.cli.main import main
 from edit3r.io.images import save_image, to_bytes
 from edit3r.pipeline import run
-from edit3r.reuse import frames
 from edit3r.reuse.graft import differing
 from edit3r.reuse.memory import Memory
 from edit3r.reuse.state import FOLDER, load_state
@@ -56,9 +55,8 @@ def test_without_masks_a_first_edit_costs_no_second_reconstruction(planted, edit
 
 
 @pytest.fixture
-def folders(planted, tmp_path, monkeypatch):
+def folders(planted, tmp_path):
     """Photos and masks as files, and a first run of them into `first`."""
-    monkeypatch.setattr(frames, "MOST", 0.7)  # the balls are large in these small pictures
     for index, name in enumerate(("a", "b")):
         save_image(planted.views.images[0, index], tmp_path / f"{name}.png")
         for ball in (0, 1):
