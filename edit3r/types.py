@@ -179,6 +179,7 @@ class Gaussians(_Tensors):
 
     def select(self, index: Tensor) -> "Gaussians":
         """The Gaussians at a boolean or integer (from 0) `index` along G, the same for every scene of the batch."""
+        index = index.to(self.means.device)
         if index.dtype == torch.bool:
             index = index.nonzero()[:, 0]
         # A third of the time of indexing with [:, index].

@@ -35,7 +35,7 @@ def pixel_maps(reconstruction: Reconstruction, views: int, image_size: tuple[int
             "one that gives every pixel its own."
         )
     if gaussians.count > pixels:
-        gaussians = gaussians.select(slice(pixels))
+        gaussians = gaussians.select(torch.arange(pixels))
     shape = (gaussians.means.shape[0], views, *image_size)
     colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3).permute(0, 1, 4, 2, 3)
     points = gaussians.means.reshape(*shape, 3)
