@@ -62,9 +62,9 @@ def main() -> None:
     table = _table(rows, args)
     print(table)
     if args.write:
-        text = args.write.read_text(encoding="utf-8")
-        block = re.escape(START) + ".*?" + re.escape(END)
-        args.write.write_text(re.sub(block, lambda _: f"{START}\n{table}\n{END}", text, flags=re.S), encoding="utf-8")
+        from edit3r.io.marked_page import write_between
+
+        write_between(args.write, START, END, f"{table}\n")
     if args.json:
         args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
 

@@ -23,6 +23,7 @@ import numpy as np
 from PIL import Image
 
 from edit3r.io.images import load_masks, load_photos
+from edit3r.io.marked_page import write_between
 from edit3r.io.packaged import packaged_pair
 from edit3r.pipeline import run
 from edit3r.reuse.memory import Memory
@@ -86,12 +87,10 @@ def main() -> None:
             name, _, folder = named.partition("=")
             photos, cameras = ([folder], None) if folder else packaged_pair()
             rows += measured(Scene(name, photos, cameras, tuple(prompts), Path(work) / name), args.rounds)
-    table = "\n".join(rows)
-    print(HEAD + table)
+    table = HEAD + "\n".join(rows)
+    print(table)
     if args.write:
-        page = args.write.read_text(encoding="utf-8")
-        before, after = page.split(START)[0], page.split(END)[1]
-        args.write.write_text(f"{before}{START}\n{HEAD}{table}\n{END}{after}", encoding="utf-8")
+        write_between(args.write, START, END, f"{table}\n")
 
 
 HEAD = (

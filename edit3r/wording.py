@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.interfaces import Proposal, Segmenter
+from edit3r.neighbourhood import largest_around
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import EditRequest, Views
@@ -77,6 +78,6 @@ def _follow(
 def grown(masks: Float[Tensor, "view height width"]) -> Float[Tensor, "view height width"]:
     """0/1 masks with a soft margin outside; exactly 0 beyond it, exactly 1 on the object."""
     radius = max(1, round(MARGIN * max(masks.shape[-2:])))
-    wide = F.max_pool2d(masks[:, None], 2 * radius + 1, stride=1, padding=radius)
+    wide = largest_around(masks, radius)[:, None]
     soft = F.avg_pool2d(wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False)[:, 0]
     return torch.maximum(masks, soft)

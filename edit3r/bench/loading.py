@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import read_cameras
 from edit3r.io.images import LoadedPhotos, load_photos
 from edit3r.io.masks import load_masks
+from edit3r.neighbourhood import largest_around
 from edit3r.registry import Registry
 from edit3r.types import Cameras, Views
 
@@ -95,9 +95,9 @@ def change_masks(
     photos: Float[Tensor, "frame 3 height width"], truth: Float[Tensor, "frame 3 height width"]
 ) -> Float[Tensor, "frame height width"]:
     """1 where the truth visibly differs from the photo, and a little around; else 0."""
-    changed = ((truth - photos).abs().amax(1, keepdim=True) > VISIBLE).to(photos.dtype)
+    changed = ((truth - photos).abs().amax(1) > VISIBLE).to(photos.dtype)
     reach = max(1, round(MARGIN * photos.shape[-1]))
-    return F.max_pool2d(changed, 2 * reach + 1, stride=1, padding=reach)[:, 0]
+    return largest_around(changed, reach)
 
 
 def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, verify: bool) -> LoadedItem:

@@ -39,10 +39,10 @@ def save_entry(path: Path, entry: Entry) -> None:
     unknown = [str(tensor.dtype) for tensor in tensors.values() if tensor.dtype not in _DTYPES]
     if unknown:
         raise ValueError(f"cannot be stored for editing again: a tensor of {unknown[0]}")
-    header = {"version": VERSION, "stage": entry.stage, "key": entry.key, "content": _content(tensors, entry.facts)}
-    header |= {"facts": entry.facts}
-    with atomic_write(path) as partial:  # one key of metadata: safetensors shuffles several
-        partial.write_bytes(save({n: t.numpy() for n, t in tensors.items()}, {FORMAT: json.dumps(header)}))
+    header = {"version": VERSION, "stage": entry.stage, "key": entry.key, "facts": entry.facts}
+    metadata = json.dumps({**header, "content": _content(tensors, entry.facts)})
+    with atomic_write(path) as partial:  # one key: safetensors shuffles several
+        partial.write_bytes(save({name: tensor.numpy() for name, tensor in tensors.items()}, {FORMAT: metadata}))
 
 
 def read_key(path: Path) -> tuple[str, str]:

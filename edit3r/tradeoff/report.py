@@ -1,13 +1,11 @@
 """The table and the words around it, as Markdown."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.marked_page import write_between
 from edit3r.tradeoff.figures import Figures, MeasuredPoint, Spread
 from edit3r.tradeoff.front import front
 from edit3r.tradeoff.knobs import BASE
@@ -126,11 +124,5 @@ def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def write_into_page(page: Path, text: str, picture: str | None) -> None:
     """Replace what stands between the markers of a page; raises InputError when it has none."""
-    before = page.read_text(encoding="utf-8")
     shown = f"![Novel-view PSNR against time, front and presets]({picture})\n\n" if picture else ""
-    block = re.compile(re.escape(START) + ".*?" + re.escape(END), re.DOTALL)
-    if not block.search(before):
-        raise InputError(f"{page}: has no lines {START!r} and {END!r} to write between.")
-    after = block.sub(lambda _: f"{START}\n{shown}{text}{END}", before)
-    with atomic_write(page) as partial:
-        partial.write_text(after, encoding="utf-8")
+    write_between(page, START, END, shown + text)

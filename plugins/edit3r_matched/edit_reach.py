@@ -1,10 +1,10 @@
 """Where an edit may be carried to, so that all else stays the photo's own, bit for bit."""
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.neighbourhood import largest_around
 from edit3r_matched.local_colour import blur
 from edit3r_matched.warping import Correspondence, pull
 
@@ -35,24 +35,18 @@ def near_an_edit(
     reach = max(1, round(_SPREAD * max(photos.shape[-2:])))
     speck = -(-reach // 5)
     change = (edited - photos).abs().amax(2, keepdim=True)
-    reference = torch.cat((photos, change), 2)[:, :1].expand(-1, photos.shape[1], -1, -1, -1)
+    reference = torch.cat((photos[:, :1], change[:, :1]), 2).expand(-1, photos.shape[1], -1, -1, -1)
     colours, of_reference = pull(reference, matches.places).split((3, 1), 2)
     apart = _spread((colours - photos).abs().amax(2), reach / 5)
     seen = matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE) & (apart < _ALIKE))
     change, of_reference = change[:, :, 0], of_reference[:, :, 0] * seen
-    of_reference = _grown(-_grown(-of_reference, speck), speck)  # without specks, which chance made alike
+    # Without specks, which chance made alike.
+    of_reference = largest_around(-largest_around(-of_reference, speck), speck)
     untouched = (change.amax((2, 3), keepdim=True) == 0) & (change[:, :1].amax((2, 3), keepdim=True) > 0)
     unknown = untouched & (seen == 0)
     found = torch.maximum(change, of_reference).clamp(max=_CHANGE) / _CHANGE
-    found = _spread(_grown(found, reach), reach / 4)
+    found = _spread(largest_around(found, reach), reach / 4)
     return torch.maximum(found, unknown.to(found.dtype))
-
-
-def _grown(maps: Float[Tensor, "batch view height width"], reach: int) -> Float[Tensor, "batch view height width"]:
-    """The largest value within a square of `reach` pixels around."""
-    for kernel, padding in (((2 * reach + 1, 1), (reach, 0)), ((1, 2 * reach + 1), (0, reach))):
-        maps = F.max_pool2d(maps, kernel, stride=1, padding=padding)
-    return maps
 
 
 def _spread(maps: Float[Tensor, "batch view height width"], sigma: float) -> Float[Tensor, "batch view height width"]:

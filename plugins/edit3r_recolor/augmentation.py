@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.neighbourhood import largest_around
 from edit3r_recolor.parameters import RecolorParameters
 
 Outline = Literal["exact", "grown", "shrunk", "leaking"]
@@ -54,9 +55,9 @@ def with_outline(masks: Masks, outline: Outline) -> Masks:
     """The masks grown, shrunk, or with a little of the edit in the background; their soft edges stay soft."""
     reach = max(1, round(REACH * max(masks.shape[-2:])))
     if outline == "grown":
-        return _grown(masks, reach)
+        return largest_around(masks, reach)
     if outline == "shrunk":
-        return -_grown(-masks, reach)
+        return -largest_around(-masks, reach)
     if outline == "leaking":
         return torch.maximum(masks, LEAK * _blurred(masks, 2 * reach))
     return masks
@@ -73,14 +74,6 @@ def perturbed(parameters: RecolorParameters, rng: np.random.Generator, amount: f
         gamma=parameters.gamma * (1 + gamma),
         hue=parameters.hue + hue / 4,
     )
-
-
-def _grown(masks: Masks, reach: int) -> Masks:
-    """Largest value within a square of `reach` pixels around."""
-    flat = masks.reshape(-1, 1, *masks.shape[-2:])
-    for kernel, padding in (((1, 2 * reach + 1), (0, reach)), ((2 * reach + 1, 1), (reach, 0))):
-        flat = F.max_pool2d(flat, kernel, stride=1, padding=padding)
-    return flat.reshape(masks.shape)
 
 
 def _blurred(masks: Masks, reach: int) -> Masks:
