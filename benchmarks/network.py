@@ -129,9 +129,9 @@ def _relative(found, expected) -> float:
 
 def _reconstructor(size: str, settings: dict):
     """The network of one mode, as the reconstructor runs it."""
-    from edit3r_noposplat.backbone import AsymmetricViT
-    from edit3r_noposplat.head import DptGaussianHead
-    from edit3r_noposplat.reconstructor import NoPoSplatReconstructor as Reconstructor
+    from edit3r_model.backbone import AsymmetricViT
+    from edit3r_model.head import DptGaussianHead
+    from edit3r_model.reconstructor import NoPoSplatReconstructor as Reconstructor
 
     backbone_settings, head_settings, _ = SIZES[size]
     backbone = AsymmetricViT(AsymmetricViT.Settings(**backbone_settings, seed=None))
@@ -142,7 +142,7 @@ def _reconstructor(size: str, settings: dict):
 
 def _plain(size: str) -> Callable:
     """The baseline, as a function from pictures to Gaussians."""
-    from edit3r_noposplat.gaussians import assemble
+    from edit3r_model.gaussians import assemble
     from plain_noposplat import PlainNetwork
 
     network = _reconstructor(size, {"engine": "eager"})

@@ -18,17 +18,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from edit3r_measure.evaluation.metrics import psnr, ssim
+from edit3r_measure.evaluation.novel_view import views_of
+from edit3r_refiners.refine import refine
+from edit3r_refiners.simplify import SimplifySettings, simplify
+from edit3r_refiners.simplify.simplification import POLISH
 from simplify_scenes import HeldOut, flat_wall, procedural_scenes, real_scenes
 
 import edit3r
 from edit3r.errors import MatchingError
-from edit3r.evaluation.metrics import psnr, ssim
-from edit3r.evaluation.novel_view import views_of
 from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.io.ply import save_ply
-from edit3r.refine import refine
-from edit3r.simplify import SimplifySettings, simplify
-from edit3r.simplify.simplification import POLISH
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from edit3r_measure.evaluation.novel_view import relative_pose
+from edit3r_measure.evaluation.pairs import choose_triples
 
 import edit3r
-from edit3r.evaluation.novel_view import relative_pose
-from edit3r.evaluation.pairs import choose_triples
-from edit3r.evaluation.posed_folder import Photo, read_posed_folder
 from edit3r.geometry.cameras import intrinsics_from_fov, unproject
 from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.io.posed_folder import Photo, read_posed_folder
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 WALL_DEPTH, WALL_STEP = 2.0, 0.1  # of the flat wall, and between its two cameras [scene units]

@@ -16,6 +16,8 @@ KINDS = (
     "loss",
     "dataset",
     "trainer",
+    "refiner",
+    "command",
 )
 """Every kind of component; each has one hook in `edit3r.hookspecs`, named by `hook_name`."""
 

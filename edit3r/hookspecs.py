@@ -64,6 +64,11 @@ def register_rasterizers() -> Iterable[Component]:
 
 
 @hookspec
+def register_refiners() -> Iterable[Component]:
+    """Steps after reconstruction: Gaussians to better or fewer Gaussians (Refiner)."""
+
+
+@hookspec
 def register_losses() -> Iterable[Component]:
     """Terms of a training objective (Loss)."""
 
@@ -76,3 +81,8 @@ def register_datasets() -> Iterable[Component]:
 @hookspec
 def register_trainers() -> Iterable[Component]:
     """Training recipes (Trainer)."""
+
+
+@hookspec
+def register_commands() -> Iterable[Component]:
+    """Commands of the program: `edit3r NAME` (Command)."""

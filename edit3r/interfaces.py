@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from edit3r.command import Command
 from edit3r.config import Settings
 from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
 
@@ -114,13 +115,14 @@ class Reconstructor(Configured, ABC):
 
     min_views: int = 2
     max_views: int | None = None  # the pipeline subsamples evenly above it and says so
+    edits_views: bool = False  # True: edits while it reconstructs, by its part of kind editor and the request
 
     @abstractmethod
-    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         """Reconstruct `views`; `source` is the same photos before editing, which agree with each other.
 
-        One declared with a part of kind editor, which edits while it reconstructs, is also given the `EditRequest` of
-        the run as `request`. Poses that somebody knows are `views.c2w`; it may ignore them, and give its own.
+        `request` is what the views were edited by; a reconstructor that edits by itself (`edits_views`) needs it,
+        others ignore it. Poses that somebody knows are `views.c2w`; it may ignore them, and give its own.
 
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
@@ -184,6 +186,22 @@ class Rasterizer(Configured, ABC):
     @abstractmethod
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
         """Pictures, alphas and expected depths of every camera of every scene."""
+
+
+class Refiner(Configured, ABC):
+    """One step after reconstruction: makes the Gaussians fewer, sharper, or equal to what must not change."""
+
+    needs_before: bool = False  # True: `request.before` must hold the scene as it was before the edit
+
+    @abstractmethod
+    def __call__(
+        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+    ) -> Gaussians:
+        """Return the refined Gaussians, in the same frame.
+
+        `cameras` are the poses of all input views. `views` are those whose images show the edit: the first
+        `views.count` of the cameras are theirs. `request.masks`, where given, cover all cameras.
+        """
 
 
 @dataclass(frozen=True)
@@ -264,5 +282,7 @@ INTERFACES: dict[str, type] = {
     "loss": Loss,
     "dataset": Dataset,
     "trainer": Trainer,
+    "refiner": Refiner,
+    "command": Command,
 }
 """The interface of each kind, for checks and documentation."""

@@ -13,24 +13,24 @@ from functools import partial
 from typing import Any, Literal
 
 import torch
+from edit3r_refiners.refine import refine as refine_gaussians
+from edit3r_refiners.simplify import simplify
+from edit3r_refiners.simplify.budget import Budget, passes
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.config import PartChoice
 from edit3r.errors import InputError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.refine import refine as refine_gaussians
+from edit3r.mask_from_prompt import confine
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.reuse.memory import Memory
 from edit3r.reuse.parts import remembering
 from edit3r.reuse.state import SceneState
 from edit3r.reuse.touched import reconstruct_touched, touched_region, unedited
-from edit3r.simplify import simplify
-from edit3r.simplify.budget import Budget, passes
 from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r.wording import confine
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
 

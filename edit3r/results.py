@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
+from edit3r_refiners.footprint import measured_footprint
 
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
@@ -23,7 +24,6 @@ from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track, warn
 from edit3r.reuse.fingerprint import identity
 from edit3r.reuse.frames import Render, changed_between, earlier_frames, hash_of, redraw
-from edit3r.reuse.reach import measured_footprint
 from edit3r.reuse.state import FOLDER, Drawn, SceneState, frame_file, save_state
 from edit3r.stage_checks import blaming, check_rendering, component_name
 from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering

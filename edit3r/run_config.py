@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from edit3r_refiners.simplify.budget import Budget, parse_budget
 from pydantic import Field, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.simplify.budget import Budget, parse_budget
-from edit3r.tradeoff.quality import under
+from edit3r.quality import under
 
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 

@@ -1,6 +1,27 @@
-"""The command line: one file a command.
+"""The command line: one file a command, each a `Command` like those that plugins bring."""
 
-A command is a module here whose name has no underscore in front (and is not `main`): `list_plugins.py` is
-`edit3r list-plugins`. It has `HELP` (one sentence), `add_arguments(parser)` and `main(args) -> int`, and imports
-nothing heavy at its top, so that `--help` stays quick.
-"""
+from edit3r.component import Component
+
+COMMANDS = (
+    Component("run", "edit3r.cli.run:RunCommand", "edit photos of a scene and reconstruct them in 3D"),
+    Component(
+        "render", "edit3r.cli.render:RenderCommand", "pictures, a video and a viewer page from a saved scene (3DGS PLY)"
+    ),
+    Component(
+        "list-plugins",
+        "edit3r.cli.list_plugins:ListPluginsCommand",
+        "list installed plugins and their components, what they lack, and which failed and why",
+    ),
+    Component(
+        "describe",
+        "edit3r.cli.describe:DescribeCommand",
+        "show a component's settings, licence and needs, and YAML to paste into a configuration",
+    ),
+    Component(
+        "doctor",
+        "edit3r.cli.doctor:DoctorCommand",
+        "check versions, devices, memory, plugins and rasterizers, and run a tiny job",
+    ),
+    Component("new-plugin", "edit3r.cli.new_plugin:NewPluginCommand", "write a working plugin package to start from"),
+)
+"""The core's own commands; all others come from plugins."""

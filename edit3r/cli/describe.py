@@ -3,43 +3,48 @@
 import argparse
 import json
 
+from edit3r.command import Command
 from edit3r.component import KINDS
 
-HELP = "show a component's settings, licence and needs, and YAML to paste into a configuration"
 
+class DescribeCommand(Command):
+    """`edit3r describe`."""
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=KINDS, help="kind of component")
-    parser.add_argument("name", help="name as in edit3r list-plugins, or plugin:name")
-    parser.add_argument("--yaml", action="store_true", help="print the YAML only")
-    parser.add_argument("--json", action="store_true", help="machine-readable output, with the settings' JSON schema")
-    parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("kind", choices=KINDS, help="kind of component")
+        parser.add_argument("name", help="name as in edit3r list-plugins, or plugin:name")
+        parser.add_argument("--yaml", action="store_true", help="print the YAML only")
+        parser.add_argument(
+            "--json", action="store_true", help="machine-readable output, with the settings' JSON schema"
+        )
+        parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.description import metadata_lines, settings_lines, yaml_example
+        from edit3r.errors import MissingDependencyError
+        from edit3r.registry import default_registry
 
-def main(args: argparse.Namespace) -> int:
-    from edit3r.description import metadata_lines, settings_lines, yaml_example
-    from edit3r.errors import MissingDependencyError
-    from edit3r.registry import default_registry
-
-    registry = default_registry(tuple(args.plugin))
-    offer = registry.find(args.kind, args.name)
-    try:
-        settings = registry.settings_class(offer)
-    except MissingDependencyError as missing:
-        if args.yaml or args.json:
-            raise
-        print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\nSettings are not known: {missing}")
+        registry = default_registry(tuple(args.plugin))
+        offer = registry.find(args.kind, args.name)
+        try:
+            settings = registry.settings_class(offer)
+        except MissingDependencyError as missing:
+            if args.yaml or args.json:
+                raise
+            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\nSettings are not known: {missing}")
+            return 0
+        if args.yaml:
+            print(yaml_example(offer, settings))
+        elif args.json:
+            print(json.dumps(_as_json(offer, settings), indent=2))
+        else:
+            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}")
+            print(f"\nSettings:\n{_settings(settings_lines(settings))}")
+            print(
+                f"\nYAML to paste into a configuration (edit3r run --config FILE):\n\n{yaml_example(offer, settings)}"
+            )
+            print(f"\nOne setting on the command line: {_flag(offer.kind, settings_lines(settings))}")
         return 0
-    if args.yaml:
-        print(yaml_example(offer, settings))
-    elif args.json:
-        print(json.dumps(_as_json(offer, settings), indent=2))
-    else:
-        print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}")
-        print(f"\nSettings:\n{_settings(settings_lines(settings))}")
-        print(f"\nYAML to paste into a configuration (edit3r run --config FILE):\n\n{yaml_example(offer, settings)}")
-        print(f"\nOne setting on the command line: {_flag(offer.kind, settings_lines(settings))}")
-    return 0
 
 
 def _title(offer) -> str:

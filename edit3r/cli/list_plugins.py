@@ -3,45 +3,46 @@
 import argparse
 import json
 
+from edit3r.command import Command
 from edit3r.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
 
-HELP = "list installed plugins and their components, what they lack, and which failed and why"
 
+class ListPluginsCommand(Command):
+    """`edit3r list-plugins`."""
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--kind", choices=KINDS, help="only components of this kind")
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.add_argument("--check", action="store_true", help="also import every component and check its interface")
-    parser.add_argument("--strict", action="store_true", help="exit with 1 when a plugin failed or a name clashes")
-    parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--kind", choices=KINDS, help="only components of this kind")
+        parser.add_argument("--json", action="store_true", help="machine-readable output")
+        parser.add_argument("--check", action="store_true", help="also import every component and check its interface")
+        parser.add_argument("--strict", action="store_true", help="exit with 1 when a plugin failed or a name clashes")
+        parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.checks import check_offer
+        from edit3r.registry import default_registry
 
-def main(args: argparse.Namespace) -> int:
-    from edit3r.checks import check_offer
-    from edit3r.registry import default_registry
-
-    registry = default_registry(tuple(args.plugin))
-    offers = registry.offers(args.kind)
-    problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
-    rows = [_row(registry, offer, problems[offer]) for offer in offers]
-    failures = [vars(failure) for failure in registry.failures]
-    clashes = [
-        f"{group[0].kind} {group[0].component.name!r} is offered by {' and '.join(o.plugin for o in group)}; "
-        f"ask for {' or '.join(o.qualified_name for o in group)}"
-        for group in registry.clashes()
-    ]
-    slow = _slow_imports(registry) if args.check else []
-    if args.json:
-        remarks = {"clashes": clashes, "slow": slow, "deprecations": list(registry.plugins.deprecations)}
-        content = {"components": rows, "failures": failures, **remarks}
-        print(json.dumps(content, indent=2))
-    else:
-        _print_table(rows, failures, [*clashes, *slow, *registry.plugins.deprecations])
-    broken = failures or clashes or any(problems.values())
-    return 1 if args.strict and broken else 0
+        registry = default_registry(tuple(args.plugin))
+        offers = registry.offers(args.kind)
+        problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
+        rows = [_row(registry, offer, problems[offer]) for offer in offers]
+        failures = [vars(failure) for failure in registry.failures]
+        clashes = [
+            f"{group[0].kind} {group[0].component.name!r} is offered by {' and '.join(o.plugin for o in group)}; "
+            f"ask for {' or '.join(o.qualified_name for o in group)}"
+            for group in registry.clashes()
+        ]
+        slow = _slow_imports(registry) if args.check else []
+        if args.json:
+            remarks = {"clashes": clashes, "slow": slow, "deprecations": list(registry.plugins.deprecations)}
+            content = {"components": rows, "failures": failures, **remarks}
+            print(json.dumps(content, indent=2))
+        else:
+            _print_table(rows, failures, [*clashes, *slow, *registry.plugins.deprecations])
+        broken = failures or clashes or any(problems.values())
+        return 1 if args.strict and broken else 0
 
 
 def _row(registry, offer, problem: str) -> dict[str, str]:

@@ -3,15 +3,16 @@
 import argparse
 import gc
 import importlib
-import pkgutil
 import sys
 import traceback
 from collections.abc import Sequence
-from types import ModuleType
 
 import edit3r
-from edit3r import cli
+from edit3r.cli import COMMANDS
+from edit3r.command import Command
+from edit3r.config import Settings
 from edit3r.errors import Edit3rError, RunError, is_out_of_memory, suggest
+from edit3r.registry import default_registry
 
 
 class UsageError(Edit3rError):
@@ -61,39 +62,48 @@ def main(argv: Sequence[str] | None = None) -> int:
         return known.exit_code
 
 
-def _dispatch(argv: list[str], package: ModuleType = cli, called: str = "edit3r") -> int:
-    """Find the command in `package`; one that is a package itself has commands of its own."""
-    commands = command_modules(package)
+def _dispatch(argv: list[str]) -> int:
+    """Find the command among the core's own and those of plugins, and run it."""
     if not argv or argv[0] in ("-h", "--help", "help"):
-        print(_overview(commands, package, called))
+        print(_overview())
         return 0 if argv else 2
     if argv[0] in ("-V", "--version"):
         print(f"edit3r {edit3r.__version__}")
         return 0
     name, *rest = argv
-    if name not in commands:
-        raise UsageError(f"no command {name!r}.{suggest(name, commands)} Commands: {', '.join(commands)}.")
-    command = importlib.import_module(f"{package.__name__}.{commands[name]}")
-    if hasattr(command, "__path__"):
-        return _dispatch(rest, command, f"{called} {name}")
-    parser = Parser(prog=f"{called} {name}", description=command.HELP)
+    command = find_command(name)
+    parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
     command.add_arguments(parser)
     parser.add_argument("--debug", action="store_true", help="show the full traceback of an error")
-    return command.main(parser.parse_intermixed_args(rest)) or 0
+    return command.main(parse(parser, rest)) or 0
 
 
-def command_modules(package: ModuleType = cli) -> dict[str, str]:
-    """Command name to module name."""
-    modules = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
-    return {m.replace("_", "-"): m for m in modules if not m.startswith("_") and m != "main"}
+def find_command(name: str) -> Command:
+    """Build the command called `name`; plugins are loaded only for one that the core does not have."""
+    own = {component.name: component for component in COMMANDS}
+    if name in own:
+        module, _, attribute = own[name].target.partition(":")
+        return getattr(importlib.import_module(module), attribute)(Settings())
+    registry = default_registry()
+    known = [*own, *(offer.component.name for offer in registry.offers("command"))]
+    if name not in known and ":" not in name:
+        failed = "".join(f" Plugin {f.plugin!r} did not load: {f.reason}." for f in registry.failures)
+        raise UsageError(f"no command {name!r}.{suggest(name, known)} Commands: {', '.join(sorted(known))}.{failed}")
+    return registry.build("command", name)
 
 
-def _overview(commands: dict[str, str], package: ModuleType, called: str) -> str:
-    rows = [(name, importlib.import_module(f"{package.__name__}.{module}").HELP) for name, module in commands.items()]
+def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """Parse with options and positionals in any order; commands with steps of their own cannot have that."""
+    steps = any(isinstance(action, argparse._SubParsersAction) for action in parser._actions)
+    return parser.parse_args(arguments) if steps else parser.parse_intermixed_args(arguments)
+
+
+def _overview() -> str:
+    """The text of `edit3r --help`: every command with its summary."""
+    offers = default_registry().offers("command")
+    rows = sorted({(c.name, c.summary) for c in (*COMMANDS, *(offer.component for offer in offers))})
     width = max(len(name) for name, _ in rows)
     listed = "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
-    if package is not cli:
-        return f"{called}: {package.HELP}.\n\nusage: {called} COMMAND [options]\n\n{listed}"
     return (
         f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
         "usage: edit3r COMMAND [options]\n\n"

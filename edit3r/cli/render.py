@@ -3,67 +3,69 @@
 import argparse
 from pathlib import Path
 
-HELP = "pictures, a video and a viewer page from a saved scene (3DGS PLY)"
+from edit3r.command import Command
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
-    add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
-    add("--make", nargs="+", choices=("pictures", "video", "viewer"), default=["pictures", "video", "viewer"])
-    add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
-    add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
-    add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
-    add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
-    add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
-    add("--quiet", action="store_true", help="print errors only")
+class RenderCommand(Command):
+    """`edit3r render`."""
 
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
+        add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
+        add("--make", nargs="+", choices=("pictures", "video", "viewer"), default=["pictures", "video", "viewer"])
+        add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
+        add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
+        add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
+        add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
+        add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
+        add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
+        add("--quiet", action="store_true", help="print errors only")
 
-def main(args: argparse.Namespace) -> int:
-    import torch
+    def main(self, args: argparse.Namespace) -> int:
+        import torch
 
-    from edit3r.cli._console import StageConsole
-    from edit3r.config import parse_assignments
-    from edit3r.errors import SettingsError
-    from edit3r.io.images import save_image
-    from edit3r.io.ply import load_ply
-    from edit3r.io.run_folder import RunFolder, atomic_folder
-    from edit3r.io.video import save_video
-    from edit3r.io.viewer import save_viewer
-    from edit3r.registry import default_registry
-    from edit3r.reporting import Report, collecting
-    from edit3r.results import VIDEO_FPS, path_around, render_each
+        from edit3r.config import parse_assignments
+        from edit3r.console import StageConsole
+        from edit3r.errors import SettingsError
+        from edit3r.io.images import save_image
+        from edit3r.io.ply import load_ply
+        from edit3r.io.run_folder import RunFolder, atomic_folder
+        from edit3r.io.video import save_video
+        from edit3r.io.viewer import save_viewer
+        from edit3r.registry import default_registry
+        from edit3r.reporting import Report, collecting
+        from edit3r.results import VIDEO_FPS, path_around, render_each
 
-    settings = parse_assignments(args.set)
-    if set(settings) - {"rasterizer"}:
-        raise SettingsError(
-            f"--set {sorted(settings)[0]}: render has settings of the rasterizer only (rasterizer.KEY)."
+        settings = parse_assignments(args.set)
+        if set(settings) - {"rasterizer"}:
+            raise SettingsError(
+                f"--set {sorted(settings)[0]}: render has settings of the rasterizer only (rasterizer.KEY)."
+            )
+        rasterizer = default_registry(tuple(args.plugin)).build(
+            "rasterizer", args.rasterizer, **settings.get("rasterizer", {})
         )
-    rasterizer = default_registry(tuple(args.plugin)).build(
-        "rasterizer", args.rasterizer, **settings.get("rasterizer", {})
-    )
-    with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
-        with report.stage("read scene"):
-            gaussians = load_ply(args.scene)
-            cameras, names = _cameras(args)
-        with atomic_folder(args.out) as root:
-            folder = RunFolder(root)
-            with report.stage("render input views"):
-                views = render_each(rasterizer, gaussians, cameras, "views")
-                if "pictures" in args.make:
-                    for name, picture in zip(names, views.images[0]):
-                        save_image(picture.clamp(0, 1), folder.renders / f"{name}.png")
-            if "video" in args.make:
-                with report.stage("render camera path"):
-                    frames = render_each(rasterizer, gaussians, path_around(cameras, views, args.frames), "path")
-                    save_video(folder.video, frames.images[0].clamp(0, 1), VIDEO_FPS)
-            if "viewer" in args.make:
-                with report.stage("write viewer"):
-                    save_viewer(folder.viewer, gaussians, cameras, title=Path(args.scene).stem)
-    if not args.quiet:
-        print(f"wrote {args.out}")
-    return 0
+        with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
+            with report.stage("read scene"):
+                gaussians = load_ply(args.scene)
+                cameras, names = _cameras(args)
+            with atomic_folder(args.out) as root:
+                folder = RunFolder(root)
+                with report.stage("render input views"):
+                    views = render_each(rasterizer, gaussians, cameras, "views")
+                    if "pictures" in args.make:
+                        for name, picture in zip(names, views.images[0]):
+                            save_image(picture.clamp(0, 1), folder.renders / f"{name}.png")
+                if "video" in args.make:
+                    with report.stage("render camera path"):
+                        frames = render_each(rasterizer, gaussians, path_around(cameras, views, args.frames), "path")
+                        save_video(folder.video, frames.images[0].clamp(0, 1), VIDEO_FPS)
+                if "viewer" in args.make:
+                    with report.stage("write viewer"):
+                        save_viewer(folder.viewer, gaussians, cameras, title=Path(args.scene).stem)
+        if not args.quiet:
+            print(f"wrote {args.out}")
+        return 0
 
 
 def _cameras(args: argparse.Namespace):

@@ -7,11 +7,11 @@ perceptual terms. Rasterizers give gradients to Gaussians, not to cameras, so th
 from dataclasses import dataclass, replace
 
 import torch
+from edit3r_refiners.adam import Adam
 from jaxtyping import Float
 from kornia.losses import ssim_loss
 from torch import Tensor
 
-from edit3r.adam import Adam
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.geometry.harmonics import basis, colour_to_dc
 from edit3r.geometry.rotations import matrices_to_quats

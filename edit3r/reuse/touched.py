@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 import torch
+from edit3r_refiners.keep_outside_mask import Region, graft
 
 from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.reporting import note, warn
-from edit3r.reuse.graft import Region, graft
 from edit3r.reuse.memory import Memory
 from edit3r.reuse.parts import remembered_reconstruction
 from edit3r.types import EditRequest, Reconstruction, Views

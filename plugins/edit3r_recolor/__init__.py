@@ -16,3 +16,14 @@ def register_editors():
             citation="Edit3r, section 3.2 (region-wise recoloring)",
         ),
     )
+
+
+@hookimpl
+def register_commands() -> list[Component]:
+    return [
+        Component(
+            "recolor",
+            "edit3r_recolor.command:RecolorCommand",
+            "recolour the objects of a folder of photos, alike in every view, as training data",
+        ),
+    ]

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.neighbourhood import largest_around
+from edit3r.geometry.morphology import largest_around
 from edit3r_recolor.parameters import RecolorParameters
 
 Outline = Literal["exact", "grown", "shrunk", "leaking"]

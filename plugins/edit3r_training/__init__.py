@@ -64,3 +64,10 @@ def register_trainers() -> list[Component]:
             summary="recoloured reference, original others, truth recoloured everywhere; resumes exactly",
         ),
     ]
+
+
+@hookimpl
+def register_commands() -> list[Component]:
+    return [
+        Component("train", "edit3r_training.command:TrainCommand", "train a reconstructor from one configuration file"),
+    ]

@@ -13,10 +13,10 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.evaluation.posed_folder import PosedFolder, undistorted
 from edit3r.io.cameras import PosedCamera
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
+from edit3r.io.posed_folder import PosedFolder, undistorted
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from edit3r import config, reporting
 from edit3r.errors import InputError
-from edit3r.evaluation.posed_folder import PosedFolder, read_posed_folder
 from edit3r.interfaces import Dataset, SceneSample
 from edit3r.io.cameras import CAMERA_FILES
+from edit3r.io.posed_folder import PosedFolder, read_posed_folder
 from edit3r_training.photo_samples import make_sample
 from edit3r_training.region_masks import RegionMasks
 from edit3r_training.view_sampling import ViewChoice, by_angle, by_gap

@@ -1,0 +1,58 @@
+"""The reconstructor `classical`: measured depth, one Gaussian a pixel."""
+
+import torch
+from pydantic import Field
+
+from edit3r import config
+from edit3r.config import PartChoice
+from edit3r.interfaces import Matcher, Reconstructor
+from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r_matching.apron import apron
+from edit3r_matching.backdrop import backdrop
+from edit3r_matching.splatting import splat
+from edit3r_matching.visibility import floats_in_front, shown_elsewhere
+
+__all__ = ["ClassicalReconstructor"]
+
+
+class ClassicalReconstructor(Reconstructor):
+    """Geometry from the unedited photos, colours from the edited ones.
+
+    Pixels whose depth was guessed are less opaque, and left out where they float in front of what another view
+    surely saw.
+    """
+
+    class Settings(config.Settings):
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
+        footprint: float = Field(0.35, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
+        opacity: float = Field(0.6, gt=0, le=1, description="opacity where two views measured the depth")
+        guessed_opacity: float = Field(0.45, ge=0, le=1, description="opacity where the depth was filled in")
+        lone_opacity: float = Field(
+            0.8, ge=0, le=1, description="opacity of filled-in pixels whose place no other photo shows"
+        )
+        apron: float = Field(
+            0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+        )
+
+        backdrop: float = Field(
+            0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings = settings
+        self.matcher = matcher
+
+    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+        geometry = self.matcher.match(views if source is None else source)
+        views = geometry.calibrated(views)
+        chosen = self.settings
+        guessed = torch.where(shown_elsewhere(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
+        opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
+        kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
+        gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
+        gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
+        if chosen.backdrop > 0:
+            gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
+        if chosen.apron > 0:
+            gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
+        return Reconstruction(gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size))

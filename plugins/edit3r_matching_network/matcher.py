@@ -1,0 +1,136 @@
+"""The matcher `network`: pose and depth of unedited photos, view 0 against each other view by the network."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from edit3r_matching.filling import upsample
+from pydantic import Field
+from torch import Tensor
+
+from edit3r import config, reporting
+from edit3r.errors import MatchingError
+from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.stage_checks import require_matchable
+from edit3r.types import Views
+from edit3r_matching_network.encoder import GRID
+from edit3r_matching_network.network import CorrelationNetwork
+from edit3r_matching_network.pair_geometry import PairGeometry, pair_geometry
+from edit3r_matching_network.weights import load_network
+
+MIN_SIZE = 16
+"""Pictures with a shorter side show too little [pixels]."""
+SURE = 0.5
+"""Confidence above which a cell counts as matched."""
+FLAT = 0.005
+"""A picture whose contrast (standard deviation) is below this shows nothing to match [sRGB]."""
+
+
+class NetworkMatcher(Matcher):
+    """Soft matches, depth and confidence by a network trained on made-up scenes, made to agree by an adjustment.
+
+    No features are detected and nothing random is drawn. The unit of length is that of view 0's predicted depth.
+    """
+
+    class Settings(config.Settings):
+        weights: str = Field("shipped", description="'shipped', 'untrained' or a file of `edit3r train`")
+        network_size: int = Field(
+            64, ge=32, le=256, multiple_of=8, description="longer side of the pictures it looks at [pixels]"
+        )
+        adjust: bool = Field(True, description="false: pose by Procrustes, depths as predicted")
+        least_matched: float = Field(
+            0.04, ge=0, le=1, description="share of a pair's cells that must match for a view to count as placed"
+        )
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.network: CorrelationNetwork = load_network(settings.weights)
+
+    @torch.no_grad()
+    def match(self, views: Views) -> MatchedGeometry:
+        require_matchable(views, MIN_SIZE)
+        small = _resized(views.images, network_size(views.image_size, self.settings.network_size))
+        pairs = [self._pair(small, views.intrinsics, other) for other in range(1, views.count)]
+        textured = small.std((2, 3, 4)) > FLAT
+        placed = torch.stack([self._placed(pair) for pair in pairs], 1) & textured[:, :1] & textured[:, 1:]
+        self._report(placed, pairs, views)
+        return _joined(pairs, placed, small, views.images)
+
+    def _pair(self, images: Tensor, intrinsics: Tensor, other: int) -> PairGeometry:
+        chosen = images[:, [0, other]], intrinsics[:, [0, other]]
+        prediction = self.network(chosen[0].to(next(self.network.parameters())), chosen[1])
+        return pair_geometry(prediction, chosen[1], chosen[0], self.settings.adjust)
+
+    def _placed(self, pair: PairGeometry) -> Tensor:
+        share = (pair.confidence > SURE).float().mean((2, 3)).amin(1)
+        return share >= self.settings.least_matched
+
+    def _report(self, placed: Tensor, pairs: list[PairGeometry], views: Views) -> None:
+        names = views.names or tuple(f"view {index}" for index in range(views.count))
+        shares = [float((pair.confidence > SURE).float().mean()) for pair in pairs]
+        reporting.note("matcher.matched", {f"{names[0]} {name}": round(s, 3) for name, s in zip(names[1:], shares)})
+        if not bool(placed.any(1).all()):
+            raise MatchingError(
+                f"the network found too few matches between {names[0]} and the other photos (at best "
+                f"{max(shares):.0%} of the picture); give photos that overlap more, or use matcher classical."
+            )
+        lost = [name for name, good in zip(names[1:], placed.all(0).tolist()) if not good]
+        if lost:
+            reporting.warn(f"{', '.join(lost)}: matches too little of {names[0]} to be placed, so it is left out.")
+
+
+def network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """(height, width) nearest to the photo's shape with the longer side `longest`, in multiples of GRID [pixels]."""
+    scale = longest / max(image_size)
+    return tuple(max(2 * GRID, GRID * round(side * scale / GRID)) for side in image_size)
+
+
+def _joined(pairs: list[PairGeometry], placed: Tensor, small: Tensor, photos: Tensor) -> MatchedGeometry:
+    """Everything in the unit of the first placed pair: each pair has view 0's depths, too."""
+    ratios = _units(pairs, placed)
+    c2w = [torch.eye(4).to(photos).expand(len(photos), 4, 4)]
+    maps, sure = [_first_depths(pairs, ratios, placed)], [torch.stack([p.confidence[:, 0] for p in pairs]).amax(0)]
+    for index, pair in enumerate(pairs):
+        pose, good = pair.c2w.clone(), placed[:, index]
+        pose[:, :3, 3] *= ratios[:, index, None]
+        identity = torch.eye(4).to(pose)
+        c2w.append(torch.where(good[:, None, None], pose, identity))
+        maps.append(torch.where(good[:, None, None], pair.depths[:, 1] * ratios[:, index, None, None], 1.0))
+        sure.append(pair.confidence[:, 1] * good[:, None, None])
+    depths, confidence = _at_photo_size(torch.stack(maps, 1), torch.stack(sure, 1), small, photos)
+    registered = torch.cat((torch.ones_like(placed[:, :1]), placed), 1)
+    return MatchedGeometry(torch.stack(c2w, 1), depths, confidence, registered)
+
+
+def _units(pairs: list[PairGeometry], placed: Tensor) -> Tensor:
+    """`[batch, pair]` factors from each pair's unit to that of the scene's first placed pair."""
+    logs = torch.stack([pair.depths[:, 0].log().flatten(1) for pair in pairs], 1)
+    first = placed.int().argmax(1)
+    reference = logs[torch.arange(len(logs)), first]
+    return (reference[:, None] - logs).median(2).values.exp()
+
+
+def _first_depths(pairs: list[PairGeometry], ratios: Tensor, placed: Tensor) -> Tensor:
+    """View 0's depths: over the placed pairs the mean of their logs, weighted by confidence."""
+    logs = torch.stack([pair.depths[:, 0].log() for pair in pairs], 1) + ratios.log()[..., None, None]
+    weights = (torch.stack([pair.confidence[:, 0] for pair in pairs], 1) + 0.01) * placed[..., None, None]
+    return ((logs * weights).sum(1) / weights.sum(1)).exp()
+
+
+def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:
+    """Area mean when smaller, bilinear when larger."""
+    if tuple(images.shape[-2:]) == size:
+        return images
+    how = {"mode": "area"} if size[0] <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
+    return F.interpolate(images.flatten(0, 1), size, **how).unflatten(0, images.shape[:2])
+
+
+def _at_photo_size(depths: Tensor, confidence: Tensor, small: Tensor, photos: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverse depth and confidence carried to every pixel of the photos along their edges."""
+    grid = depths.shape[-2:]
+    guides = _resized(small, tuple(grid)).flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
+    large = photos.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
+    inverse, trust = (1 / depths).flatten(0, 1).cpu().float().numpy(), confidence.flatten(0, 1).cpu().float().numpy()
+    carried = zip(*(upsample(*maps) for maps in zip(inverse, trust, guides, large)))
+    fine, sure = (torch.from_numpy(np.stack(maps)).to(photos) for maps in carried)
+    shape = (*photos.shape[:2], *photos.shape[-2:])
+    return 1 / fine.reshape(shape), sure.reshape(shape).clamp(0, 1)

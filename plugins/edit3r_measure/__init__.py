@@ -1,0 +1,26 @@
+"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`."""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_commands() -> list[Component]:
+    return [
+        Component(
+            "evaluate",
+            "edit3r_measure.commands.evaluate:EvaluateCommand",
+            "measure a reconstructor on folders of photos with known cameras",
+        ),
+        Component(
+            "bench",
+            "edit3r_measure.commands.bench:BenchCommand",
+            "the editing benchmark: build its items, run methods on them, report the results",
+        ),
+        Component(
+            "tradeoff",
+            "edit3r_measure.commands.tradeoff:TradeoffCommand",
+            "measure speed against accuracy over the settings of a run, and choose the presets",
+        ),
+    ]

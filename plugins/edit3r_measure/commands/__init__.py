@@ -1,0 +1,1 @@
+"""The commands `edit3r evaluate`, `edit3r tradeoff` and `edit3r bench`."""

@@ -1,0 +1,67 @@
+"""The NoPoSplat / Edit3r network: photos without poses to 3D Gaussians in one pass, any number of views.
+
+Written from a description of the published network; no code of that family is used.
+"""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+_CITATION = (
+    "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
+)
+
+
+@hookimpl
+def register_backbones():
+    return Component(
+        "asymmetric-vit",
+        "edit3r_model.backbone:AsymmetricViT",
+        "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other views",
+        min_views=2,
+        citation=_CITATION,
+    )
+
+
+@hookimpl
+def register_heads():
+    return Component(
+        "dpt-gaussian",
+        "edit3r_model.head:DptGaussianHead",
+        "dense heads: centres from transformer features alone, attributes with an RGB shortcut",
+        parts=("backbone",),
+        min_views=2,
+        citation=_CITATION,
+    )
+
+
+@hookimpl
+def register_reconstructors():
+    edit3r = Component(
+        name="edit3r",
+        target="edit3r_model.small.reconstructor:Edit3rReconstructor",
+        summary="matched geometry repaired by a small network that carries and fuses the edits (weights ship)",
+        parts=("matcher",),
+        min_views=2,
+        citation="Edit3r: Instant 3D Scene Editing from Sparse Unposed Images",
+    )
+    noposplat = Component(
+        "noposplat",
+        "edit3r_model.reconstructor:NoPoSplatReconstructor",
+        "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
+        parts=("backbone", "head"),
+        min_views=2,
+        citation=_CITATION,
+    )
+    return (edit3r, noposplat)
+
+
+@hookimpl
+def register_commands() -> list[Component]:
+    return [
+        Component(
+            "convert",
+            "edit3r_model.command:ConvertCommand",
+            "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
+        ),
+    ]

@@ -1,0 +1,201 @@
+"""Backbone `asymmetric-vit`: one encoder for all views, one decoder for view 0 and one for all other views."""
+
+from functools import lru_cache
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor, nn
+
+from edit3r.config import Settings
+from edit3r.errors import InputError, SettingsError
+from edit3r.geometry.cameras import pixel_rays
+from edit3r.geometry.harmonics import basis
+from edit3r.interfaces import Backbone
+from edit3r.types import Features
+from edit3r_model.blocks import DecoderBlock, EncoderBlock, layer_norm
+from edit3r_model.initialise import construct
+from edit3r_model.roles import ROLES, assign_roles
+from edit3r_model.rotary import Rotation, make_rotation, patch_positions
+
+HEAD_WIDTH = 64
+"""Channels per attention head of every published model; the number of heads follows unless a setting says otherwise."""
+
+
+class AsymmetricViT(Backbone):
+    """ViT encoder (ViT-L by default) and two ViT decoders (ViT-B) that read each other's tokens.
+
+    Any number of views >= 2: view 0 uses the first decoder, all others the second, and each view reads the tokens that
+    all other views had one layer before. A field-of-view token, made from the normalised intrinsics, runs along with
+    the patches of each view and is dropped at the end. Input sides must be multiples of `patch_size`.
+    """
+
+    class Settings(Settings):
+        width: int = Field(1024, ge=4, description="encoder channels")
+        depth: int = Field(24, ge=1, description="encoder blocks")
+        heads: int | None = Field(None, ge=1, description="encoder attention heads; default: width / 64")
+        mlp_width: int | None = Field(None, ge=1, description="hidden channels of the encoder's MLPs; default: 4 width")
+        decoder_width: int = Field(768, ge=4, description="decoder channels")
+        decoder_depth: int = Field(12, ge=1, description="blocks of each decoder")
+        decoder_heads: int | None = Field(None, ge=1, description="decoder attention heads; default: width / 64")
+        decoder_mlp_width: int | None = Field(
+            None, ge=1, description="hidden channels of the decoders' MLPs; default: 4 decoder_width"
+        )
+        patch_size: int = Field(16, ge=1, description="height and width of a patch [pixels]")
+        rope_base: float = Field(100.0, gt=1, description="base of the rotary frequencies")
+        intrinsics: Literal["token", "linear", "pixelwise", "none"] = Field(
+            "token",
+            description="how the intrinsics enter the encoder: an extra token (all released models), the same vector "
+            "added to every patch token, ray directions as extra input channels, or not at all",
+        )
+        intrinsics_degree: int = Field(
+            0, ge=0, le=4, description="pixelwise only: harmonics degree of the ray directions; 0: the plain unit ray"
+        )
+        seed: int | None = Field(
+            0, description="of the initial weights; none leaves them empty (no memory), to be filled from a checkpoint"
+        )
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.patch_size = settings.patch_size
+        self.heads = _heads(settings.heads, settings.width, "heads")
+        self.decoder_heads = _heads(settings.decoder_heads, settings.decoder_width, "decoder_heads")
+        self.hooks = hook_levels(settings.decoder_depth)
+        self.feature_widths = tuple(settings.decoder_width if hook else settings.width for hook in self.hooks)
+        construct(self, self._build, settings.seed)
+
+    def _build(self) -> None:
+        s = self.settings
+        self.patch_embed = nn.Conv2d(3 + self._ray_channels, s.width, s.patch_size, s.patch_size)
+        self.intrinsics_embed = nn.Linear(9, s.width) if s.intrinsics in ("token", "linear") else None
+        hidden = s.mlp_width or 4 * s.width
+        self.encoder = nn.ModuleList(EncoderBlock(s.width, self.heads, hidden) for _ in range(s.depth))
+        self.encoder_norm = layer_norm(s.width)
+        self.decoder_embed = nn.Linear(s.width, s.decoder_width)
+        self.decoders = nn.ModuleList(self._decoder() for _ in range(ROLES))
+        self.decoder_norm = layer_norm(s.decoder_width)
+
+    def _decoder(self) -> nn.ModuleList:
+        s = self.settings
+        hidden = s.decoder_mlp_width or 4 * s.decoder_width
+        blocks = (DecoderBlock(s.decoder_width, self.decoder_heads, hidden) for _ in range(s.decoder_depth))
+        return nn.ModuleList(blocks)
+
+    def initial_name(self, name: str) -> str:
+        """Both decoders start equal."""
+        return name.replace("decoders.1.", "decoders.0.")
+
+    def initial_leaf(self, name: str, leaf: nn.Module) -> None:
+        """Xavier-uniform linears and patches with zero bias; the intrinsics' linear keeps torch's default."""
+        if name != "intrinsics_embed" and isinstance(leaf, nn.Linear | nn.Conv2d):
+            nn.init.xavier_uniform_(leaf.weight.data.flatten(1))
+            nn.init.zeros_(leaf.bias)
+
+    @property
+    def _ray_channels(self) -> int:
+        if self.settings.intrinsics != "pixelwise":
+            return 0
+        degree = self.settings.intrinsics_degree
+        return (degree + 1) ** 2 if degree else 3
+
+    def forward(
+        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+    ) -> Features:
+        """The four levels that the heads read, see `hook_levels`."""
+        return self._features(images, intrinsics, self.hooks)
+
+    def forward_levels(
+        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+    ) -> Features:
+        """All levels: 0 the normalised encoder output, then one per decoder block, the last one normalised."""
+        return self._features(images, intrinsics, tuple(range(self.settings.decoder_depth + 1)))
+
+    def _features(self, images: Tensor, intrinsics: Tensor, wanted: tuple[int, ...]) -> Features:
+        grid = self._grid(images)
+        has_token = self.settings.intrinsics == "token"
+        tokens = self._encode(images, intrinsics, self._rotation(grid, self.settings.width // self.heads, images))
+        width = self.settings.decoder_width // self.decoder_heads
+        levels = self._decode(tokens, self._rotation(grid, width, images), wanted)
+        kept = slice(None, -1) if has_token else slice(None)
+        return Features(tuple(level[:, :, kept] for level in levels), grid)
+
+    def _encode(
+        self, images: Tensor, intrinsics: Tensor, rotation: Rotation
+    ) -> Float[Tensor, "batch view token width"]:
+        tokens = self._embed(images, intrinsics)
+        for block in self.encoder:
+            tokens = block(tokens, rotation)
+        return self.encoder_norm(tokens).unflatten(0, images.shape[:2])
+
+    def _embed(self, images: Tensor, intrinsics: Tensor) -> Float[Tensor, "batch_view token width"]:
+        pixels = (images * 2 - 1).flatten(0, 1)
+        if self._ray_channels:
+            pixels = torch.cat((pixels, self._rays(intrinsics, images.shape[-2:])), 1)
+        tokens = self.patch_embed(pixels.to(self.patch_embed.weight.dtype)).flatten(2).transpose(1, 2)
+        if self.intrinsics_embed is None:
+            return tokens
+        flat = intrinsics.flatten(0, 1).flatten(1)[:, None]
+        extra = self.intrinsics_embed(flat.to(tokens.dtype))
+        return torch.cat((tokens, extra), 1) if self.settings.intrinsics == "token" else tokens + extra
+
+    def _rays(self, intrinsics: Tensor, image_size: tuple[int, int]) -> Float[Tensor, "batch_view ray height width"]:
+        rays = nn.functional.normalize(pixel_rays(intrinsics.flatten(0, 1), tuple(image_size)), dim=-1)
+        degree = self.settings.intrinsics_degree
+        return (basis(rays, degree) if degree else rays).movedim(-1, 1)
+
+    def _decode(self, encoded: Tensor, rotation: Rotation, wanted: tuple[int, ...]) -> list[Tensor]:
+        kept = [encoded] if 0 in wanted else []
+        tokens = self.decoder_embed(encoded)  # not a level itself
+        roles = assign_roles(tokens.shape[1], tokens.device)
+        depth = self.settings.decoder_depth
+        for level in range(1, depth + 1):
+            # Both sides read the level before: the new tokens replace the old ones only when all are computed.
+            sides = [
+                stack[level - 1](tokens[:, role.own], tokens[:, role.sources], role.reads, rotation)
+                for stack, role in zip(self.decoders, roles)
+            ]
+            tokens = torch.cat(sides, 1)
+            if level in wanted:
+                kept.append(self.decoder_norm(tokens) if level == depth else tokens)
+        return kept
+
+    def _grid(self, images: Tensor) -> tuple[int, int]:
+        height, width = images.shape[-2:]
+        if images.shape[1] < 2:
+            raise InputError("asymmetric-vit needs at least 2 views to place them relative to each other, got 1.")
+        if height % self.patch_size or width % self.patch_size or min(height, width) < self.patch_size:
+            raise InputError(
+                f"asymmetric-vit takes pictures whose sides are multiples of {self.patch_size} pixels, got "
+                f"{height}x{width}; a reconstructor resizes them, a caller of the backbone must."
+            )
+        return height // self.patch_size, width // self.patch_size
+
+    def _rotation(self, grid: tuple[int, int], head_width: int, like: Tensor) -> Rotation:
+        return _rotation(grid, self.settings.intrinsics == "token", head_width, self.settings.rope_base, like.device)
+
+
+def hook_levels(depth: int) -> tuple[int, int, int, int]:
+    """Levels the heads read, of a decoder with `depth` blocks: 12 gives 0, 6, 9, 12."""
+    return 0, depth * 2 // 4, depth * 3 // 4, depth
+
+
+@lru_cache(maxsize=16)
+def _rotation(grid: tuple[int, int], extra_token: bool, head_width: int, base: float, device) -> Rotation:
+    with torch.inference_mode(False):  # a cached table may later be used with gradients
+        return make_rotation(patch_positions(grid, extra_token), head_width, base, device)
+
+
+def _heads(given: int | None, width: int, name: str) -> int:
+    """Attention heads for `width` channels; head width must be a multiple of 4 for the rotation."""
+    if given is None and width % HEAD_WIDTH:
+        raise SettingsError(
+            f"backbone.{name}: {width} channels do not divide into heads of {HEAD_WIDTH}; say how many heads there are."
+        )
+    heads = given or width // HEAD_WIDTH
+    if width % heads or width // heads % 4:
+        raise SettingsError(
+            f"backbone.{name}: {width} channels in {heads} heads; expected a head width that is a multiple of 4."
+        )
+    return heads

@@ -1,0 +1,35 @@
+"""`edit3r convert`: foreign checkpoints of the network to our safetensors format."""
+
+import argparse
+from pathlib import Path
+
+from edit3r.command import Command
+
+DTYPES = ("float32", "bfloat16", "float16")
+
+
+class ConvertCommand(Command):
+    """`edit3r convert`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("source", metavar="CHECKPOINT", help=".ckpt, .pth, .safetensors, a folder, or a hub id")
+        parser.add_argument(
+            "out", type=Path, metavar="FOLDER", help="folder to write model.safetensors and config.json to"
+        )
+        parser.add_argument("--dtype", choices=DTYPES, default="float32", help="number format of the file (float32)")
+        parser.add_argument("--resolution", type=int, metavar="PIXELS", help="side the network was trained at (256)")
+        parser.add_argument("--heads", type=int, help="encoder attention heads, if not 64 channels each")
+        parser.add_argument("--decoder-heads", type=int, help="decoder attention heads, if not 64 channels each")
+        parser.add_argument("--licence", help="licence of the weights, where you know it better than the file says")
+        parser.add_argument("--seed", type=int, default=0, help="of parts that a MASt3R file does not hold (0)")
+
+    def main(self, args: argparse.Namespace) -> int:
+        # Imported here so that listing commands stays free of torch.
+        from edit3r_model.checkpoints.convert import ConversionOptions, convert
+
+        options = ConversionOptions(
+            args.dtype, args.resolution, args.heads, args.decoder_heads, args.licence, args.seed
+        )
+        summary = convert(args.source, args.out, options)
+        print(summary)
+        return 0

@@ -1,0 +1,115 @@
+"""The reconstructor `gaussctrl`: all views are edited together, held by depth and aligned to reference views."""
+
+from copy import copy
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.reporting import note, warn
+from edit3r.stage_checks import component_name
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
+from edit3r_optimisers.edits import edited, for_views
+from edit3r_optimisers.fitting import FixedPictures
+from edit3r_optimisers.method import FittingMethod
+from edit3r_optimisers.renders import FittedGeometry, depths_of, rendered
+from edit3r_optimisers.scenes import Scene
+from edit3r_optimisers.settings import MethodSettings
+
+__all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "references_of", "takes_depth"]
+
+ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
+DEPTH = "edits are not conditioned on the fitted depth"
+
+
+class GaussCtrlReconstructor(FittingMethod):
+    """Renders of the fitted scene, its depths as condition, attention across views, then a second fit (Wu et al. 2024).
+
+    Depth and alignment are the editor's to use: `controlnet-depth` does both. With another editor the views are edited
+    as that editor edits, and the run says what is missing. It edits by itself: the edited views it is given are not
+    looked at.
+    """
+
+    class Settings(MethodSettings):
+        together: int = Field(
+            12, ge=2, description="most views edited in one call, the reference views among them; more need more memory"
+        )
+
+    def __init__(
+        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
+    ) -> None:
+        super().__init__(settings, reconstructor, editor, rasterizer)
+        self._twin: Editor | None = None  # of the editor, to be given other depths; it shares the loaded weights
+
+    @torch.no_grad()
+    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        workshop = self.workshop()
+        gaussians, cameras = workshop.fit_photos(scene)
+        views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
+        geometry = depths_of(gaussians, cameras, self.rasterizer)
+        images = self._edited(views, cameras, geometry, scene.request)
+        gaussians = workshop.fit_edits(gaussians, cameras, FixedPictures(images))
+        workshop.checkpoints.discard()
+        return gaussians, cameras
+
+    def _edited(
+        self, views: Views, cameras: Cameras, geometry: tuple[Tensor, Tensor], request: EditRequest
+    ) -> Float[Tensor, "view 3 height width"]:
+        """All views, a few at a time, the reference views first in every call."""
+        self._say_what_is_missing()
+        together = self.settings.together
+        references = reference_views(views.count, min(references_of(self.editor), together - 1))
+        images = views.images[0].clone()
+        for chunk in chunks(views.count, references, together):
+            editor = self._given(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
+            answer = edited(editor, views.select(chunk), for_views(request, chunk))
+            images[chunk] = answer.images[0]
+        return images
+
+    def _given(self, geometry: FittedGeometry) -> Editor:
+        """The editor with the fitted scene in place of its matcher, where it has one; the original keeps its own."""
+        if not takes_depth(self.editor):
+            return self.editor
+        self._twin = self._twin or copy(self.editor)
+        self._twin.matcher = geometry
+        return self._twin
+
+    def _say_what_is_missing(self) -> None:
+        name, aligns = component_name(self.editor), aligns_views(self.editor)
+        conditioned = takes_depth(self.editor)
+        note("gaussctrl.editor", {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned})
+        missing = [text for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH)) if not done]
+        if missing:
+            warn(f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor 'controlnet-depth' does both.")
+
+
+def aligns_views(editor: Editor) -> bool:
+    """Whether the editor's views look at each other (setting `cross_view` of controlnet-depth)."""
+    return getattr(getattr(editor, "settings", None), "cross_view", 0) > 0
+
+
+def takes_depth(editor: Editor) -> bool:
+    """Whether the editor reads depth from a matcher part that can be replaced."""
+    matcher = getattr(editor, "parts", {}).get("matcher")
+    own_network = getattr(getattr(editor, "settings", None), "depth_model", "")
+    return matcher is not None and getattr(editor, "matcher", None) is matcher and not own_network
+
+
+def references_of(editor: Editor) -> int:
+    """How many views, from the first, the editor's other views look at; 0 for one whose views do not."""
+    return editor.settings.references if aligns_views(editor) else 0
+
+
+def reference_views(count: int, wanted: int) -> list[int]:
+    """`wanted` of `count` views, spread evenly; [] for none."""
+    return sorted(set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist()))
+
+
+def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
+    """Calls of at most `together` views that between them edit every view; the references lead each of them."""
+    others = [view for view in range(count) if view not in references]
+    room = max(1, together - len(references))
+    parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]
+    return [[*references, *part] for part in parts]

@@ -1,0 +1,131 @@
+"""`edit3r recolor FOLDER --out DIR`: a multi-view set recoloured region by region, alike in every view."""
+
+import argparse
+from pathlib import Path
+
+from edit3r.command import Command
+
+
+class RecolorCommand(Command):
+    """`edit3r recolor`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add("images", nargs="+", metavar="FOLDER|IMAGE", help="photos of one scene, in the order of the sequence")
+        add("--out", required=True, metavar="DIR", help="folder for pictures, masks, recolor.json and cameras.json")
+        add(
+            "--segmenter", default="classical", metavar="NAME", help="finds and follows the objects (default classical)"
+        )
+        add(
+            "--masks",
+            metavar="DIR",
+            help="the data's own masks instead: a folder per object, or maps of object numbers",
+        )
+        add("--replay", metavar="FILE", help="repeat a recolor.json with the masks beside it")
+        add("--augment", action="store_true", help="also write the pictures with an editor's faults")
+        add("--seed", type=int, default=0, metavar="N", help="of the colours and faults (default 0)")
+        add("--size", type=int, default=512, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
+        add(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="such as filter.min_area=0.02, segmenter.size=512",
+        )
+        add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
+        add("--overwrite", action="store_true", help="replace an earlier result in --out")
+        add("--quiet", action="store_true", help="print errors only")
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.console import StageConsole
+        from edit3r.io.images import load_photos
+        from edit3r.io.run_folder import atomic_folder
+        from edit3r.reporting import Report, collecting
+        from edit3r_recolor.recolored_folder import write_folder
+        from edit3r_recolor.scene import carry_out, carry_out_with_faults
+
+        _check(args)
+        find = _finder(args)
+        with StageConsole(quiet=args.quiet) as console:
+            report = Report(on_event=console)
+            with collecting(report), atomic_folder(args.out) as folder:
+                with report.stage("read photos"):
+                    photos = load_photos(args.images, size=args.size)
+                with report.stage("regions"):
+                    masks, recipe = find(photos)
+                _tell_left_out(recipe)
+                with report.stage("recolour"):
+                    images = carry_out(photos.views.images[0], masks, recipe)
+                    faulty = carry_out_with_faults(photos.views.images[0], masks, recipe) if args.augment else None
+                with report.stage("write"):
+                    write_folder(folder, photos, masks, recipe, images, faulty)
+        if not args.quiet:
+            print(f"{len(recipe.processed)} views, {len(recipe.regions)} regions: {Path(args.out) / 'sheet.png'}")
+        return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """What can be refused before any photo is read."""
+    from edit3r.errors import InputError, SettingsError
+
+    if args.seed < 0:
+        raise SettingsError(f"--seed: must be at least 0, got {args.seed}.")
+    if args.replay and (args.masks or args.set):
+        raise SettingsError("--replay: repeats what the recipe says; leave --masks and --set away.")
+    out = Path(args.out)
+    if out.is_dir() and any(out.iterdir()) and not args.overwrite:
+        raise InputError(
+            f"{out}: is not empty; give --out another folder, or --overwrite to replace an earlier result."
+        )
+
+
+def _finder(args: argparse.Namespace):
+    """Function from photos to masks and recipe; everything it needs is built and checked first."""
+    from edit3r.config import make_settings, parse_assignments
+    from edit3r.registry import default_registry
+    from edit3r_recolor.mask_folder import read_masks, read_masks_of
+    from edit3r_recolor.recipe import SceneRecipe
+    from edit3r_recolor.recolored_folder import MASKS
+    from edit3r_recolor.scene import RecoloringSettings, find_regions, given_regions, make_recipe
+
+    if args.replay:
+        recipe = SceneRecipe.load(Path(args.replay))
+        numbers = [region.id for region in recipe.regions]
+
+        def replayed(photos):
+            _check_names(recipe, photos.views.names, args.replay)
+            return read_masks_of(Path(args.replay).parent / MASKS, photos.photos, numbers), recipe
+
+        return replayed
+    values = parse_assignments(args.set)
+    for_segmenter = values.pop("segmenter", {})
+    settings = make_settings(RecoloringSettings, values, where="recolor")
+    registry = default_registry(tuple(args.plugin))
+    segmenter = None if args.masks else registry.build("segmenter", args.segmenter, **for_segmenter)
+    source = f"masks of {args.masks}" if args.masks else f"segmenter {args.segmenter}"
+
+    def found(photos):
+        images = photos.views.images[0]
+        if segmenter is None:
+            regions = given_regions(read_masks(Path(args.masks), photos.photos), settings)
+        else:
+            regions = find_regions(images, segmenter, settings)
+        return regions.masks, make_recipe(images, photos.views.names, regions, settings, args.seed, source)
+
+    return found
+
+
+def _check_names(recipe, names, file: str) -> None:
+    from edit3r.errors import InputError
+
+    expected = tuple(view.name for view in recipe.views)
+    if tuple(names) != expected:
+        raise InputError(f"{file}: was made for the photos {', '.join(expected)}; got {', '.join(names)}.")
+
+
+def _tell_left_out(recipe) -> None:
+    from edit3r.reporting import warn
+
+    left_out = [view.name for view in recipe.views if not view.processed]
+    if left_out:
+        warn(f"{', '.join(left_out)}: left out, too few of the objects of the view before were found there.")

@@ -1,0 +1,138 @@
+"""A few photometric steps on the input views after the feed-forward pass: Gaussians only, cameras stay.
+
+Each step renders the input views and moves colours, opacities, sizes and centres a little towards the (edited)
+photos. A share of the pixels is held back from the loss; when they stop getting better, so do the steps, and the
+best state by them is returned: it is never worse on them than the start.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import Settings
+from edit3r.interfaces import Rasterizer
+from edit3r.reporting import progress
+from edit3r.types import Cameras, Gaussians
+from edit3r_refiners.adam import Adam
+
+__all__ = ["RefineSettings", "Refined", "refine"]
+
+LEAST_ERROR = 1e-12  # below it, decibels mean nothing
+OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
+
+
+class RefineSettings(Settings):
+    """Step sizes of Adam, in units that do not depend on the scene, and when to stop."""
+
+    colour: float = Field(0.01, ge=0, le=1, description="step of the harmonics")
+    opacity: float = Field(0.03, ge=0, le=1, description="step of the opacities' logits")
+    scale: float = Field(0.01, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.03, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    held_back: float = Field(0.1, gt=0, lt=1, description="share of pixels kept out of the loss, to know when to stop")
+    patience: int = Field(5, ge=1, description="steps without improvement of the held-back pixels before stopping")
+    seed: int = Field(0, ge=0, description="chooses the held-back pixels")
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Better Gaussians, and how the steps went. Mean squared errors are over the input views' pixels, sRGB."""
+
+    gaussians: Gaussians
+    steps: int  # taken until the state that is returned
+    held_back: tuple[float, ...]  # squared error of the held-back pixels before each step and after the last
+    fitted: tuple[float, ...]  # the same of the others
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """Steps, and what they gained [dB]."""
+        gains = (
+            10 * math.log10(max(errors[0], LEAST_ERROR) / max(errors[self.steps], LEAST_ERROR))
+            for errors in (self.held_back, self.fitted)
+        )
+        held_back, fitted = (round(gain, 3) for gain in gains)
+        return {"steps": self.steps, "db_gained_on_held_back_pixels": held_back, "db_gained_on_others": fitted}
+
+
+def refine(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    images: Float[Tensor, "batch camera 3 height width"],
+    rasterizer: Rasterizer,
+    steps: int,
+    settings: RefineSettings | None = None,
+) -> Refined:
+    """Take up to `steps` steps towards `images` as seen from `cameras`; same inputs, same result on one device."""
+    settings = settings or RefineSettings()
+    kept_out = _held_back(images, settings)
+    followed = (~kept_out).to(images.dtype) / (~kept_out).sum()
+    variables = _Variables(gaussians, settings)
+    best, held_back, fitted = gaussians, [], []
+    for step in range(steps + 1):
+        with torch.enable_grad():
+            current = variables.gaussians()
+            difference = rasterizer.render(current, cameras).images - images
+            loss = (difference.abs().mean(2) * followed).sum()
+        error = difference.detach().square().mean(2)
+        held_back.append(float(error[kept_out].mean()))
+        fitted.append(float((error * followed).sum()))
+        if step > 0 and held_back[-1] < min(held_back[:-1]):
+            best = _detached(current)
+        progress("refine", step, steps)
+        if step == steps or step - _lowest(held_back) >= settings.patience:
+            break
+        variables.step(loss)
+    return Refined(best, _lowest(held_back), tuple(held_back), tuple(fitted))
+
+
+class _Variables:
+    """What Adam moves: unconstrained numbers from which valid Gaussians are made."""
+
+    def __init__(self, gaussians: Gaussians, settings: RefineSettings) -> None:
+        self.start = _detached(gaussians)
+        self.unit = self.start.scales.sort(-1).values[..., 1:].mean(-1, keepdim=True)
+        values = {
+            "colour": self.start.harmonics,
+            "opacity": self.start.opacities.clamp(*OPACITY_RANGE).logit(),
+            "scale": self.start.scales.clamp(min=torch.finfo(self.start.scales.dtype).tiny).log(),
+            "centre": torch.zeros_like(self.start.means),
+        }
+        self.values = {name: value.clone().requires_grad_(True) for name, value in values.items()}
+        self.optimizer = Adam(list(self.values.values()), [getattr(settings, name) for name in self.values])
+
+    def gaussians(self) -> Gaussians:
+        return replace(
+            self.start,
+            means=self.start.means + self.values["centre"] * self.unit,
+            scales=self.values["scale"].exp(),
+            opacities=self.values["opacity"].sigmoid(),
+            harmonics=self.values["colour"],
+        )
+
+    def step(self, loss: Float[Tensor, ""]) -> None:
+        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())))
+
+
+def _held_back(images: Tensor, settings: RefineSettings) -> Bool[Tensor, "batch camera height width"]:
+    """Pixels kept out of the loss; at least one is, and one is not."""
+    batch, cameras, _, height, width = images.shape
+    generator = torch.Generator().manual_seed(settings.seed)
+    order = torch.randperm(batch * cameras * height * width, generator=generator)
+    count = min(max(1, round(settings.held_back * order.numel())), order.numel() - 1)
+    chosen = torch.zeros(order.numel(), dtype=torch.bool)
+    chosen[order[:count]] = True
+    return chosen.view(batch, cameras, height, width).to(images.device)
+
+
+def _detached(gaussians: Gaussians) -> Gaussians:
+    """Without history, and with storage of its own: Adam changes values in place."""
+    names = ("means", "scales", "quats", "opacities", "harmonics")
+    return replace(gaussians, **{name: getattr(gaussians, name).detach().clone() for name in names})
+
+
+def _lowest(errors: list[float]) -> int:
+    """Where the first of the lowest is."""
+    return min(range(len(errors)), key=errors.__getitem__)

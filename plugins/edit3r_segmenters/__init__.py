@@ -1,0 +1,40 @@
+"""Segmentation and detection: the classical offline stand-in, and the paper's SAM2 and Grounding DINO."""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_segmenters():
+    classical = Component(
+        name="classical",
+        target="edit3r_segmenters.classical.segmenter:ClassicalSegmenter",
+        summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
+    )
+    sam2 = Component(
+        name="sam2",
+        target="edit3r_segmenters.segmenter:Sam2Segmenter",
+        summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights (0.2 to 0.9 GB)",
+        requires=("transformers",),
+        extra="transformers",
+        parts=("detector",),
+        licence="Apache-2.0, default weights too",
+        needs_network=True,
+        citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
+    )
+    return (classical, sam2)
+
+
+@hookimpl
+def register_detectors():
+    return Component(
+        name="grounding-dino",
+        target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
+        summary="Grounding DINO: boxes of what a text names; needs weights (0.7 GB)",
+        requires=("transformers",),
+        extra="transformers",
+        licence="Apache-2.0, default weights too",
+        needs_network=True,
+        citation="Liu et al., Grounding DINO, ECCV 2024",
+    )

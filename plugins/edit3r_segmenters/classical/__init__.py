@@ -1,0 +1,1 @@
+"""The classical segmenter: superpixels, merging, salience and tracking, without learned weights."""

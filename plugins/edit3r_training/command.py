@@ -1,0 +1,40 @@
+"""`edit3r train CONFIG`: train from one configuration file; `--resume` continues where a run was stopped."""
+
+import argparse
+
+from edit3r.command import Command
+
+
+class TrainCommand(Command):
+    """`edit3r train`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("config", help="a YAML file, or the name of a shipped one such as training/edit3r-small")
+        parser.add_argument(
+            "--resume", action="store_true", help="continue from the last checkpoint in the output folder"
+        )
+        parser.add_argument("--out", help="output folder, instead of the configuration's")
+        parser.add_argument(
+            "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting, e.g. trainer.steps=100"
+        )
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.config import find_config, merge, parse_assignments, read_yaml
+        from edit3r.console import StageConsole
+        from edit3r.registry import default_registry
+        from edit3r.reporting import Report, collecting
+        from edit3r.training.job import prepare
+        from edit3r.training.processes import is_first_process
+
+        values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
+        if args.out:
+            values = merge(values, {"out": args.out})
+        first = is_first_process()  # of several that torchrun started, one talks
+        with StageConsole(quiet=not first) as console:
+            report = Report(on_event=console)
+            with collecting(report), report.stage("train"):
+                prepared = prepare(values, default_registry(), resume=args.resume)
+                best = prepared.trainer.train(prepared.job)
+        if first:
+            print(f"best checkpoint: {best}")
+        return 0

@@ -1,0 +1,121 @@
+"""Masks from words."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from edit3r import EditRequest, Views
+from edit3r.interfaces import Proposal, Segmenter, Tracks
+from edit3r.mask_from_prompt import confine, grown, object_of
+from edit3r.reporting import Report, collecting
+
+
+class Reader(Segmenter):
+    """Finds a 4 x 4 square for every word it knows, at the place it knows; tracks it one pixel to the right."""
+
+    def __init__(self, prompt="", **places):
+        self.settings, self.places, self.lost = SimpleNamespace(prompt=prompt), places, ()
+
+    def propose(self, image):
+        return ()
+
+    def segment(self, image, points=(), box=None):
+        raise NotImplementedError
+
+    def segment_text(self, image, text):
+        masks = [self._square(image, place) for word, place in self.places.items() if word in text]
+        return tuple(Proposal(mask, 0.1, 1.0, 1.0, (0, 0, 4, 4)) for mask in masks)
+
+    def _square(self, image, place):
+        mask = torch.zeros(image.shape[1:])
+        mask[place[0] : place[0] + 4, place[1] : place[1] + 4] = 0.9
+        return mask
+
+    def track(self, images, masks):
+        logits = torch.stack([masks.roll(view, -1) for view in range(len(images))]) - 0.5
+        present = torch.ones(logits.shape[:2], dtype=torch.bool)
+        for view in self.lost:
+            present[view], logits[view] = False, -1
+        return Tracks(logits, present)
+
+
+VIEWS = Views(torch.rand(1, 3, 3, 24, 32), torch.eye(3).expand(1, 3, 3, 3))
+
+
+@pytest.mark.parametrize(
+    ("instruction", "thing"),
+    [
+        ("paint the bike red", "the bike"),
+        ("turn the old wooden chair into marble", "the old wooden chair"),
+        ("Make his jacket blue", "the jacket"),
+        ("remove the car", "the car"),
+        ("the dog should wear a hat", "the dog"),
+        ("add a dog to the street", ""),
+        ("make it look like winter", ""),
+        ("turn the whole scene into a painting", ""),
+        ("make the background blurry", ""),
+        ("", ""),
+    ],
+)
+def test_the_object_of_an_instruction(instruction, thing):
+    assert object_of(instruction) == thing
+
+
+def test_the_named_object_is_masked_and_followed():
+    confined = confine(EditRequest("paint the bike red"), VIEWS, Reader(bike=(6, 8)))
+    masks = confined.masks[0]
+    assert masks.shape == (3, 24, 32)
+    for view in range(3):
+        assert (masks[view, 6:10, 8 + view : 12 + view] == 1).all()
+        assert masks[view, :4].max() == 0 and masks[view, :, :4].max() == 0 and masks[view, :, 20:].max() == 0
+
+
+def test_the_segmenters_prompt_goes_before_the_instruction():
+    report = Report()
+    with collecting(report):
+        masks = confine(EditRequest("paint the bike red"), VIEWS, Reader("the car", bike=(6, 8), car=(15, 20))).masks
+    assert masks[0, 0, 16, 21] == 1 and masks[0, 0, 7, 9] == 0
+    assert report.notes["edit.confined_to"] == "the car"
+
+
+def test_all_that_the_words_name_is_in_the_mask():
+    masks = confine(EditRequest("x"), VIEWS, Reader("the bike. the car.", bike=(2, 2), car=(15, 20))).masks
+    assert masks[0, 0, 3, 3] == 1 and masks[0, 0, 16, 21] == 1
+
+
+def test_a_view_where_it_is_lost_stays_unedited_and_is_told():
+    reader, report = Reader(bike=(6, 8)), Report()
+    reader.lost = (2,)
+    with collecting(report):
+        masks = confine(EditRequest("paint the bike red"), VIEWS, reader).masks
+    assert masks[0, 2].max() == 0 and masks[0, 1].max() == 1
+    assert "views [2]" in report.warnings[0]
+
+
+class Mute(Reader):
+    def segment_text(self, image, text):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("prompt", "segmenter", "says"),
+    [
+        ("make it winter", Reader(bike=(6, 8)), "names no one object"),
+        ("paint the bike red", Reader(car=(6, 8)), "'the bike' was not found"),
+        ("paint the bike red", Mute(), "cannot look up 'the bike'"),
+    ],
+)
+def test_what_cannot_be_found_confines_nothing_and_is_told(prompt, segmenter, says):
+    request, report = EditRequest(prompt), Report()
+    with collecting(report):
+        assert confine(request, VIEWS, segmenter) is request
+    assert says in report.warnings[0]
+
+
+def test_a_mask_grows_softly_and_ends():
+    mask = torch.zeros(1, 50, 200)
+    mask[:, 20:30, 80:120] = 1
+    soft = grown(mask)
+    assert (soft[mask > 0] == 1).all() and soft[0, 25, 122] > 0
+    assert soft[0, 25, 130:].max() == 0 and soft[0, :10].max() == 0

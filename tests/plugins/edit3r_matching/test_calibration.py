@@ -1,0 +1,71 @@
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from edit3r_matching.calibration import calibrate
+from edit3r_matching.camera import Picture, rays_through
+from edit3r_matching.matcher import ClassicalMatcher
+from edit3r_matching.relative_pose import Matches
+
+SIDE = 256
+
+
+def lens(fov):
+    focal = 0.5 * SIDE / math.tan(math.radians(fov) / 2)
+    return np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1]])
+
+
+def matches(fov, turn, shift, noise=0.2, outliers=0.3, count=400):
+    """Points seen by two cameras of `fov` degrees, as rays of cameras taken to have 60; a share of them thrown."""
+    random = np.random.default_rng(1)
+    depth = random.uniform(2, 8, count)
+    first = random.uniform(10, SIDE - 10, (count, 2))
+    points = rays_through(first, lens(fov)) * depth[:, None]
+    moved = points @ cv2.Rodrigues(np.array(turn, float))[0].T + np.array(shift, float)
+    second = (moved @ lens(fov).T)[:, :2] / moved[:, 2:]
+    first, second = (places + random.normal(0, noise, places.shape) for places in (first, second))
+    thrown = random.random(count) < outliers
+    second[thrown] = random.uniform(0, SIDE, (thrown.sum(), 2))
+    rays = (rays_through(places, lens(60)) for places in (first, second))
+    return Matches(*rays, float(lens(60)[0, 0]), 0.01)
+
+
+def read(found, **options):
+    photo = Picture(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
+    return calibrate([photo, photo], {(0, 1): found}, options.get("threshold", 1.0), 0)
+
+
+@pytest.mark.parametrize("fov", [35, 50, 60, 75, 90])
+def test_the_field_of_view_is_read_from_a_camera_that_turns_and_moves(fov):
+    found = read(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)))
+    assert found.fov == pytest.approx(fov, abs=4)
+    assert found.support >= found.assumed_support
+
+
+def test_a_camera_that_only_moved_sideways_keeps_what_was_assumed():
+    """Every focal length explains such matches, so nothing is gained by another."""
+    assert read(matches(60, (0, 0, 0), (-1, 0, 0))).fov == pytest.approx(60, abs=6)
+
+
+def test_matches_that_agree_on_no_motion_tell_nothing():
+    assert read(matches(60, (0, 0.1, 0), (-1, 0, 0), outliers=1.0)) is None
+    assert read(matches(60, (0, 0.1, 0), (-1, 0, 0), count=20)) is None
+
+
+def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
+    pair = make_room([(0,), (0.5, 0.1, -12)])
+    wrong = pair.views.intrinsics.clone()
+    wrong[..., 0, 0] *= 0.7
+    wrong[..., 1, 1] *= 0.7
+    matcher = ClassicalMatcher(ClassicalMatcher.Settings(working_size=96, planes=24))
+    believed = matcher.match(replace(pair.views, intrinsics=wrong))
+    assert believed.intrinsics is None
+    assert matcher.match(replace(pair.views, intrinsics=wrong, assumed=(True, False))).intrinsics is None
+    views = replace(pair.views, intrinsics=wrong, assumed=(True, True))
+    told = matcher.match(views).calibrated(views).intrinsics[0, 0, 0, 0]
+    true = pair.views.intrinsics[0, 0, 0, 0]
+    assert torch.isclose(told, true, rtol=0.15)
+    assert abs(told - true) < abs(wrong[0, 0, 0, 0] - true)

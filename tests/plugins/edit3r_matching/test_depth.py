@@ -1,0 +1,175 @@
+import itertools
+
+import numpy as np
+import pytest
+from edit3r_matching.camera import Picture, Pose
+from edit3r_matching.consistency import cross_check, without_speckles
+from edit3r_matching.depth_map import RawDepth, inverse_depth_range
+from edit3r_matching.filling import fill, main_plane, upsample
+from edit3r_matching.free_space import push_back
+from edit3r_matching.plane_sweep import Neighbour, matching_cost, plane_inverse_depths
+from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
+
+SIZE = (48, 64)
+INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+SIDEWAYS = Pose(np.eye(3), np.array([-0.5, 0, 0]))  # the neighbour stands half a unit to the right
+
+
+@pytest.fixture
+def noise():
+    return np.random.default_rng(0).random((*SIZE, 3)).astype(np.float32)
+
+
+def raw(inverse, step=0.01):
+    inverse = np.broadcast_to(np.float32(inverse), SIZE).copy()
+    return RawDepth(inverse, float(inverse.min()) - 5 * step, step)
+
+
+def neighbour(image):
+    return Neighbour(Picture(image, INTRINSICS), SIDEWAYS)
+
+
+def reference_paths(cost, jump):
+    """The eight paths as the paper writes them, pixel by pixel."""
+    height, width = cost.shape[:2]
+    total = np.zeros_like(cost)
+    for dy, dx in itertools.product((-1, 0, 1), repeat=2):
+        if dy == dx == 0:
+            continue
+        path = np.zeros_like(cost)
+        ys = range(height) if dy >= 0 else range(height - 1, -1, -1)
+        xs = range(width) if dx >= 0 else range(width - 1, -1, -1)
+        for y, x in itertools.product(ys, xs):
+            py, px = y - dy, x - dx
+            path[y, x] = cost[y, x]
+            if 0 <= py < height and 0 <= px < width:
+                before, least = path[py, px], path[py, px].min()
+                limit = least + min(jump[y, x], jump[py, px])
+                padded = np.pad(before, 1, constant_values=np.inf)
+                step = np.minimum(padded[:-2], padded[2:]) + SMALL_STEP
+                path[y, x] += np.minimum(np.minimum(before, step), limit) - least
+        total += path
+    return total
+
+
+def test_aggregation_is_the_sum_of_eight_paths():
+    random = np.random.default_rng(0)
+    cost, grey = random.random((9, 11, 7)).astype(np.float32), random.random((9, 11)).astype(np.float32)
+    assert np.allclose(aggregate(cost, grey), reference_paths(cost.astype(float), _jump_costs(grey)), atol=1e-4)
+
+
+def test_best_plane_is_exact_on_a_parabola():
+    planes = np.arange(9)
+    total = ((planes - 3.3) ** 2)[None, None].astype(np.float32)
+    assert best_plane(total)[0, 0] == pytest.approx(3.3, abs=1e-4)
+
+
+def test_cost_is_least_at_the_true_plane(noise):
+    shift = 6  # pixels: inverse depth shift / (focal * baseline)
+    moved = np.roll(noise, -shift, axis=1)
+    inverse_depths = np.linspace(0.1, 0.3, 21)
+    cost = matching_cost(Picture(noise, INTRINSICS), [neighbour(moved)], inverse_depths)
+    assert cost.shape == (*SIZE, 21)
+    found = inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)]
+    assert (np.abs(found - shift / (60 * 0.5)) < 0.006).mean() > 0.99
+
+
+def test_cost_does_not_see_brightness_in_its_correlation(noise):
+    inverse_depths = np.linspace(0.1, 0.3, 21)
+    darker = 0.6 * np.roll(noise, -6, axis=1)
+    cost = matching_cost(Picture(noise, INTRINSICS), [neighbour(darker)], inverse_depths)
+    assert (np.abs(inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)] - 0.2) < 0.006).mean() > 0.95
+
+
+def test_planes_are_a_pixel_apart(noise):
+    picture = Picture(noise, INTRINSICS)
+    planes = plane_inverse_depths(picture, [neighbour(noise)], (0.1, 1.5), 128)
+    assert np.allclose(np.diff(planes) * 60 * 0.5, 1, atol=0.05)
+    assert len(plane_inverse_depths(picture, [neighbour(noise)], (0.1, 9.0), 64)) == 64
+
+
+def test_range_holds_the_points_with_room_before_them():
+    least, greatest = inverse_depth_range(np.linspace(2, 4, 200))
+    assert 0 < least < 1 / 4 and greatest > 1 / 2
+
+
+def test_cross_check_tells_agreement_hidden_and_floating_apart(noise):
+    check = {
+        name: cross_check(raw(own).inverse, Picture(noise, INTRINSICS), neighbour(noise), raw(0.2), 1.5)
+        for name, own in (("same", 0.2), ("behind", 0.1), ("before", 0.4))
+    }
+    inside = (slice(None), slice(20, None))
+    assert check["same"].agrees[inside].all()
+    assert check["behind"].behind[inside].all()
+    assert check["before"].before[inside].all()
+    assert not check["same"].agrees[:, :5].any()  # outside the neighbour's picture
+
+
+def test_lone_agreements_are_taken_out():
+    agrees = np.zeros(SIZE, bool)
+    agrees[10:30, 10:30] = True
+    agrees[40, 50] = True
+    agrees[35:37, 5:7] = True
+    kept = without_speckles(agrees, raw(0.2))
+    assert kept[11:29, 11:29].all()
+    assert kept[10:30, 10:30].sum() == kept.sum()
+
+
+def test_filling_continues_a_plane():
+    x = np.arange(SIZE[1], dtype=np.float32)
+    inverse = np.broadcast_to(0.1 + 0.002 * x, SIZE).astype(np.float32).copy()
+    measured = np.ones(SIZE, bool)
+    measured[:, 20:32] = False
+    wrong = np.where(measured, inverse, np.float32(0.9))
+    filled = fill(wrong, measured, 0.01, np.full((*SIZE, 3), 0.5, np.float32))
+    assert np.abs(filled - inverse).max() < 0.005
+
+
+def test_filling_stops_at_edges_of_the_picture():
+    image = np.zeros((*SIZE, 3), np.float32)
+    image[:, 48:] = 1
+    inverse = np.where(image[..., 0] > 0, np.float32(0.4), np.float32(0.1))
+    measured = np.ones(SIZE, bool)
+    measured[:, 42:54] = False
+    filled = fill(np.where(measured, inverse, np.float32(0.25)), measured, 0.01, image)
+    assert np.abs(filled - inverse).max() < 0.03
+
+
+def test_main_plane_ignores_a_smaller_second_surface():
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float32)
+    plane = 0.1 + 0.001 * x + 0.002 * y
+    inverse = plane.copy()
+    inverse[10:25, 10:25] = 0.9
+    found, limits = main_plane(inverse, np.ones(SIZE, bool))
+    assert np.abs(found - plane).max() < 0.003
+    assert limits[0] >= inverse.min() and limits[1] <= inverse.max()
+
+
+def test_a_guess_is_pushed_behind_what_the_neighbour_measured(noise):
+    own, other = raw(0.1), raw(0.1)
+    guess = np.full(SIZE, 0.4, np.float32)
+    sure, nothing = np.ones(SIZE, bool), np.zeros(SIZE, bool)
+    picture, beside = Picture(noise, INTRINSICS), neighbour(noise)
+    pushed = push_back(guess, nothing, own, picture, beside, other, sure)
+    assert np.abs(pushed[:, 20:] - 0.1).max() < 3.5 * other.step
+    assert (push_back(guess, sure, own, picture, beside, other, sure) == guess).all()
+    assert (push_back(guess, nothing, own, picture, beside, other, nothing) == guess).all()
+
+
+def test_enlarging_keeps_depth_edges_where_the_photo_has_them():
+    photo = np.zeros((96, 128, 3), np.float32)
+    photo[:, 65:] = 1  # the edge lies inside a small pixel
+    small = photo.reshape(48, 2, 64, 2, 3).mean((1, 3))
+    inverse = np.where(small[..., 0] > 0.5, np.float32(0.5), np.float32(0.1))
+    depth, trust = upsample(inverse, np.ones(SIZE, bool), small, photo)
+    assert set(np.unique(depth.round(4))) == {np.float32(0.1), np.float32(0.5)}
+    assert (depth[:, :64] < 0.2).all() and (depth[:, 66:] > 0.4).all()
+    assert np.allclose(trust, 1)
+
+
+def test_enlarging_a_slope_keeps_it_smooth():
+    x = np.arange(SIZE[1], dtype=np.float32)
+    inverse = np.broadcast_to(0.2 + 0.0005 * x, SIZE).astype(np.float32).copy()
+    depth, _ = upsample(inverse, np.ones(SIZE, bool), np.zeros((*SIZE, 3), np.float32), np.zeros((96, 128, 3)))
+    expected = 0.2 + 0.0005 * np.clip((np.arange(128) + 0.5) / 2 - 0.5, 0, 63)
+    assert np.abs(depth - expected).max() < 1e-5

@@ -1,0 +1,172 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+from edit3r_measure.evaluation.metrics import within_share
+from edit3r_measure.evaluation.pairs import rotation_degrees
+
+import edit3r
+from edit3r import Views
+from edit3r.errors import MatchingError
+from edit3r.io.packaged import packaged_pair
+from edit3r.reporting import Report, collecting
+
+
+@pytest.fixture(scope="module")
+def matcher():
+    return edit3r.build("matcher", "classical")
+
+
+@pytest.fixture(scope="module")
+def matched(matcher, pair):
+    return matcher.match(pair.views)
+
+
+def direction_degrees(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
+
+
+def pose_errors(geometry, room, view):
+    found, true = geometry.c2w[0, view].numpy(), room.c2w[view]
+    return rotation_degrees(found[:3, :3], true[:3, :3]), direction_degrees(found[:3, 3], true[:3, 3])
+
+
+def test_pose_of_a_known_room_is_within_a_third_of_a_degree(matched, pair):
+    rotation, direction = pose_errors(matched, pair, 1)
+    assert rotation < 0.3
+    assert direction < 3
+
+
+def test_view_0_is_the_identity_and_every_view_is_registered(matched):
+    assert torch.equal(matched.c2w[0, 0], torch.eye(4))
+    assert matched.registered.all()
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_depth_of_a_known_room_is_right_almost_everywhere(matched, pair, view):
+    assert within_share(matched.depths[0, view].numpy(), pair.depths[view], 0.1) > 0.9
+
+
+def test_poses_and_depths_share_one_unit_of_length(matched, pair):
+    measured = matched.confidence[0, 0].numpy() > 0.5
+    of_depths = np.median(matched.depths[0, 0].numpy()[measured] / pair.depths[0][measured])
+    of_poses = np.linalg.norm(matched.c2w[0, 1, :3, 3]) / np.linalg.norm(pair.c2w[1][:3, 3])
+    assert of_depths == pytest.approx(of_poses, rel=0.03)
+
+
+def test_measured_pixels_are_right_and_most_pixels_are_measured(matched, pair):
+    sure = matched.confidence[0, 0].numpy() > 0.5
+    assert sure.mean() > 0.6
+    assert within_share(matched.depths[0, 0].numpy(), np.where(sure, pair.depths[0], 0), 0.05) > 0.97
+
+
+def test_confidence_is_between_0_and_1_and_depth_above_0(matched):
+    assert ((matched.confidence >= 0) & (matched.confidence <= 1)).all()
+    assert (matched.depths > 0).all() and matched.depths.isfinite().all()
+
+
+def test_same_photos_give_the_same_bytes(matcher, matched, pair):
+    again = matcher.match(pair.views)
+    for name in ("c2w", "depths", "confidence"):
+        assert torch.equal(getattr(again, name), getattr(matched, name)), name
+
+
+def test_a_scene_does_not_depend_on_its_batch(matcher, matched, pair, make_room):
+    other = make_room([(0,), (0.3, 0, -3)], seed=50).views
+    both = Views(torch.cat((other.images, pair.views.images)), torch.cat((other.intrinsics, pair.views.intrinsics)))
+    geometry = matcher.match(both)
+    assert torch.equal(geometry.depths[1], matched.depths[0])
+    assert torch.equal(geometry.c2w[1], matched.c2w[0])
+
+
+def test_views_may_have_different_focal_lengths(matcher, make_room):
+    room = make_room([(0,), (0.4, 0.05, -5)], focals=[0.9, 1.15])
+    geometry = matcher.match(room.views)
+    rotation, _ = pose_errors(geometry, room, 1)
+    assert rotation < 0.4
+    assert within_share(geometry.depths[0, 0].numpy(), room.depths[0], 0.1) > 0.85
+
+
+def test_depth_comes_at_the_size_of_the_views_when_measured_smaller(make_room):
+    room = make_room([(0,), (0.4, 0.05, -5)], size=(200, 260))
+    geometry = edit3r.build("matcher", "classical", working_size=130).match(room.views)
+    assert geometry.depths.shape[2:] == (200, 260)
+    assert within_share(geometry.depths[0, 0].numpy(), room.depths[0], 0.1) > 0.85
+
+
+def test_three_views_are_placed_in_one_scale(matcher, make_room):
+    room = make_room([(0,), (0.35, 0.05, -4), (-0.3, -0.05, 3)])
+    geometry = matcher.match(room.views)
+    assert geometry.registered.all()
+    lengths = [np.linalg.norm(geometry.c2w[0, view, :3, 3]) / np.linalg.norm(room.c2w[view][:3, 3]) for view in (1, 2)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=0.05)
+    assert max(pose_errors(geometry, room, view)[0] for view in (1, 2)) < 0.4
+    assert min(within_share(geometry.depths[0, v].numpy(), room.depths[v]) for v in range(3)) > 0.85
+
+
+def test_a_photo_of_another_scene_is_reported_not_registered(matcher, pair, make_room):
+    stranger = make_room([(0,)], seed=70).views
+    views = Views(
+        torch.cat((pair.views.images, stranger.images), 1),
+        torch.cat((pair.views.intrinsics, stranger.intrinsics), 1),
+        ("left", "right", "stranger"),
+    )
+    with collecting(Report()) as report:
+        geometry = matcher.match(views)
+    assert geometry.registered.tolist() == [[True, True, False]]
+    assert (geometry.confidence[0, 2] == 0).all()
+    assert any("stranger" in warning for warning in report.warnings)
+
+
+def test_photos_of_two_scenes_raise_with_the_reason_and_advice(matcher, make_room):
+    views = [make_room([(0,)], seed=seed).views for seed in (0, 70)]
+    strangers = Views(
+        torch.cat([v.images for v in views], 1), torch.cat([v.intrinsics for v in views], 1), ("a.jpg", "b.jpg")
+    )
+    with pytest.raises(MatchingError, match=r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one"):
+        matcher.match(strangers)
+
+
+def test_photos_from_one_place_raise_because_depth_cannot_be_read(matcher, make_room):
+    with pytest.raises(MatchingError, match="parallax"):
+        matcher.match(make_room([(0,), (0, 0, 3)]).views)
+
+
+def test_the_same_photo_twice_raises(matcher, pair):
+    with pytest.raises(MatchingError):
+        matcher.match(pair.views.select([0, 0]))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (8, 300)])
+def test_tiny_photos_raise_with_the_size_that_is_needed(matcher, size):
+    views = Views(torch.rand(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
+    with pytest.raises(MatchingError, match=f"{size[1]} x {size[0]} pixels.*at least 32"):
+        matcher.match(views)
+
+
+def test_blank_photos_raise(matcher):
+    views = Views(torch.full((1, 2, 3, 64, 64), 0.5), torch.eye(3).expand(1, 2, 3, 3))
+    with pytest.raises(MatchingError):
+        matcher.match(views)
+
+
+def test_one_photo_alone_raises(matcher, pair):
+    with pytest.raises(MatchingError, match="at least two"):
+        matcher.match(pair.views.select([0]))
+
+
+def test_the_packaged_motorcycle_pair_has_its_true_depth(matcher):
+    from skimage.data import stereo_motorcycle
+
+    files, cameras = packaged_pair()
+    views = edit3r.load_views(files, cameras=cameras, size=256)
+    height, width = views.image_size
+    geometry = matcher.match(views)
+    disparity = stereo_motorcycle()[2]
+    pixels = disparity.shape[1]
+    intrinsics = views.intrinsics[0].numpy()
+    disparity = cv2.resize(disparity, (width, height), interpolation=cv2.INTER_NEAREST)
+    known = np.isfinite(disparity) & (disparity > 0)
+    motion = np.where(known, disparity, 1) / pixels + intrinsics[1, 0, 2] - intrinsics[0, 0, 2]
+    truth = np.where(known, 1 / motion, 0)
+    assert within_share(geometry.depths[0, 0].numpy(), truth, 0.1) > 0.85

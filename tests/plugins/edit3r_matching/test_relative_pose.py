@@ -1,0 +1,81 @@
+import cv2
+import numpy as np
+import pytest
+from edit3r_matching.camera import Pose, cross_matrix
+from edit3r_matching.relative_pose import Matches, estimate_pose, sampson_errors
+from edit3r_matching.triangulation import parallax_degrees, triangulate
+from edit3r_measure.evaluation.pairs import rotation_degrees
+
+FOCAL = 250.0
+CHANCE = 0.011
+
+
+@pytest.fixture
+def pose():
+    translation = np.array([0.9, 0.1, -0.2])
+    return Pose(cv2.Rodrigues(np.array([0.03, -0.15, 0.02]))[0], translation / np.linalg.norm(translation))
+
+
+def points(count, seed=0):
+    random = np.random.default_rng(seed)
+    return np.stack([random.uniform(-2, 2, count), random.uniform(-2, 2, count), random.uniform(3, 8, count)], axis=1)
+
+
+def seen(points):
+    return points / points[:, 2:]
+
+
+def test_triangulation_of_exact_rays_is_exact(pose):
+    world = points(50)
+    moved = pose.apply(world)
+    depth_a, depth_b = triangulate(seen(world), seen(moved), pose)
+    assert np.allclose(depth_a, world[:, 2]) and np.allclose(depth_b, moved[:, 2])
+
+
+def test_parallax_is_the_angle_at_the_point():
+    pose = Pose(np.eye(3), np.array([-1.0, 0, 0]))
+    rays = np.array([[0.0, 0, 1]])
+    moved = seen(pose.apply(rays))
+    assert parallax_degrees(rays, moved, pose) == pytest.approx(45)
+
+
+def test_sampson_error_is_the_distance_moved_off_the_epipolar_line(pose):
+    world = points(200)
+    a, b = seen(world), seen(pose.apply(world))
+    lines = a @ (cross_matrix(pose.translation) @ pose.rotation).T
+    normals = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    b[:, :2] += 1e-4 * normals
+    errors = np.abs(sampson_errors(Matches(a, b, FOCAL, CHANCE), pose))
+    # The error is shared between the two pictures: at most the shift, at least a good part of it.
+    assert (errors <= 1e-4 * FOCAL * 1.001).all() and (errors > 0.3e-4 * FOCAL).all()
+
+
+def test_pose_survives_noise_and_wrong_matches(pose):
+    random = np.random.default_rng(1)
+    world = points(300)
+    a, b = seen(world), seen(pose.apply(world))
+    b[:, :2] += random.normal(0, 0.3 / FOCAL, (300, 2))
+    b[:120] = seen(points(120, seed=9))
+    found = estimate_pose(Matches(a, b, FOCAL, CHANCE), threshold=1.0, seed=0)
+    assert rotation_degrees(found.pose.rotation, pose.rotation) < 0.3
+    assert found.pose.translation @ pose.translation > np.cos(np.radians(2))
+    assert found.inliers[120:].mean() > 0.9
+    assert found.log_false_alarms < -50
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_matches_do_not_count_as_a_pose(seed):
+    random = np.random.default_rng(seed)
+    a, b = (np.concatenate([random.uniform(-0.5, 0.5, (150, 2)), np.ones((150, 1))], axis=1) for _ in range(2))
+    found = estimate_pose(Matches(a, b, FOCAL, CHANCE), threshold=1.0, seed=0)
+    assert found is None or found.log_false_alarms > -6
+
+
+def test_too_few_matches_give_no_pose(pose):
+    world = points(8)
+    assert estimate_pose(Matches(seen(world), seen(pose.apply(world)), FOCAL, CHANCE), 1.0, 0) is None
+
+
+def test_a_pose_and_its_inverse_cancel(pose):
+    there_and_back = pose.inverse().after(pose)
+    assert np.allclose(there_and_back.matrix, np.eye(4))

@@ -1,0 +1,57 @@
+"""Methods from configurations: those that ship name what is there."""
+
+from pathlib import Path
+
+import pytest
+from edit3r_measure.bench.method import Method, read_methods
+from edit3r_measure.bench.oracle import ORACLE, OracleSettings
+
+from edit3r.config import make_settings, read_yaml
+from edit3r.errors import SettingsError
+from edit3r.registry import default_registry
+
+SHIPPED = sorted((Path(__file__).parents[3] / "configs" / "bench").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_methods_name_components_and_settings_that_exist(path):
+    registry = default_registry()
+    for method in read_methods(read_yaml(path)):
+        for kind in ("reconstructor", "rasterizer", "editor"):
+            choice = getattr(method, kind)
+            if choice.name == ORACLE:
+                make_settings(OracleSettings, choice.settings, where="editor")
+                continue
+            offer = registry.find(kind, choice.name)
+            if not registry.missing(offer):
+                make_settings(registry.settings_class(offer), choice.settings, where=kind)
+
+
+def test_the_label_is_editor_and_reconstructor_unless_given():
+    assert Method().label == "oracle+edit3r"
+    assert Method(editor="none", reconstructor={"name": "classical", "opacity": 0.5}).label == "none+classical"
+    with pytest.raises(ValueError, match="must be letters"):
+        Method(label="a/b")
+
+
+def test_settings_are_laid_over_a_method_by_its_label():
+    values = {"methods": [{"label": "a", "reconstructor": {"name": "edit3r", "opacity": 0.5}}, {"label": "b"}]}
+    changes = {"a": {"reconstructor": {"fuse_edits": False}, "poses": False, "editor": "none"}}
+    a, b = read_methods(values, changes)
+    assert a.reconstructor.settings == {"opacity": 0.5, "fuse_edits": False} and a.reconstructor.name == "edit3r"
+    assert a.editor.name == "none" and not a.poses and b == Method(label="b")
+
+
+@pytest.mark.parametrize(
+    ("values", "changes", "words"),
+    [
+        ({"methods": []}, {}, "at least one method"),
+        ({"methods": [{}], "out": "x"}, {}, "one key"),
+        ({"methods": [{}, {}]}, {}, "two are called"),
+        ({"methods": [{"label": "a"}]}, {"c": {}}, "no such method"),
+        ({"methods": [{"recon": "edit3r"}]}, {}, "recon"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_one_sentence(values, changes, words):
+    with pytest.raises(SettingsError, match=words):
+        read_methods(values, changes)

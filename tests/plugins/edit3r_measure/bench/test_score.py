@@ -1,0 +1,54 @@
+"""The score cannot be won by doing nothing, nor by any single virtue."""
+
+import math
+
+import pytest
+from edit3r_measure.bench.results import ItemResult
+from edit3r_measure.bench.score import FULL_STRENGTH, score
+
+GOOD = {
+    "edit-uptake-2d": 0.9,
+    "edit-strength-2d": 0.1,
+    "change-outside": 0.02,
+    "consistency-warped": 0.02,
+    "consistency-held-back": 0.02,
+}
+
+
+def result(failure="", **changes):
+    metrics = {**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}}
+    return ItemResult("i", "s", "Modify", metrics, failure)
+
+
+def test_the_score_of_a_hand_made_edit():
+    # 0.9 arrived; 1 - 0.02 / 0.1 = 0.8 agrees; the same stays put
+    assert score(result()) == pytest.approx(0.9 * 0.8)
+
+
+def test_doing_nothing_perfectly_scores_nothing():
+    nothing = {"edit_uptake_2d": 0.0, "edit_strength_2d": 0.0, "change_outside": 0, "consistency_warped": 0}
+    assert score(result(**nothing)) == 0
+    assert score(result(edit_uptake=0.0, change_outside=0, consistency_warped=0, consistency_held_back=0)) == 0
+
+
+def test_next_to_nothing_loses_to_an_honest_edit():
+    timid = result(edit_uptake_2d=1, edit_strength_2d=FULL_STRENGTH / 20, change_outside=0, consistency_warped=0)
+    assert score(timid) < 0.1 < score(result())
+
+
+def test_the_truth_counts_where_it_is_known():
+    assert score(result(edit_uptake=0.3)) == pytest.approx(0.3 * 0.8)
+    assert score(result(edit_uptake=-0.5)) == 0
+
+
+def test_views_that_do_not_agree_or_a_spoiled_surrounding_cost_everything():
+    assert score(result(consistency_warped=0.2, consistency_held_back=0.2)) == 0
+    assert score(result(change_outside=0.3)) == 0
+
+
+def test_a_global_edit_has_no_outside_to_spoil():
+    assert score(result(change_outside=math.nan)) == pytest.approx(0.9 * math.sqrt(0.8))
+
+
+def test_a_failure_scores_nothing():
+    assert score(result("no matches")) == 0

@@ -1,0 +1,87 @@
+"""Refinement steps help on the input views, know when to stop, and are never worse than not refining."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_refiners.refine import RefineSettings, refine
+
+import edit3r
+from edit3r.testing.scenes import cameras_around, gaussian_cloud
+
+FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
+
+
+@pytest.fixture(scope="module")
+def rasterizer():
+    return edit3r.build("rasterizer", "numba", threads=1)
+
+
+@pytest.fixture
+def scene(rasterizer):
+    """A cloud, two cameras, and what the cloud looked like before its colours were spoilt."""
+    truth, cameras = gaussian_cloud(80), cameras_around(2)
+    with torch.no_grad():
+        images = rasterizer.render(truth, cameras).images
+    spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
+    return spoilt, cameras, images
+
+
+def test_steps_bring_the_pictures_closer_to_the_photos(rasterizer, scene):
+    result = refine(*scene, rasterizer, 30)
+    assert result.steps > 10
+    assert result.fitted[result.steps] < 0.5 * result.fitted[0]
+    assert result.held_back[result.steps] < 0.5 * result.held_back[0]
+
+
+def test_it_stops_when_held_back_pixels_stop_getting_better(rasterizer, scene):
+    wild = RefineSettings(colour=1.0, opacity=1.0, scale=1.0, centre=1.0, patience=3)
+    result = refine(*scene, rasterizer, 100, wild)
+    assert len(result.held_back) == result.steps + 4 < 101
+    assert result.held_back[result.steps] == min(result.held_back)
+
+
+def test_a_perfect_scene_is_returned_as_it_was(rasterizer):
+    gaussians, cameras = gaussian_cloud(40), cameras_around(2)
+    with torch.no_grad():
+        images = rasterizer.render(gaussians, cameras).images
+    result = refine(gaussians, cameras, images, rasterizer, 5)
+    assert result.steps == 0 and result.gaussians is gaussians
+
+
+def test_no_steps_change_nothing(rasterizer, scene):
+    result = refine(*scene, rasterizer, 0)
+    assert result.gaussians is scene[0] and len(result.held_back) == 1
+
+
+def test_the_result_is_what_was_measured(rasterizer, scene):
+    _, cameras, images = scene
+    result = refine(*scene, rasterizer, 6)
+    with torch.no_grad():
+        error = (rasterizer.render(result.gaussians, cameras).images - images).square().mean()
+    share = RefineSettings().held_back
+    expected = share * result.held_back[result.steps] + (1 - share) * result.fitted[result.steps]
+    assert float(error) == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_input_is_left_alone_and_the_result_is_valid(rasterizer, scene):
+    before = {name: getattr(scene[0], name).clone() for name in FIELDS}
+    result = refine(*scene, rasterizer, 10, RefineSettings(colour=1, opacity=1, scale=1, centre=1))
+    assert all(torch.equal(getattr(scene[0], name), before[name]) for name in FIELDS)
+    for name in FIELDS:
+        value = getattr(result.gaussians, name)
+        assert torch.isfinite(value).all() and not value.requires_grad
+    assert (result.gaussians.scales > 0).all()
+    assert ((result.gaussians.opacities >= 0) & (result.gaussians.opacities <= 1)).all()
+
+
+def test_the_same_call_gives_the_same_gaussians(rasterizer, scene):
+    first, second = (refine(*scene, rasterizer, 8).gaussians for _ in range(2))
+    assert all(torch.equal(getattr(first, name), getattr(second, name)) for name in FIELDS)
+
+
+def test_opacities_at_their_limits_can_still_be_refined(rasterizer, scene):
+    gaussians, cameras, images = scene
+    hard = replace(gaussians, opacities=(gaussians.opacities > 0.5).float())
+    result = refine(hard, cameras, images, rasterizer, 10)
+    assert result.fitted[result.steps] < result.fitted[0]
