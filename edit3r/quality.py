@@ -14,7 +14,7 @@ from pydantic import Field
 
 from edit3r.config import Settings, make_settings, merge
 from edit3r.errors import SettingsError
-from edit3r.presets.reading import Quality, ShippedPoint, read_quality
+from edit3r.quality_points import Quality, ShippedPoint, read_quality
 from edit3r.reporting import note
 
 _FLAGS = {

@@ -1,11 +1,11 @@
 import pytest
 import yaml
-from edit3r_measure.tradeoff import presets
 
+from edit3r import quality_points as presets
 from edit3r.cli.main import main
 from edit3r.errors import SettingsError
-from edit3r.presets.reading import Quality, preset_names, read_quality, write_quality
 from edit3r.quality import Wish, choose, expectation, tell
+from edit3r.quality_points import Quality, preset_names, read_quality, write_quality
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
 

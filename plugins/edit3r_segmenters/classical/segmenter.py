@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from edit3r_matching import tracking
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.interfaces import Proposal, Segmenter, Tracks
+from edit3r_segmenters.classical import tracking
 from edit3r_segmenters.classical.segmenter_background import background_weights
 from edit3r_segmenters.classical.segmenter_masks import graph_cut, overlap, snapped, softened, tidied
 from edit3r_segmenters.classical.segmenter_merging import merge_tree

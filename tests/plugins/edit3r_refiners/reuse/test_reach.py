@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_refiners import footprint as reach
 from edit3r_refiners.footprint import Footprint, Outlines, cells_of, measured_footprint, pixels_of
 
 import edit3r
-from edit3r.reuse import reach
 from edit3r.testing.scenes import cameras_around, gaussian_cloud
 
 SETTINGS = [{}, {"eps2d": 10.0}, {"min_alpha": 1e-4}, {"eps2d": 0.01, "min_alpha": 0.3}]

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from edit3r.config import Settings, make_settings, read_yaml
 
-SHIPPED = Path(__file__).parents[1] / "presets" / "quality.yaml"
+SHIPPED = Path(__file__).parent / "presets" / "quality.yaml"
 _HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see docs/tradeoff.md.\n"
 
 
