@@ -27,8 +27,11 @@ _HOME = {
     "load_views": "edit3r.io.images",
     "save_ply": "edit3r.io.ply",
     "load_ply": "edit3r.io.ply",
-    "run": "edit3r.pipeline",
+    "run": "edit3r.api",
     "RunResult": "edit3r.pipeline",
+    "RunConfig": "edit3r.run_config",
+    "Cache": "edit3r.cache",
+    "Command": "edit3r.command",
 }
 
 __all__ = [*sorted(_HOME), "__version__"]
@@ -53,6 +56,10 @@ if TYPE_CHECKING:
     from edit3r.hookspecs import hookimpl
     from edit3r.io.images import load_views
     from edit3r.io.ply import load_ply, save_ply
-    from edit3r.pipeline import RunResult, run
+    from edit3r.api import run
+    from edit3r.cache import Cache
+    from edit3r.command import Command
+    from edit3r.pipeline import RunResult
     from edit3r.registry import build, components
+    from edit3r.run_config import RunConfig
     from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views

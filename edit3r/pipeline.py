@@ -1,35 +1,29 @@
-"""One run end to end, as a table of contents: photos, edit, reconstruct, check, simplify, refine.
+"""One run from photos to Gaussians.
 
-    photos --> editor --> composite with the masks --> reconstructor (photos beside) --> Gaussians, cameras
-               what the edit does not touch stays as in the unedited, or the earlier, scene --> Gaussians
-                                          Gaussians --> simplify --> refine --> Gaussians   (both when asked for)
+    views --> editor --> composite with the masks --> reconstructor --> refiners --> Gaussians
+      '------------- the unedited views beside --------------'           (a list)
 
-Writing the results to disk is `edit3r.results`; the command line is a thin shell over both.
+Writing the results to disk is `edit3r.results`. The easy call from Python is `edit3r.run` (`edit3r.api`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import torch
-from edit3r_refiners.refine import refine as refine_gaussians
-from edit3r_refiners.simplify import simplify
-from edit3r_refiners.simplify.budget import Budget, passes
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
+from edit3r.earlier_run import EarlierRun
 from edit3r.errors import InputError
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.mask_from_prompt import confine
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
-from edit3r.reuse.memory import Memory
-from edit3r.reuse.parts import remembering
-from edit3r.reuse.state import SceneState
-from edit3r.reuse.touched import reconstruct_touched, touched_region, unedited
-from edit3r.stage_checks import blaming, check_edit, check_reconstruction, component_name
+from edit3r.run_config import RunConfig
+from edit3r.stage_checks import check_edit, check_reconstruction, check_refinement, component_name, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
@@ -47,127 +41,92 @@ class RunResult:
     editor: Editor
     reconstructor: Reconstructor
     report: Report = field(repr=False)
-    whole: Gaussians = field(repr=False)  # `gaussians` before they were made fewer or refined
-    memory: Memory = field(repr=False)  # what the stages answered, for the next run
-    earlier: SceneState | None = field(default=None, repr=False)  # what it continued from
+    cache: Cache = field(repr=False)  # answers that a further run on the same photos need not compute again
+    prompts: tuple[str, ...] = ()  # the edits so far, those of an earlier run first
 
 
 def run(
     views: Views,
-    prompt: str = "",
+    config: RunConfig,
     *,
-    editor: str | PartChoice | Editor = "recolor",
-    recon: str | PartChoice | Reconstructor = "edit3r",
-    segmenter: str | PartChoice | Any | None = None,
     masks: Float[Tensor, "batch view height width"] | None = None,
-    edit_views: Literal["all", "first"] = "all",
-    seed: int = 0,
-    device: str | torch.device | None = None,
-    gaussians: Budget = "all",
-    max_gaussians: int | None = None,
-    refine: int = 0,
-    rasterizer: str | PartChoice | Rasterizer = "auto",
-    settings: Mapping[str, Mapping[str, Any]] | None = None,
+    components: Mapping[str, Any] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
-    earlier: SceneState | None = None,
-    memory: Memory | None = None,
+    cache: Cache | None = None,
+    earlier: EarlierRun | None = None,
 ) -> RunResult:
-    """Edit `views` as `prompt` says and reconstruct them in 3D.
+    """Edit `views` as `config` says and reconstruct them in 3D. The same inputs and seed give the same result.
 
-    `editor`, `recon` and `segmenter` are names, `PartChoice`s or built objects; `settings` holds settings by kind
-    (`{"editor": {...}, "reconstructor": {...}}`) for those given by name. `masks` in [0, 1] say where pixels may
-    change: outside (exactly 0) they stay bit-equal whatever the editor does. With `edit_views="first"` only view 0 is
-    edited and the reconstructor carries the edit to the others. A reconstructor that edits too (it has a part of kind
-    editor) is built with this editor and given the request. A `segmenter` is a part of editors that use one; for
-    others, without masks, it finds what the prompt is about and confines the edit there. `gaussians` is how many may
-    be left: all, those the scene requires (`"auto"`), or a number; `max_gaussians` bounds that on top; `refine` is the
-    most photometric steps after that. Same inputs and seed, same result.
-
-    With masks, Gaussians that show outside of them are those of the unedited photos' reconstruction, bit for bit. With
-    `earlier`, the scene of another run, `views` are its edited pictures and the edit is put into that scene: what it
-    does not touch stays. What matchers and segmenters answered before is taken from `memory`.
+    `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does.
+    `components` are built objects by kind; they are used instead of those that `config` names. `earlier` is a run whose
+    edited views are `views`: the new edit goes into its scene. Raises InputError for views or masks that do not fit the
+    reconstructor, and PluginError for a component that breaks its contract.
     """
-    memory = memory or Memory()
-    registry = (registry or default_registry()).turning_parts(remembering(memory))
-    settings = settings or {}
-    report = report or Report()
-    with collecting(report):
+    report, cache = report or Report(), cache or Cache()
+    with collecting(report), using(cache):
         with report.stage("load components"):
-            parts = {"segmenter": segmenter} if segmenter is not None else {}
-            editor = _built(registry, "editor", editor, settings, parts)
-            recon = _built(registry, "reconstructor", recon, settings, {"editor": editor})
-            if device is not None:
-                views = views.to(device)
-                masks = masks.to(device) if masks is not None else None
-                if recon.network is not None:
-                    recon.network.to(device)
-        views, masks = _views_for(recon, views, masks)
-        photos = views if earlier is None else earlier.photos.to(views.images.device)
-        request = EditRequest(prompt, seed, masks)
-        if masks is None and segmenter is not None and not takes_part(editor, "segmenter"):
-            with report.stage("find what to edit"), torch.no_grad():
-                found_by = remembering(memory)(_built(registry, "segmenter", segmenter, settings, {}))
-                request = confine(request, views, found_by)
-        with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
-            edited = _edit(editor, views, request, edit_views)
-        region = touched_region(views, edited, request, views.count if edit_views == "all" else 1, earlier is not None)
-        if earlier is None and takes_part(recon, "editor"):  # it has no answer for photos that are not to be edited
-            region = None
-        budgets = passes(gaussians, max_gaussians)
-        if budgets or refine or region is not None:
-            rasterizer = _built(registry, "rasterizer", rasterizer, settings, {})
-        with report.stage(f"reconstruct ({component_name(recon)})"), torch.no_grad():
-            ask = partial(_reconstruct, recon, photos, request)
-            if region is None:
-                reconstruction = ask(edited)
-            else:
-                before = earlier.scene if earlier is not None else unedited(ask, recon, photos, memory)
-                before = before.to(views.images.device)
-                before = replace(before, cameras=_cameras(before, photos))
-                reconstruction = reconstruct_touched(ask, edited, region, before, rasterizer)
-            cameras, whole = _cameras(reconstruction, edited), reconstruction.gaussians
-            scene = whole
-        if budgets:
-            with report.stage("simplify"):
-                for most in budgets:
-                    scene = simplify(scene, cameras, rasterizer, most).gaussians
-        if refine:
-            with report.stage("refine"):
-                # Photos that were not edited would pull the edit back out.
-                shown = range(edited.count if edit_views == "all" else 1)
-                images = edited.select(shown).images
-                refined = refine_gaussians(scene, cameras.select(shown), images, rasterizer, refine)
-                scene = refined.gaussians
-                note("refine", refined.facts)
-    return RunResult(photos, edited, scene, cameras, request, editor, recon, report, whole, memory, earlier)
+            parts = _Components(config, registry or default_registry(), components or {})
+            views, masks = _views_for(parts.reconstructor, views, masks, config.device)
+        earlier = earlier.to(views.images.device) if earlier is not None else None
+        source = views if earlier is None else earlier.photos
+        request = _request(parts, views, masks, config)
+        with report.stage(f"edit ({component_name(parts.editor)})"), torch.no_grad():
+            edited = _edit(parts.editor, views, request, config.edit_views)
+        with report.stage(f"reconstruct ({component_name(parts.reconstructor)})"), torch.no_grad():
+            reconstruct = partial(_reconstruct, parts.reconstructor, source, request)
+            scene = reconstruct(edited)
+            request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
+            before = _scene_before(request, parts, reconstruct, source, earlier)
+        scene = scene if before is None else replace(scene, cameras=before.cameras)
+        request = replace(request, before=None if before is None else before.gaussians)
+        gaussians = _refine(scene, parts, edited, request, config, report)
+    prompts = (*(earlier.prompts if earlier is not None else ()), config.prompt)
+    asked = replace(request, before=None)
+    return RunResult(
+        source, edited, gaussians, scene.cameras, asked, parts.editor, parts.reconstructor, report, cache, prompts
+    )
 
 
-def _reconstruct(recon: Reconstructor, photos: Views, request: EditRequest, views: Views) -> Reconstruction:
-    """The reconstructor's answer, held to its contract; one that edits too is given the request."""
-    asked = {"request": request} if takes_part(recon, "editor") else {}
-    with blaming(recon):
-        reconstruction = recon(views, source=photos, **asked)
-    check_reconstruction(recon, views, reconstruction)
-    return reconstruction
+class _Components:
+    """The components of one run, built once each; the rasterizer and segmenter only when something asks for them."""
+
+    def __init__(self, config: RunConfig, registry: Registry, given: Mapping[str, Any]) -> None:
+        self._config, self._registry, self._given = config, registry, given
+        segmenter = given.get("segmenter", config.segmenter)
+        self.editor: Editor = self._built("editor", {"segmenter": segmenter} if segmenter is not None else {})
+        self.reconstructor: Reconstructor = self._built("reconstructor", {"editor": self.editor})
+        self.refiners: tuple[Refiner, ...] = tuple(
+            registry.build("refiner", choice.name, **choice.settings) for choice in config.all_refiners()
+        )
+        if self.reconstructor.network is not None:
+            self.reconstructor.network.to(config.device)
+
+    @property
+    def rasterizer(self) -> Rasterizer:
+        return self._built("rasterizer")
+
+    @property
+    def own_segmenter(self) -> Any | None:
+        """The segmenter asked for, where the editor has no use for one; None otherwise."""
+        offer = getattr(self.editor, "offer", None)
+        used = offer is not None and "segmenter" in offer.component.parts
+        return None if used or (self._config.segmenter is None and "segmenter" not in self._given) else self._segmenter
+
+    @property
+    def _segmenter(self) -> Any:
+        return self._built("segmenter")
+
+    def _built(self, kind: str, parts: Mapping[str, Any] | None = None) -> Any:
+        if kind in self._given:
+            return self._given[kind]
+        choice: PartChoice = getattr(self._config, kind)
+        return self._registry.build(kind, choice.name, parts, **choice.settings)
 
 
-def _built(registry: Registry, kind: str, choice: Any, settings: Mapping, parts: Mapping[str, Any]) -> Any:
-    """The component itself, built from a name or choice where needed."""
-    if not isinstance(choice, str | PartChoice):
-        return choice
-    choice = PartChoice.model_validate(choice) if isinstance(choice, str) else choice
-    return registry.build(kind, choice.name, parts, **{**choice.settings, **settings.get(kind, {})})
-
-
-def takes_part(component: Any, kind: str) -> bool:
-    """Whether a built component was declared with a part of that kind."""
-    offer = getattr(component, "offer", None)
-    return offer is not None and kind in offer.component.parts
-
-
-def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tuple[Views, Tensor | None]:
-    """Check the view count against what the reconstructor declares; above its maximum take evenly spaced ones."""
+def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None, device: str) -> tuple[Views, Tensor | None]:
+    """Check views and masks against what the reconstructor takes; above its maximum use evenly spaced views."""
+    views, masks = views.to(device), masks.to(device) if masks is not None else None
     if masks is not None and masks.shape != (*views.images.shape[:2], *views.image_size):
         raise InputError(
             f"masks: expected one per view at the views' size {[*views.images.shape[:2], *views.image_size]}, "
@@ -185,12 +144,24 @@ def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None) -> tupl
     return views.select(chosen), masks[:, chosen] if masks is not None else None
 
 
+def _request(parts: _Components, views: Views, masks: Tensor | None, config: RunConfig) -> EditRequest:
+    """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
+    from edit3r.mask_from_prompt import confine
+
+    request = EditRequest(config.prompt, config.seed, masks)
+    segmenter = parts.own_segmenter if masks is None else None
+    if segmenter is None:
+        return request
+    with torch.no_grad():
+        return confine(request, views, segmenter)
+
+
 def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:
-    """Edit all views or the first, hold the editor to its contract, and confine the change to the masks."""
+    """Edit all views or the first, hold the editor to its contract, and keep the pixels outside the masks."""
     count = views.count if edit_views == "all" else 1
     chosen = views.select(range(count))
     asked = replace(request, masks=request.masks[:, :count] if request.masks is not None else None)
-    with blaming(editor):
+    with errors_named_after(editor):
         answer = editor.edit(chosen, asked)
     check_edit(editor, chosen, answer)
     if asked.masks is not None:
@@ -217,11 +188,65 @@ def composite(
     return torch.where(weight <= 0, original, torch.where(weight >= 1, edited, blended))
 
 
-def _cameras(reconstruction: Reconstruction, views: Views) -> Cameras:
-    """The input views' poses: the reconstructor's own, else found by PnP on its Gaussians."""
+def _reconstruct(recon: Reconstructor, source: Views, request: EditRequest, views: Views) -> Reconstruction:
+    """The reconstructor's answer, held to its contract, with cameras found by PnP where it predicts none."""
+    with errors_named_after(recon):
+        reconstruction = recon(views, source=source, request=request)
+    check_reconstruction(recon, views, reconstruction)
     if reconstruction.cameras is not None:
-        return reconstruction.cameras
+        return reconstruction
     from edit3r.geometry.pose import estimate_cameras
 
     note("cameras", "PnP on the predicted Gaussian centres")
-    return estimate_cameras(reconstruction.gaussians, views)
+    return replace(reconstruction, cameras=estimate_cameras(reconstruction.gaussians, views))
+
+
+def _masks_of_change(
+    request: EditRequest, views: Views, edited: Views, earlier: EarlierRun | None, config: RunConfig
+) -> Float[Tensor, "batch view height width"] | None:
+    """Where the scene may change: the request's masks; an edit of an earlier scene changes what it changed on the images.
+
+    Views that were not edited hold nothing back.
+    """
+    if request.masks is not None or earlier is None:
+        return request.masks
+    masks = (edited.images != views.images).any(2).to(views.images)
+    if config.edit_views == "first":
+        masks[:, 1:] = 1
+    return masks
+
+
+def _scene_before(
+    request: EditRequest,
+    parts: _Components,
+    reconstruct: Callable[[Views], Reconstruction],
+    source: Views,
+    earlier: EarlierRun | None,
+) -> Reconstruction | None:
+    """The scene as it was before the edit, where a refiner needs it and the edit may not change everything."""
+    needed = any(refiner.needs_before for refiner in parts.refiners)
+    if not needed or request.masks is None or bool((request.masks > 0).all()):
+        return None
+    if earlier is not None:
+        return earlier.scene
+    if parts.reconstructor.edits_views:  # it has no answer for photos that are not to be edited
+        return None
+    return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
+
+
+def _refine(
+    scene: Reconstruction, parts: _Components, edited: Views, request: EditRequest, config: RunConfig, report: Report
+) -> Gaussians:
+    """Apply the refiners in order; one that needs the scene before the edit is left out where there is none."""
+    gaussians = scene.gaussians
+    refiners = [refiner for refiner in parts.refiners if request.before is not None or not refiner.needs_before]
+    if not refiners:
+        return gaussians
+    # Views that were not edited would pull the edit back out.
+    shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
+    rasterizer = parts.rasterizer
+    for refiner in refiners:
+        with report.stage(component_name(refiner)), errors_named_after(refiner):
+            gaussians = refiner(gaussians, scene.cameras, shown, request, rasterizer)
+        check_refinement(refiner, scene.gaussians, gaussians)
+    return gaussians

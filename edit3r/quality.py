@@ -1,21 +1,93 @@
-"""What `--quality` and the budgets of a run stand for: a measured point, and what is expected of it.
+"""Measured settings of a run: what `--quality` and the budgets choose, and the file they are chosen from.
 
-A budget takes the most accurate measured point that fits it. A preset is that point itself; with a budget that it does
-not fit, the most accurate one that fits and is no slower. What is chosen lies under everything else the user says.
+A budget takes the most accurate measured point that fits it. A preset is one point; with a budget that it does not fit,
+the most accurate point that fits and is no slower is taken. What is chosen lies under everything else the user says.
+The points are in `edit3r/presets/quality.yaml`, written by `edit3r tradeoff --update-presets`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
+from pathlib import Path
 from typing import Any, Literal
 
-from edit3r_measure.tradeoff.front import best_within
+import yaml
 from pydantic import Field
 
-from edit3r.config import Settings, make_settings, merge
+from edit3r.config import Settings, make_settings, merge, read_yaml
 from edit3r.errors import SettingsError
-from edit3r.quality_points import Quality, ShippedPoint, read_quality
 from edit3r.reporting import note
+
+PRESETS = ("fast", "balanced", "best")
+"""The presets, quickest first."""
+
+SHIPPED = Path(__file__).parent / "presets" / "quality.yaml"
+_HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see docs/tradeoff.md.\n"
+
+
+class Expected(Settings):
+    """What a point took and gave on one kind of scene."""
+
+    seconds: float = Field(gt=0, description="all stages of a run without an editor, quickest repeats; mean of scenes")
+    seconds_first: float = Field(gt=0, description="first run of a process, as a run of the command is; mean of scenes")
+    seconds_middle: float = Field(gt=0, description="middle of the repeats, mean over the scenes")
+    seconds_most: float = Field(gt=0, description="slowest of the repeats, mean over the scenes")
+    memory_mb: float = Field(gt=0, description="peak of the process [MiB]")
+    start_memory_mb: float = Field(ge=0, description="of which before anything was made [MiB]")
+    gaussians: int = Field(ge=0, description="largest number of Gaussians of the scenes")
+    psnr: float = Field(description="novel view [dB]")
+    ssim: float = Field(description="novel view")
+
+
+class ShippedPoint(Settings):
+    """One measured point."""
+
+    label: str
+    preset: str | None = Field(None, description="fast, balanced or best")
+    front: bool = Field(False, description="whether no other is as quick and as accurate, on every kind of scene")
+    settings: dict[str, Any] = Field(description="run settings")
+    expected: dict[str, Expected] = Field(description="by kind of scene")
+
+    @property
+    def seconds(self) -> float:
+        """On the slower kind of scene."""
+        return max(e.seconds for e in self.expected.values())
+
+    @property
+    def accuracy(self) -> float:
+        """PSNR [dB], mean over the kinds of scene."""
+        return sum(e.psnr for e in self.expected.values()) / len(self.expected)
+
+
+class Quality(Settings):
+    """The content of the file of measured points."""
+
+    measured: dict[str, Any] = Field(description="machine, threads, versions, clock, photos a scene and their size")
+    points: list[ShippedPoint]
+
+    @property
+    def photos(self) -> int:
+        """Photos a scene had when it was measured."""
+        return self.measured.get("photos", 2)
+
+
+def read_quality(path: Path | None = None) -> Quality:
+    path = path or SHIPPED
+    return make_settings(Quality, read_yaml(path), where=str(path))
+
+
+def write_quality(quality: Quality, path: Path | None = None) -> Path:
+    """Write the file that `edit3r run --quality` reads."""
+    path = path or SHIPPED
+    text = yaml.safe_dump(quality.model_dump(exclude_none=True), sort_keys=False, width=110)
+    path.write_text(_HEADER + text, encoding="utf-8")
+    return path
+
+
+def preset_names(quality: Quality) -> list[str]:
+    """The presets there are, quickest first."""
+    return [name for name in PRESETS if any(point.preset == name for point in quality.points)]
+
 
 _FLAGS = {
     "seconds": ("--budget-ms", "ms", 1000),
@@ -70,7 +142,7 @@ def choose(wish: Wish, photos: int, quality: Quality | None = None) -> Choice:
         limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
     index = best_within(costs, [point.accuracy for point in quality.points], limits)
     if index is None:
-        raise SettingsError(_impossible(wish, costs, photos))
+        raise SettingsError(_nothing_fits(wish, costs, photos))
     return Choice(quality.points[index], costs[index], quality.measured)
 
 
@@ -105,7 +177,7 @@ def _budgets(wish: Wish) -> dict[str, float]:
     return {key: value for key, value in given.items() if value is not None}
 
 
-def _impossible(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
+def _nothing_fits(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
     """One sentence: what was wished, and the least that was measured."""
     for key, most in _budgets(wish).items():
         least = min(cost[key] for cost in costs)
@@ -121,8 +193,8 @@ def _impossible(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
     return f"{wished}: no measured setting fits all of these at once for {photos} photos; relax one of them."
 
 
-def under(settings: Mapping[str, Any], photos: int) -> dict[str, Any]:
-    """Run settings with those that their wish stands for laid under them."""
+def with_quality(settings: Mapping[str, Any], photos: int) -> dict[str, Any]:
+    """Run settings, completed by the measured point that their quality or budgets choose."""
     wish = wish_of(settings)
     if not wish.is_made:
         return dict(settings)
@@ -144,8 +216,8 @@ def wish_of(settings: Mapping[str, Any]) -> Wish:
     return make_settings(Wish, {key: settings[key] for key in Wish.model_fields if key in settings}, where="run")
 
 
-def tell(config: Mapping[str, Any], photos: int) -> None:
-    """Note for `run.json` what was chosen and expected, if anything was wished in a run's final settings."""
+def note_quality(config: Mapping[str, Any], photos: int) -> None:
+    """Note for `run.json` which measured point the settings chose, and what it was expected to cost."""
     if wish_of(config).is_made:
         note("quality", record(config, _used(config, photos)))
 
@@ -157,7 +229,7 @@ def _used(settings: Mapping[str, Any], photos: int) -> int:
 
 
 def record(config: Mapping[str, Any], photos: int) -> dict[str, Any]:
-    """The choice behind the final settings of a run on `photos` photos, and where those differ from it."""
+    """The point behind the final settings of a run on `photos` photos, and where the settings differ from it."""
     wish = wish_of(config)
     choice = choose(wish, photos)
     return {
@@ -180,3 +252,11 @@ def _agrees(final: Any, chosen: Any) -> bool:
     if isinstance(final, Mapping) and isinstance(chosen, str):
         return final.get("name") == chosen
     return final == chosen
+
+
+def best_within(
+    costs: Sequence[Mapping[str, float]], accuracies: Sequence[float], limits: Mapping[str, float]
+) -> int | None:
+    """Index of the most accurate point none of whose costs exceeds its limit, the first of equals; None: none fits."""
+    fitting = [i for i, cost in enumerate(costs) if all(cost[key] <= most for key, most in limits.items())]
+    return max(fitting, key=lambda i: accuracies[i], default=None)

@@ -9,7 +9,7 @@ widths) is given that same object.
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,8 @@ from edit3r.plugins import LoadedPlugins, Offer, PluginFailure, load_plugins
 class Registry:
     """All components on offer."""
 
-    def __init__(self, plugins: LoadedPlugins, turn_part: Callable[[Any], Any] = lambda part: part) -> None:
+    def __init__(self, plugins: LoadedPlugins) -> None:
         self.plugins = plugins
-        self._turn_part = turn_part
-
-    def turning_parts(self, turn: Callable[[Any], Any]) -> "Registry":
-        """The same offers; every part that is built for a component goes through `turn`."""
-        return Registry(self.plugins, turn)
 
     @property
     def failures(self) -> tuple[PluginFailure, ...]:
@@ -146,7 +141,7 @@ class Registry:
             choice = PartChoice.model_validate(choice)
         if not isinstance(choice, PartChoice):
             return choice
-        return self._turn_part(self._build(part, choice.name, dict(choice.settings), given, siblings, where))
+        return self._build(part, choice.name, dict(choice.settings), given, siblings, where)
 
 
 def _with_default_names(cls: type[Settings], parts: Iterable[str], values: dict[str, Any]) -> dict[str, Any]:

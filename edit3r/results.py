@@ -1,20 +1,19 @@
 """What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
 
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from edit3r_refiners.footprint import measured_footprint
 
+from edit3r.earlier_run import note_views
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.images import LoadedPhotos, save_pixels, to_bytes
-from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, recorded, write_manifest
+from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, write_manifest
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.png import Pixels
 from edit3r.io.run_folder import RunFolder
@@ -22,17 +21,15 @@ from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
 from edit3r.reporting import collecting, note, track, warn
-from edit3r.reuse.fingerprint import identity
-from edit3r.reuse.frames import Render, changed_between, earlier_frames, hash_of, redraw
-from edit3r.reuse.state import FOLDER, Drawn, SceneState, frame_file, save_state
-from edit3r.stage_checks import blaming, check_rendering, component_name
-from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering
+from edit3r.stage_checks import check_rendering, component_name, errors_named_after
+from edit3r.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
     from edit3r.run_config import RunConfig
 
 VIDEO_FPS = 18
+CACHE = "cache"  # folder of the run's cache inside its results
 
 
 def write(
@@ -42,28 +39,27 @@ def write(
     masks: dict[str, str],
     rasterizer: Rasterizer,
     config: "RunConfig",
-    earlier: SceneState | None = None,
 ) -> None:
-    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256.
-
-    What the scene of an `earlier` run shows alike is taken from its pictures.
-    """
+    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256."""
     folder = RunFolder(root)
     report = result.report
     with collecting(report), torch.no_grad():
         with report.stage("render"):
             rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
-            path, frames = _camera_path(result, rendered, rasterizer, config.frames, earlier)
+            path = path_around(result.cameras, rendered, config.frames)
+            frames = _frames(rasterizer, result.gaussians, path)
             note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
         with report.stage("write files"):
-            _write_pictures(folder, result, rendered, frames)
+            _write_images(folder, result, rendered, frames)
             _write_scene(folder, result)
             names = [f"inputs/{name}.png" for name in result.photos.names]
             write_cameras(folder.cameras, posed_cameras(result.cameras, names))
             save_video(folder.video, frames, VIDEO_FPS)
             title = config.prompt or "edit3r scene"
             save_viewer(folder.viewer, result.gaussians, result.cameras, title=title, names=result.photos.names)
-            _write_for_editing_again(folder, result, photos, path, rasterizer, config)
+            result.cache.save(root / CACHE)
+            note_views(result.photos)
+            note("edits", list(result.prompts))
     write_manifest(folder.manifest, _manifest(result, photos, masks, rasterizer, config))
 
 
@@ -74,7 +70,7 @@ def render_each(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, 
 
 
 def _render_one(rasterizer: Rasterizer, gaussians: Gaussians, camera: Cameras) -> Rendering:
-    with blaming(rasterizer):
+    with errors_named_after(rasterizer):
         rendering = rasterizer.render(gaussians, camera)
     check_rendering(rasterizer, gaussians, camera, rendering)
     return rendering
@@ -86,64 +82,10 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     return between_and_around(cameras, frames, float(seen.median()) if seen.numel() else None)
 
 
-def _camera_path(
-    result: "RunResult", rendered: Rendering, rasterizer: Rasterizer, count: int, earlier: SceneState | None
-) -> tuple[Cameras, list[Pixels]]:
-    """The camera path and its pictures; after an earlier run the same path, drawn again where something changed."""
-    draw = partial(_render_one, rasterizer)
-    path, drawn = path_around(result.cameras, rendered, count), None
-    if earlier is not None and earlier.path.count == count and _same(result.cameras, earlier.scene.cameras):
-        path = earlier.path.to(path.c2w)
-        drawn = _redrawn(result.gaussians, path, rasterizer, earlier, draw)
-    note("reuse.frames", 0)
-    if drawn is None:
-        pictures = (draw(result.gaussians, path.select([index])).images[0, 0] for index in range(count))
-        drawn = (to_bytes(picture) for picture in pictures)
-    return path, list(track(drawn, "render camera path", count))
-
-
-def _redrawn(
-    gaussians: Gaussians, path: Cameras, rasterizer: Rasterizer, earlier: SceneState, draw: Render
-) -> Iterator[Pixels] | None:
-    """The pictures along the earlier run's path from those it left; None where that cannot be done exactly."""
-    before = earlier_frames(earlier, identity(rasterizer))
-    changed = changed_between(earlier.scene.gaussians.to(gaussians.means), gaussians) if before else None
-    footprint = measured_footprint(rasterizer, gaussians.means) if changed is not None else None
-    return redraw(before, changed, gaussians, path, footprint, draw) if footprint is not None else None
-
-
-def _same(cameras: Cameras, other: Cameras | None) -> bool:
-    """Whether the photos are placed alike, bit for bit."""
-    same = other is not None and cameras.image_size == other.image_size
-    return same and all(torch.equal(getattr(cameras, n).cpu(), getattr(other, n)) for n in ("c2w", "intrinsics"))
-
-
-def _write_for_editing_again(
-    folder: RunFolder,
-    result: "RunResult",
-    photos: LoadedPhotos,
-    path: Cameras,
-    rasterizer: Rasterizer,
-    config: "RunConfig",
-) -> None:
-    if result.photos.images.shape[0] != 1:
-        return
-    frames = tuple(hash_of(frame_file(folder.renders, index).read_bytes()) for index in range(path.count))
-    before = result.earlier.prompts if result.earlier is not None else ()
-    used = set(result.photos.names)
-    state = SceneState(
-        photos=result.photos,
-        edited=result.edited,
-        scene=Reconstruction(result.whole, result.cameras),
-        path=path,
-        drawn=Drawn(result.gaussians is result.whole, identity(rasterizer), frames),
-        prompts=(*before, config.prompt),
-        records=tuple(photo for photo in photos.photos if photo.name in used),
-        reconstructor=recorded(config.reconstructor),
-    )
-    note("reuse.edits", list(state.prompts))
-    save_state(folder.root, state)
-    result.memory.save(folder.root / FOLDER)
+def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
+    """One image of 8-bit pixels [height, width, 3] for each camera of the path."""
+    cameras = track(range(path.count), "render camera path")
+    return [to_bytes(_render_one(rasterizer, gaussians, path.select([index])).images[0, 0]) for index in cameras]
 
 
 def _write_scene(folder: RunFolder, result: "RunResult") -> None:
@@ -156,14 +98,14 @@ def _write_scene(folder: RunFolder, result: "RunResult") -> None:
     save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
 
 
-def _write_pictures(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[Pixels]) -> None:
+def _write_images(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[Pixels]) -> None:
     views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
     jobs = [
         (to_bytes(picture), directory / f"{name}.png")
         for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
         for name, picture in zip(result.photos.names, pictures)
     ]
-    jobs += [(frame, frame_file(folder.renders, index)) for index, frame in enumerate(frames)]
+    jobs += [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(frames)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
         list(pool.map(lambda job: save_pixels(*job), jobs))
     subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"

@@ -1,25 +1,34 @@
 """What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's own flags."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
-from edit3r_refiners.simplify.budget import Budget, parse_budget
 from pydantic import Field, field_validator
 
-from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.quality import under
+from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
+from edit3r.quality import with_quality
 
+DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
 class RunConfig(Settings):
-    """Settings of `edit3r run`, outside those of the components themselves."""
+    """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r run`."""
 
-    prompt: str = Field("", description="what to change, in words")
-    editor: PartChoice = Field(PartChoice(name="recolor"), description="2D editor and its settings")
-    reconstructor: PartChoice = Field(PartChoice(name="edit3r"), description="reconstructor and its settings")
-    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="rasterizer and its settings")
-    segmenter: PartChoice | None = Field(None, description="segmenter for editors that use one; default: the editor's")
+    prompt: str = Field("", description="what to change, such as 'paint the bike red'")
+    editor: PartChoice = Field(PartChoice(name=DEFAULTS["editor"]), description="2D editor and its settings")
+    reconstructor: PartChoice = Field(
+        PartChoice(name=DEFAULTS["reconstructor"]), description="reconstructor and its settings"
+    )
+    rasterizer: PartChoice = Field(PartChoice(name=DEFAULTS["rasterizer"]), description="rasterizer and its settings")
+    segmenter: PartChoice | None = Field(
+        None, description="finds what the prompt is about, if it reads words; default: the editor's own"
+    )
+    refiners: tuple[PartChoice, ...] = Field(
+        tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
+        description="steps after reconstruction, in order; --gaussians and --refine add theirs at the end",
+    )
     edit_views: Literal["all", "first"] = Field(
         "all", description="edit every view, or the first only (as in training) and let the reconstructor carry it over"
     )
@@ -33,12 +42,13 @@ class RunConfig(Settings):
     )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
     frames: int = Field(36, ge=2, le=2000, description="frames of the camera path between and around the input views")
-    gaussians: Budget = Field(
+    gaussians: int | Literal["all", "auto"] = Field(
         "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
     max_gaussians: int | None = Field(
         None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
     )
+    refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
     )
@@ -48,12 +58,29 @@ class RunConfig(Settings):
     max_memory: float | None = Field(
         None, gt=0, description="take the best measured settings expected to need no more memory [MiB]"
     )
-    refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
 
     @field_validator("gaussians", mode="before")
     @classmethod
-    def _parse_gaussians(cls, value: Any) -> Budget:
-        return parse_budget(value)
+    def _read_gaussians(cls, value: Any) -> Any:
+        """Accept a number given as text, and refuse one below 1."""
+        value = int(value) if isinstance(value, str) and value.lstrip("-").isdigit() else value
+        if value not in ("all", "auto") and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
+            raise ValueError("expected all, auto, or a number of at least 1")
+        return value
+
+    def all_refiners(self) -> tuple[PartChoice, ...]:
+        """The refiners of the run in order: those listed, completed by what `gaussians` and `refine` stand for."""
+        fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+        wanted: dict[str, dict[str, Any]] = {}
+        if self.gaussians != "all" or self.max_gaussians is not None:
+            wanted[DEFAULTS["shorthands"]["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
+        if self.refine:
+            wanted[DEFAULTS["shorthands"]["refine"]] = {"steps": self.refine}
+        listed = [
+            PartChoice(name=choice.name, settings={**choice.settings, **wanted.pop(choice.name, {})})
+            for choice in self.refiners
+        ]
+        return (*listed, *(PartChoice(name=name, settings=settings) for name, settings in wanted.items()))
 
 
 def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
@@ -65,7 +92,7 @@ def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
     merged: dict[str, Any] = {}
     for layer in layers:
         merged = merge(merged, {key: _named(key, value) for key, value in layer.items()})
-    merged = under(merged, photos)
+    merged = with_quality(merged, photos)
     defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
     for key, default in defaults.items():
         if isinstance(merged.get(key), dict) and "name" not in merged[key] and default is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from edit3r.errors import Edit3rError, MatchingError, PluginError, is_out_of_memory
-from edit3r.interfaces import INTERFACES, Editor, Rasterizer, Reconstructor
+from edit3r.interfaces import INTERFACES, Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 
 
@@ -22,7 +22,7 @@ def component_name(component: Any) -> str:
 
 
 @contextmanager
-def blaming(component: Any) -> Iterator[None]:
+def errors_named_after(component: Any) -> Iterator[None]:
     """Name the component in any error of its code that was not meant for the user."""
     try:
         yield
@@ -54,27 +54,37 @@ def check_reconstruction(recon: Reconstructor, views: Views, answer: Reconstruct
     """Batch, dtype, finiteness and ranges of the Gaussians, and the number of cameras."""
     _require_type(recon, answer, Reconstruction)
     _require_type(recon, answer.gaussians, Gaussians)
-    gaussians, dtype = answer.gaussians, views.images.dtype
-    if gaussians.means.shape[0] != views.images.shape[0]:
-        raise PluginError(
-            f"{_who(recon)} must return one set of Gaussians per scene: gave it {views.images.shape[0]} scenes, "
-            f"got back {gaussians.means.shape[0]}."
-        )
-    for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        tensor = getattr(gaussians, name)
-        if tensor.dtype != dtype:
-            raise PluginError(f"{_who(recon)} must return {dtype} Gaussians, got {name} in {tensor.dtype}.")
-        _require_finite(recon, f"Gaussians with {name}", tensor)
-    if gaussians.count and float(gaussians.scales.amin()) <= 0:
-        raise PluginError(f"{_who(recon)} must return scales above 0, got {float(gaussians.scales.amin()):.4g}.")
-    if gaussians.count and not (float(gaussians.opacities.amin()) >= 0 and float(gaussians.opacities.amax()) <= 1):
-        low, high = float(gaussians.opacities.amin()), float(gaussians.opacities.amax())
-        raise PluginError(f"{_who(recon)} must return opacities in [0, 1], got {low:.4g} to {high:.4g}.")
+    _check_gaussians(recon, answer.gaussians, views.images.shape[0], views.images.dtype)
     if answer.cameras is not None and answer.cameras.c2w.shape[:2] != views.images.shape[:2]:
         raise PluginError(
             f"{_who(recon)} must return one camera per view, {list(views.images.shape[:2])}, "
             f"got {list(answer.cameras.c2w.shape[:2])}."
         )
+
+
+def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> None:
+    """Batch, dtype, finiteness and ranges of the refined Gaussians."""
+    _require_type(refiner, answer, Gaussians)
+    _check_gaussians(refiner, answer, given.means.shape[0], given.means.dtype)
+
+
+def _check_gaussians(component: Any, gaussians: Gaussians, scenes: int, dtype: torch.dtype) -> None:
+    """Raise PluginError unless these are finite Gaussians of so many scenes, scales and opacities in range."""
+    if gaussians.means.shape[0] != scenes:
+        raise PluginError(
+            f"{_who(component)} must return one set of Gaussians per scene: gave it {scenes} scenes, "
+            f"got back {gaussians.means.shape[0]}."
+        )
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        tensor = getattr(gaussians, name)
+        if tensor.dtype != dtype:
+            raise PluginError(f"{_who(component)} must return {dtype} Gaussians, got {name} in {tensor.dtype}.")
+        _require_finite(component, f"Gaussians with {name}", tensor)
+    if gaussians.count and float(gaussians.scales.amin()) <= 0:
+        raise PluginError(f"{_who(component)} must return scales above 0, got {float(gaussians.scales.amin()):.4g}.")
+    if gaussians.count and not (float(gaussians.opacities.amin()) >= 0 and float(gaussians.opacities.amax()) <= 1):
+        low, high = float(gaussians.opacities.amin()), float(gaussians.opacities.amax())
+        raise PluginError(f"{_who(component)} must return opacities in [0, 1], got {low:.4g} to {high:.4g}.")
 
 
 def check_rendering(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, answer: Rendering) -> None:

@@ -2,59 +2,36 @@
 
 import argparse
 import hashlib
+import types
+import typing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r_measure.tradeoff.front import PRESETS
+from pydantic.fields import FieldInfo
 
 from edit3r.command import Command
+from edit3r.config import PartChoice
+from edit3r.run_config import DEFAULTS, PART_KEYS, RunConfig, make_run_config
 
 if TYPE_CHECKING:
-    from edit3r.reuse.state import SceneState
+    from edit3r.earlier_run import EarlierRun
+    from edit3r.registry import Registry
 
-DEFAULT_PROMPT = "paint the motorcycle blue"
+SHORT_FLAGS = {"reconstructor": "recon"}
+"""Settings whose flag is not their own name."""
 
 
 class RunCommand(Command):
-    """`edit3r run`."""
+    """Edit photos of a scene and reconstruct them in 3D."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add(
-            "images",
-            nargs="*",
-            metavar="IMAGE|FOLDER",
-            help="two or more photos of one scene; default: a packaged pair",
-        )
+        add("images", nargs="*", metavar="IMAGE|FOLDER", help="two or more photos of one scene; default: a packaged pair")
         add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
-        add("--prompt", help="what to change, such as 'paint the bike red'")
-        add("--editor", metavar="NAME", help="2D editor (default recolor); see edit3r list-plugins --kind editor")
-        add("--recon", metavar="NAME", help="reconstructor (default edit3r)")
-        add("--rasterizer", metavar="NAME", help="rasterizer (default auto)")
-        add("--segmenter", metavar="NAME", help="finds what the prompt is about, if it reads words")
-        add(
-            "--mask",
-            nargs="+",
-            action="extend",
-            default=[],
-            metavar="FILE",
-            help="one mask per photo; white may change",
-        )
-        add("--edit-views", choices=("all", "first"), help="edit all photos or the first only (default all)")
+        add_setting_flags(parser)
+        add("--mask", nargs="+", action="extend", default=[], metavar="FILE", help="one mask per photo; white may change")
         add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="one setting, such as editor.strength=0.5")
-        add("--fov", type=float, metavar="DEG", help="horizontal field of view of photos that do not tell their own")
-        add("--size", type=int, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
-        add("--device", metavar="D", help="torch device of learned parts (default cpu)")
-        add("--seed", type=int, metavar="N", help="one seed for all views (default 0)")
-        add("--frames", type=int, metavar="N", help="frames of the camera path (default 36)")
-        add("--gaussians", metavar="auto|all|N", help="only those the scene requires, all (default), or at most N")
-        add("--refine", type=int, metavar="STEPS", help="photometric steps on the input views at most (default 0)")
-        add("--quality", choices=PRESETS, help="measured preset of size, matching, network and Gaussians")
-        add("--budget-ms", type=float, metavar="MS", help="best settings that are expected to take no longer")
-        add("--max-gaussians", type=int, metavar="N", help="best settings with so few Gaussians, and never more")
-        add("--max-memory", type=float, metavar="MIB", help="best settings that are expected to need no more memory")
-        add("--views", type=int, metavar="N", help="most photos used, evenly spaced (default all)")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
@@ -62,21 +39,20 @@ class RunCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import pipeline, results
+        from edit3r.cache import Cache
         from edit3r.console import StageConsole
+        from edit3r.earlier_run import read_earlier_run
         from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_masks, load_photos
         from edit3r.io.packaged import packaged_pair
         from edit3r.io.run_folder import atomic_folder
-        from edit3r.quality import tell
+        from edit3r.quality import note_quality
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.reuse.memory import Memory
-        from edit3r.reuse.state import FOLDER, load_state
 
-        earlier = load_state(args.earlier) if args.earlier else None
-        memory = Memory(Path(args.earlier) / FOLDER if args.earlier else None)
-        goes_on = earlier is not None and not args.images  # given photos are edited from the start
+        earlier = read_earlier_run(args.earlier) if args.earlier else None
+        continued = earlier if not args.images else None  # photos that are given are edited from the start
         images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
-        paths = [Path(record.file) for record in earlier.records] if goes_on else find_photos(images)
+        paths = [Path(record.file) for record in continued.records] if continued else find_photos(images)
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
         _check_names(registry, config)
@@ -84,94 +60,88 @@ class RunCommand(Command):
             report = Report(on_event=console)
             with collecting(report), report.stage("read photos"):
                 given = args.mask if len(args.mask) != len(paths) else evenly(args.mask, config.views)
-                if goes_on:
-                    photos = LoadedPhotos(earlier.edited, earlier.records)
+                if continued:
+                    photos = LoadedPhotos(continued.edited, continued.records)
                 else:
                     photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
                 masks = load_masks(given, photos) if given else None
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
-                tell(config.model_dump(), len(paths))
+                note_quality(config.model_dump(), len(paths))
             with atomic_folder(args.out) as folder:
                 rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
                 result = pipeline.run(
                     photos.views,
-                    config.prompt,
-                    editor=config.editor,
-                    recon=config.reconstructor,
-                    segmenter=config.segmenter,
+                    config,
                     masks=masks,
-                    edit_views=config.edit_views,
-                    seed=config.seed,
-                    device=config.device,
-                    gaussians=config.gaussians,
-                    max_gaussians=config.max_gaussians,
-                    refine=config.refine,
-                    rasterizer=rasterizer,
+                    components={"rasterizer": rasterizer},
                     registry=registry,
                     report=report,
-                    earlier=earlier if goes_on else None,
-                    memory=memory,
+                    cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
+                    earlier=continued,
                 )
-                results.write(folder, result, photos, hashes, rasterizer, config, earlier)
+                results.write(folder, result, photos, hashes, rasterizer, config)
         if not args.quiet:
             print(results.summary(Path(args.out), result))
         return 0
 
 
-def _config(args: argparse.Namespace, photos: int, earlier: "SceneState | None" = None):
-    """What the wished quality stands for with so many photos, or the earlier run; preset or file; `--set`; flags."""
+def add_setting_flags(parser: argparse.ArgumentParser) -> None:
+    """Add one flag for each setting of `RunConfig` that a single word can give."""
+    for name, field in RunConfig.model_fields.items():
+        if name == "refiners":  # a list with settings: --set refiners=[...]
+            continue
+        default = "" if field.default in (None, "") else f" (default {getattr(field.default, 'name', field.default)})"
+        text = f"{field.description}{default}".replace("%", "%%")
+        flag = f"--{SHORT_FLAGS.get(name, name).replace('_', '-')}"
+        parser.add_argument(flag, dest=name, help=text, **_flag_form(field))
+
+
+def _flag_form(field: FieldInfo) -> dict[str, Any]:
+    """How argparse reads a setting of this type; pydantic checks the value itself."""
+    options = typing.get_args(field.annotation) if isinstance(field.annotation, types.UnionType) else (field.annotation,)
+    kinds = [option for option in options if option is not type(None)]
+    choices = [word for kind in kinds if typing.get_origin(kind) is typing.Literal for word in typing.get_args(kind)]
+    if choices:
+        return {"choices": choices} if len(kinds) == 1 else {"metavar": "|".join([*choices, "N"])}
+    if PartChoice in kinds:
+        return {"metavar": "NAME"}
+    if kinds[0] in (int, float):
+        return {"metavar": "N", "type": kinds[0]}
+    return {"metavar": "TEXT"}
+
+
+def _config(args: argparse.Namespace, photos: int, earlier: "EarlierRun | None" = None) -> RunConfig:
+    """Merge what the earlier run hands down, the configuration file, `--set`, and the flags, later over earlier."""
     from edit3r.config import find_config, parse_assignments, read_yaml
-    from edit3r.run_config import make_run_config
 
     layers: list[dict[str, Any]] = []
     if args.config:
         layers.append(read_yaml(find_config(args.config)))
     layers.append(parse_assignments(args.set))
-    flags = {
-        "prompt": args.prompt,
-        "editor": args.editor,
-        "reconstructor": args.recon,
-        "rasterizer": args.rasterizer,
-        "segmenter": args.segmenter,
-        "edit_views": args.edit_views,
-        "fov": args.fov,
-        "size": args.size,
-        "device": args.device,
-        "seed": args.seed,
-        "frames": args.frames,
-        "gaussians": args.gaussians,
-        "refine": args.refine,
-        "quality": args.quality,
-        "budget_ms": args.budget_ms,
-        "max_gaussians": args.max_gaussians,
-        "max_memory": args.max_memory,
-        "views": args.views,
-    }
-    named = {
-        key: {"name": flags.pop(key)} for key in ("editor", "reconstructor", "rasterizer", "segmenter") if flags[key]
-    }
-    layers += [{key: value for key, value in flags.items() if value is not None}, named]
+    flags = {name: getattr(args, name, None) for name in RunConfig.model_fields}
+    # A flag names a component; settings that a file or --set gave for it stay.
+    layers.append({k: {"name": v} if k in PART_KEYS else v for k, v in flags.items() if v is not None})
     if earlier is not None:
         layers.insert(0, _inherited(earlier, layers))
     elif not args.images and not any("prompt" in layer for layer in layers):
-        layers.insert(0, {"prompt": DEFAULT_PROMPT})
+        layers.insert(0, {"prompt": DEFAULTS["prompt"]})
     return make_run_config(*layers, photos=photos)
 
 
-def _inherited(earlier: "SceneState", layers: list[dict[str, Any]]) -> dict[str, Any]:
+def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str, Any]:
     """The earlier run's frames and, unless another is asked for, its reconstructor."""
-    frames = {"frames": earlier.path.count}
+    frames = {"frames": earlier.frames}
     named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
     named = [choice if isinstance(choice, str) else choice.get("name") for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
     wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
-    before = {"name": earlier.reconstructor["name"], **earlier.reconstructor["settings"]}
-    return frames if another or wished else {**frames, "reconstructor": before}
+    return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 
-def _check_names(registry, config) -> None:
+def _check_names(registry: "Registry", config: RunConfig) -> None:
     """Unknown names and missing packages end the run before any photo is read."""
-    choices = {kind: getattr(config, kind) for kind in ("editor", "reconstructor", "rasterizer", "segmenter")}
-    for kind, choice in choices.items():
+    choices = [(kind, getattr(config, kind)) for kind in PART_KEYS]
+    choices += [("refiner", choice) for choice in config.all_refiners()]
+    for kind, choice in choices:
         if choice is not None:
             registry.load_class(registry.find(kind, choice.name))

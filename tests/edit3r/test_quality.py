@@ -1,11 +1,11 @@
 import pytest
 import yaml
 
-from edit3r import quality_points as presets
+from edit3r import quality as presets
 from edit3r.cli.main import main
 from edit3r.errors import SettingsError
-from edit3r.quality import Wish, choose, expectation, tell
-from edit3r.quality_points import Quality, preset_names, read_quality, write_quality
+from edit3r.quality import Wish, choose, expectation, note_quality
+from edit3r.quality import Quality, preset_names, read_quality, write_quality
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
 
@@ -137,7 +137,7 @@ def test_no_wish_changes_nothing():
 def test_the_manifest_tells_what_was_chosen_expected_and_overridden(shipped):
     config = make_run_config({"quality": "fast", "size": 300})
     with collecting(Report()) as report:
-        tell(config.model_dump(), 2)
+        note_quality(config.model_dump(), 2)
     told = report.notes["quality"]
     assert told["wish"] == {"quality": "fast"} and told["chosen"] == "small" and told["preset"] == "fast"
     assert told["overridden"] == ["size"]
@@ -146,7 +146,7 @@ def test_the_manifest_tells_what_was_chosen_expected_and_overridden(shipped):
 
 def test_the_manifest_says_nothing_without_a_wish(shipped):
     with collecting(Report()) as report:
-        tell(make_run_config({}).model_dump(), 2)
+        note_quality(make_run_config({}).model_dump(), 2)
     assert report.notes == {}
 
 

@@ -10,7 +10,7 @@ from edit3r.component import Component
 from edit3r.errors import InputError, PluginError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.plugins import Offer
-from edit3r.stage_checks import blaming, check_edit, check_reconstruction, check_rendering, component_name
+from edit3r.stage_checks import errors_named_after, check_edit, check_reconstruction, check_rendering, component_name
 from edit3r.testing import cameras_around, gaussian_cloud, photograph
 from edit3r.types import Reconstruction, Rendering
 
@@ -102,14 +102,14 @@ def test_an_error_of_the_component_s_own_code_names_component_and_plugin():
     sepia = Sepia()
     sepia.offer = Offer("editor", Component("sepia", "m:C", ""), "old-photos", "1.0")
     assert component_name(sepia) == "sepia"
-    with pytest.raises(PluginError, match="editor 'sepia' of plugin 'old-photos' raised KeyError: 'x'"), blaming(sepia):
+    with pytest.raises(PluginError, match="editor 'sepia' of plugin 'old-photos' raised KeyError: 'x'"), errors_named_after(sepia):
         raise KeyError("x")
 
 
 def test_sentences_for_the_user_and_lack_of_memory_pass_unchanged():
-    with pytest.raises(InputError, match=r"^as it was$"), blaming(SimpleNamespace()):
+    with pytest.raises(InputError, match=r"^as it was$"), errors_named_after(SimpleNamespace()):
         raise InputError("as it was")
-    with pytest.raises(RuntimeError, match="out of memory"), blaming(SimpleNamespace()):
+    with pytest.raises(RuntimeError, match="out of memory"), errors_named_after(SimpleNamespace()):
         raise RuntimeError("CUDA out of memory")
-    with pytest.raises(KeyboardInterrupt), blaming(SimpleNamespace()):
+    with pytest.raises(KeyboardInterrupt), errors_named_after(SimpleNamespace()):
         raise KeyboardInterrupt

@@ -102,7 +102,7 @@ def _points(args: argparse.Namespace):
 def _write(args: argparse.Namespace, folder, plan, points, measurements) -> int:
     """Table, plot, page and presets."""
     from edit3r.errors import Edit3rError, MissingDependencyError, RunError
-    from edit3r.quality_points import preset_names, write_quality
+    from edit3r.quality import preset_names, write_quality
     from edit3r_measure.tradeoff.machine import describe_machine
     from edit3r_measure.tradeoff.plot import plot
     from edit3r_measure.tradeoff.report import report, write_into_page

@@ -6,8 +6,8 @@ Pure functions of numbers. A cost is smaller-is-better (seconds), an accuracy la
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-PRESETS = ("fast", "balanced", "best")
-"""Quickest first."""
+from edit3r.quality import PRESETS, best_within
+
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,3 @@ def choose_presets(points: Sequence[Rated], apart: float = 2.0) -> dict[str, Rat
 def _most_accurate(points: Sequence[Rated], slower: Rated, apart: float) -> Rated | None:
     quick = [p for p in points if all(apart * p.costs[kind] <= cost for kind, cost in slower.costs.items())]
     return max(quick, key=lambda p: p.accuracy, default=None)
-
-
-def best_within(
-    costs: Sequence[Mapping[str, float]], accuracies: Sequence[float], limits: Mapping[str, float]
-) -> int | None:
-    """Index of the most accurate point none of whose costs exceeds its limit, the first of equals; None: none fits."""
-    fitting = [i for i, cost in enumerate(costs) if all(cost[key] <= most for key, most in limits.items())]
-    return max(fitting, key=lambda i: accuracies[i], default=None)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from edit3r.quality_points import Expected, Quality, ShippedPoint
+from edit3r.quality import Expected, Quality, ShippedPoint
 from edit3r_measure.tradeoff.figures import Figures, MeasuredPoint, Spread
 from edit3r_measure.tradeoff.front import choose_presets, on_every_front
 from edit3r_measure.tradeoff.knobs import SweepPlan

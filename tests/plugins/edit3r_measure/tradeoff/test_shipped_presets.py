@@ -3,7 +3,7 @@
 import pytest
 from edit3r_measure.tradeoff.front import PRESETS, front
 
-from edit3r.quality_points import preset_names, read_quality
+from edit3r.quality import preset_names, read_quality
 
 from .settings_check import check_run_settings
 

@@ -1,0 +1,112 @@
+"""The folder of an earlier run, read so that a further edit can go on from its scene (`edit3r run --from DIR`).
+
+Everything comes from the files that people see: `inputs/`, `edited/`, `scene.ply`, `cameras.json` and `run.json`. Undo is
+`--from` of the run before. The folder may come from a stranger: names are checked, nothing in it is executed, and nothing
+is written there.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edit3r.errors import InputError
+from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.framing import Frame
+from edit3r.io.images import Photo, read_image
+from edit3r.io.ply import load_ply
+from edit3r.io.run_folder import RunFolder
+from edit3r.reporting import note
+from edit3r.types import Reconstruction, Views
+
+NOTE = "views"  # the note in run.json that holds what the images do not: intrinsics and known poses
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """What a further edit starts from. Everything is of one scene (batch 1)."""
+
+    photos: Views  # unedited; geometry is read from them
+    edited: Views  # what the next edit is applied to
+    scene: Reconstruction  # the Gaussians of scene.ply, and the cameras of the views
+    prompts: tuple[str, ...]  # the edits so far, in order
+    records: tuple[Photo, ...]  # how the photos became views
+    reconstructor: dict[str, Any]  # name and settings, as a configuration holds them
+    frames: int  # of its camera path
+
+    def to(self, device: torch.device | str) -> "EarlierRun":
+        """The same run with its tensors on `device`."""
+        moved = {name: getattr(self, name).to(device) for name in ("photos", "edited", "scene")}
+        return EarlierRun(**{**vars(self), **moved})
+
+
+def note_views(views: Views) -> None:
+    """Note for run.json what `read_earlier_run` needs beside the images; numbers survive exactly."""
+    c2w = None if views.c2w is None else views.c2w[0].tolist()
+    facts = {"names": list(views.names), "intrinsics": views.intrinsics[0].tolist(), "c2w": c2w}
+    note(NOTE, {**facts, "assumed": list(views.assumed)})
+
+
+def read_earlier_run(root: str | Path) -> EarlierRun:
+    """Read a run folder. Raises InputError, naming the file, where it is not one or is damaged."""
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError(f"{root}: no such folder; --from takes the folder of an earlier run.")
+    folder = RunFolder(root)
+    for needed in (folder.manifest, folder.scene, folder.cameras):
+        if not needed.is_file():
+            raise InputError(
+                f"{root}: not the folder of an earlier run that can be continued, it lacks {needed.name}; "
+                f"--from takes what edit3r run wrote with --out."
+            )
+    try:
+        manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+        return _earlier_run(root, manifest)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"{folder.manifest}: lacks what is needed to continue ({type(error).__name__}: {error}); "
+            f"start again from the photos."
+        ) from None
+
+
+def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
+    """The run that `manifest` (the content of run.json) and the files beside it describe."""
+    stored, run = manifest["notes"][NOTE], manifest["settings"]["run"]
+    names = tuple(_safe_name(name, root) for name in stored["names"])
+    photos, edited = (_views(root / folder, names, stored) for folder in ("inputs", "edited"))
+    cameras, _ = read_scene_cameras(root / "cameras.json")
+    if cameras.count != len(names) or cameras.image_size != photos.image_size:
+        raise ValueError(f"cameras.json has {cameras.count} cameras, expected one for each of {len(names)} views")
+    return EarlierRun(
+        photos=photos,
+        edited=edited,
+        scene=Reconstruction(load_ply(root / "scene.ply"), cameras),
+        prompts=tuple(str(prompt) for prompt in manifest["notes"]["edits"]),
+        records=tuple(_record(record) for record in manifest["inputs"]),
+        reconstructor={"name": run["reconstructor"]["name"], **run["reconstructor"]["settings"]},
+        frames=int(run["frames"]),
+    )
+
+
+def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> Views:
+    """The images `NAME.png` of a folder as views, with the stored intrinsics and poses."""
+    images = torch.stack([read_image(folder / f"{name}.png") for name in names])[None]
+    intrinsics = torch.tensor(stored["intrinsics"], dtype=torch.float32)[None]
+    c2w = None if stored["c2w"] is None else torch.tensor(stored["c2w"], dtype=torch.float32)[None]
+    return Views(images, intrinsics, names, c2w, tuple(bool(assumed) for assumed in stored["assumed"]))
+
+
+def _safe_name(name: Any, root: Path) -> str:
+    """Raise InputError for a view name that is no plain file name: the folder may come from a stranger."""
+    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set('/\\\0:') and len(name) <= 120
+    if not plain:
+        raise InputError(f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name.")
+    return name
+
+
+def _record(record: dict[str, Any]) -> Photo:
+    frame = Frame(**{name: tuple(value) for name, value in record["frame"].items()})
+    pairs = {name: tuple(record[name]) for name in ("size", "focal")}
+    return Photo(**{**record, **pairs, "frame": frame})
