@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.interfaces import Rasterizer
-from edit3r.reporting import note
-from edit3r.types import Cameras, Gaussians
+from edit3r.config import Settings as BaseSettings
+from edit3r.interfaces import Rasterizer, Refiner
+from edit3r.reporting import note, warn
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.footprint import Outlines, cells_of, measured_footprint
 from edit3r_refiners.simplify.contribution import contributions
 from edit3r_refiners.simplify.placement import place
@@ -23,6 +24,38 @@ from edit3r_refiners.simplify.placement import place
 Region = Bool[Tensor, "view height width"]
 SHAPE = ("means", "scales", "quats", "opacities")
 VALUES = (*SHAPE, "harmonics")
+
+
+class KeepOutsideMask(Refiner):
+    """Keeps what shows outside the masks as it was before the edit, bit for bit."""
+
+    needs_before = True
+
+    class Settings(BaseSettings):
+        pass
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def __call__(
+        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+    ) -> Gaussians:
+        """`request.before` with those Gaussians replaced that show only where `request.masks` are above 0.
+
+        Without masks, or where they cover every pixel, `gaussians` come back unchanged.
+        """
+        if request.masks is None or bool((request.masks > 0).all()):
+            return gaussians
+        if request.before is None:
+            warn("keep-outside-mask: the scene before the edit is not known; nothing is kept as it was.")
+            return gaussians
+        if request.masks.shape[0] != 1:
+            warn("several scenes at once: the Gaussians outside the masks are reconstructed anew, not kept.")
+            return gaussians
+        region = request.masks[0] > 0
+        note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
+        with torch.no_grad():
+            return graft(request.before, gaussians, region, cameras, rasterizer).gaussians
 
 
 @dataclass(frozen=True)
@@ -72,8 +105,8 @@ def _graft_counterparts(
         spilling = replaced & _shows_outside(_mixed(before, after, replaced), replaced, region, cameras, rasterizer)
         replaced &= ~spilling
         reshaped = bool(spilling.any())
-    note("reuse.wanted_gaussians", int(wanted.sum()))
-    note("reuse.replaced_gaussians", int(replaced.sum()))
+    note("keep_outside_mask.wanted_gaussians", int(wanted.sum()))
+    note("keep_outside_mask.replaced_gaussians", int(replaced.sum()))
     return Graft(_mixed(before, after, replaced), before.select(replaced), after.select(replaced))
 
 
@@ -90,8 +123,8 @@ def _graft_sets(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
         if not spilling.any():
             break
         inserted[inserted.nonzero()[:, 0][spilling]] = False
-    note("reuse.replaced_gaussians", int((~kept).sum()))
-    note("reuse.inserted_gaussians", int(inserted.sum()))
+    note("keep_outside_mask.replaced_gaussians", int((~kept).sum()))
+    note("keep_outside_mask.inserted_gaussians", int(inserted.sum()))
     return Graft(_joined(old, after.select(inserted)), before.select(~kept), after.select(inserted))
 
 
@@ -145,7 +178,7 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
     factor = float((lengths[0] / lengths[1].clamp(min=1e-12)).median())
     if abs(factor - 1) < 1e-6:
         return after
-    note("reuse.rescaled_by", factor)
+    note("keep_outside_mask.rescaled_by", factor)
     return replace(after, means=after.means * factor, scales=after.scales * factor)
 
 

@@ -14,12 +14,12 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.interfaces import Rasterizer
-from edit3r.reporting import progress
-from edit3r.types import Cameras, Gaussians
+from edit3r.interfaces import Rasterizer, Refiner
+from edit3r.reporting import note, progress
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.adam import Adam
 
-__all__ = ["RefineSettings", "Refined", "refine"]
+__all__ = ["RefineRefiner", "RefineSettings", "Refined", "refine"]
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
@@ -86,6 +86,25 @@ def refine(
             break
         variables.step(loss)
     return Refined(best, _lowest(held_back), tuple(held_back), tuple(fitted))
+
+
+class RefineRefiner(Refiner):
+    """Sharpens the Gaussians by photometric steps on the views that show the edit."""
+
+    class Settings(RefineSettings):
+        steps: int = Field(10, ge=0, le=10000, description="most photometric steps")
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def __call__(
+        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+    ) -> Gaussians:
+        """Follow `views` alone: photos that were not edited would pull the edit back out."""
+        shown = cameras.select(range(views.count))
+        refined = refine(gaussians, shown, views.images, rasterizer, self.settings.steps, self.settings)
+        note("refine", refined.facts)
+        return refined.gaussians
 
 
 class _Variables:

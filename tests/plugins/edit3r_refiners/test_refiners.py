@@ -1,0 +1,79 @@
+"""The three refiners as the registry builds them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.errors import SettingsError
+from edit3r.testing.scenes import cameras_around, gaussian_cloud
+from edit3r.types import EditRequest, Views
+
+FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
+
+
+@pytest.fixture(scope="module")
+def rasterizer():
+    return edit3r.build("rasterizer", "numba", threads=1)
+
+
+@pytest.fixture
+def scene(rasterizer):
+    """A cloud, two cameras, and the views of the first of them with other colours."""
+    gaussians, cameras = gaussian_cloud(80), cameras_around(2)
+    with torch.no_grad():
+        images = rasterizer.render(gaussians, cameras).images
+    return gaussians, cameras, Views(0.5 * images[:, :1], cameras.intrinsics[:, :1])
+
+
+def test_simplify_leaves_no_more_than_the_smaller_of_both_numbers(rasterizer, scene):
+    refiner = edit3r.build("refiner", "simplify", gaussians="30", max_gaussians=20)
+    assert 0 < refiner(*scene, EditRequest("x"), rasterizer).count <= 20
+
+
+def test_simplify_to_all_changes_nothing(rasterizer, scene):
+    assert edit3r.build("refiner", "simplify", gaussians="all")(*scene, EditRequest("x"), rasterizer) is scene[0]
+
+
+def test_a_wrong_number_for_simplify_is_one_sentence():
+    with pytest.raises(SettingsError, match="expected auto, all or a number of at least 1, got 'few'"):
+        edit3r.build("refiner", "simplify", gaussians="few")
+
+
+def test_refine_brings_the_scene_closer_to_the_edited_views(rasterizer, scene):
+    gaussians, cameras, views = scene
+    with torch.no_grad():
+        better = edit3r.build("refiner", "refine", steps=10)(*scene, EditRequest("x"), rasterizer)
+        first = cameras.select([0])
+        before, after = (rasterizer.render(g, first).images - views.images for g in (gaussians, better))
+    assert after.square().mean() < 0.8 * before.square().mean() and not better.means.requires_grad
+
+
+def masked(scene, rasterizer, share):
+    gaussians, cameras, views = scene
+    masks = torch.zeros(1, 2, *cameras.image_size)
+    masks[..., : round(share * cameras.image_size[1])] = 0.5
+    edited = replace(gaussians, harmonics=-gaussians.harmonics, view_index=torch.zeros(80, dtype=torch.long))
+    before = replace(gaussians, view_index=torch.zeros(80, dtype=torch.long))
+    request = EditRequest("x", masks=masks, before=before)
+    return edited, edit3r.build("refiner", "keep-outside-mask")(edited, cameras, views, request, rasterizer), request
+
+
+def test_keep_outside_mask_keeps_what_shows_outside_and_takes_what_shows_inside_alone(rasterizer, scene):
+    edited, result, request = masked(scene, rasterizer, 0.7)
+    with torch.no_grad():
+        old, new = (rasterizer.render(g, scene[1]).images[0].movedim(1, -1) for g in (request.before, result))
+    assert torch.equal(old[request.masks[0] == 0], new[request.masks[0] == 0]) and not torch.equal(old, new)
+    from_before = (result.harmonics == request.before.harmonics).flatten(2).all(2)
+    from_edited = (result.harmonics == edited.harmonics).flatten(2).all(2)
+    assert (from_before ^ from_edited).all() and from_edited.any()
+
+
+def test_keep_outside_mask_keeps_nothing_where_masks_cover_all_or_there_are_none(rasterizer, scene):
+    gaussians, cameras, views = scene
+    refiner = edit3r.build("refiner", "keep-outside-mask")
+    assert refiner.needs_before
+    for masks in (None, torch.ones(1, 2, *cameras.image_size)):
+        request = EditRequest("x", masks=masks, before=replace(gaussians, harmonics=-gaussians.harmonics))
+        assert refiner(gaussians, cameras, views, request, rasterizer) is gaussians
