@@ -50,15 +50,15 @@ def __dir__() -> list[str]:
 
 
 if TYPE_CHECKING:
+    from edit3r.api import run
+    from edit3r.cache import Cache
+    from edit3r.command import Command
     from edit3r.component import Component
     from edit3r.config import PartChoice, Settings
     from edit3r.errors import Edit3rError
     from edit3r.hookspecs import hookimpl
     from edit3r.io.images import load_views
     from edit3r.io.ply import load_ply, save_ply
-    from edit3r.api import run
-    from edit3r.cache import Cache
-    from edit3r.command import Command
     from edit3r.pipeline import RunResult
     from edit3r.registry import build, components
     from edit3r.run_config import RunConfig

@@ -1,11 +1,11 @@
 """What slow stages answered, kept by the hash of all that the answer depends on.
 
-A method marked `@remembered` asks the cache of the current run before it works. A command gives its run a cache with the
-folder `cache/` of the results, so that `--from` finds the answers again; a program that stays open keeps one `Cache`
-and passes it to every run. Without a cache, `@remembered` does nothing.
+A method marked `@remembered` asks the cache of the current run before it works. A command keeps its cache in the folder
+`cache/` of the results, so that `--from` finds the answers again; a program that stays open keeps one `Cache` and passes
+it to every run. Without a cache, `@remembered` does nothing.
 
-Entries are safetensors files, so opening a stranger's folder runs no code. An entry that cannot be read is an error that
-names the file: deleting `cache/` is always safe.
+Entries are safetensors files, so opening a stranger's folder runs no code. An entry that cannot be read is an error
+that names the file: deleting `cache/` is always safe.
 """
 
 import dataclasses
@@ -77,7 +77,9 @@ class Cache:
             _unpack(json.loads(tree), tensors)
         except Exception as error:  # safetensors has no error class of its own
             reason = " ".join(str(error).split())
-            raise InputError(f"{file}: cannot be read ({reason}); delete it, and its content is computed again.") from None
+            raise InputError(
+                f"{file}: cannot be read ({reason}); delete it, and its content is computed again."
+            ) from None
         return tensors, tree
 
     def _count(self, names: list[str], name: str) -> None:
@@ -102,8 +104,8 @@ def using(cache: Cache | None) -> Iterator[None]:
 def remembered(method: Method) -> Method:
     """Mark a method of a component as one whose answer the run's cache keeps.
 
-    The answer must depend on nothing but the component (its settings, parts and weights) and the arguments, and consist of
-    tensors, numbers, texts, tuples and the data classes of `edit3r.types` and `edit3r.interfaces`.
+    The answer must depend on nothing but the component (its settings, parts and weights) and the arguments, and consist
+    of tensors, numbers, texts, tuples and the data classes of `edit3r.types` and `edit3r.interfaces`.
     """
 
     @functools.wraps(method)
@@ -120,7 +122,9 @@ def remembered(method: Method) -> Method:
 def recall(name: str, component: Any, arguments: Any, compute: Callable[[], Any]) -> Any:
     """Return what `compute` gives for a component and its arguments, by the current run's cache where there is one."""
     cache = _current.get()
-    return compute() if cache is None else cache.recall(name, fingerprint(identity(component), name, arguments), compute)
+    return (
+        compute() if cache is None else cache.recall(name, fingerprint(identity(component), name, arguments), compute)
+    )
 
 
 def fingerprint(*things: Any) -> str:
@@ -134,8 +138,8 @@ def fingerprint(*things: Any) -> str:
 def identity(component: Any) -> str:
     """Return a digest of all that a component's answers depend on besides its arguments.
 
-    These are its name, plugin and version, its source file, settings, parts, and the weights of its network. A change in
-    another file of the plugin, without a new version, goes unnoticed.
+    These are its name, plugin and version, its source file, settings, parts, and the weights of its network. A change
+    in another file of the plugin, without a new version, goes unnoticed.
     """
     offer = getattr(component, "offer", None)
     who = (offer.qualified_name, offer.version) if offer is not None else (type(component).__qualname__, "")

@@ -1,8 +1,8 @@
 """The folder of an earlier run, read so that a further edit can go on from its scene (`edit3r run --from DIR`).
 
-Everything comes from the files that people see: `inputs/`, `edited/`, `scene.ply`, `cameras.json` and `run.json`. Undo is
-`--from` of the run before. The folder may come from a stranger: names are checked, nothing in it is executed, and nothing
-is written there.
+Everything comes from the files that people see: `inputs/`, `edited/`, `scene.ply`, `cameras.json` and `run.json`. Undo
+is `--from` of the run before. The folder may come from a stranger: names are checked, nothing in it is executed, and
+nothing is written there.
 """
 
 import json
@@ -100,7 +100,7 @@ def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> View
 
 def _safe_name(name: Any, root: Path) -> str:
     """Raise InputError for a view name that is no plain file name: the folder may come from a stranger."""
-    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set('/\\\0:') and len(name) <= 120
+    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set("/\\\0:") and len(name) <= 120
     if not plain:
         raise InputError(f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name.")
     return name

@@ -204,7 +204,7 @@ def _reconstruct(recon: Reconstructor, source: Views, request: EditRequest, view
 def _masks_of_change(
     request: EditRequest, views: Views, edited: Views, earlier: EarlierRun | None, config: RunConfig
 ) -> Float[Tensor, "batch view height width"] | None:
-    """Where the scene may change: the request's masks; an edit of an earlier scene changes what it changed on the images.
+    """Where the scene may change: the request's masks, else, after an earlier run, where the edit changed the images.
 
     Views that were not edited hold nothing back.
     """

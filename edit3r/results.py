@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from edit3r_refiners.footprint import measured_footprint
 
 from edit3r.earlier_run import note_views
 from edit3r.geometry.paths import between_and_around

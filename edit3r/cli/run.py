@@ -26,10 +26,22 @@ class RunCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("images", nargs="*", metavar="IMAGE|FOLDER", help="two or more photos of one scene; default: a packaged pair")
+        add(
+            "images",
+            nargs="*",
+            metavar="IMAGE|FOLDER",
+            help="two or more photos of one scene; default: a packaged pair",
+        )
         add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
         add_setting_flags(parser)
-        add("--mask", nargs="+", action="extend", default=[], metavar="FILE", help="one mask per photo; white may change")
+        add(
+            "--mask",
+            nargs="+",
+            action="extend",
+            default=[],
+            metavar="FILE",
+            help="one mask per photo; white may change",
+        )
         add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="one setting, such as editor.strength=0.5")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
@@ -98,7 +110,8 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
 
 def _flag_form(field: FieldInfo) -> dict[str, Any]:
     """How argparse reads a setting of this type; pydantic checks the value itself."""
-    options = typing.get_args(field.annotation) if isinstance(field.annotation, types.UnionType) else (field.annotation,)
+    union = typing.get_origin(field.annotation) in (typing.Union, types.UnionType)
+    options = typing.get_args(field.annotation) if union else (field.annotation,)
     kinds = [option for option in options if option is not type(None)]
     choices = [word for kind in kinds if typing.get_origin(kind) is typing.Literal for word in typing.get_args(kind)]
     if choices:
