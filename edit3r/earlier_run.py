@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from edit3r.errors import InputError
@@ -92,7 +93,8 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
 
 def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> Views:
     """The images `NAME.png` of a folder as views, with the stored intrinsics and poses."""
-    images = torch.stack([read_image(folder / f"{name}.png") for name in names])[None]
+    pixels = [np.array(read_image(folder / f"{name}.png"), dtype=np.float32) / 255 for name in names]
+    images = torch.from_numpy(np.stack(pixels)).permute(0, 3, 1, 2).contiguous()[None]
     intrinsics = torch.tensor(stored["intrinsics"], dtype=torch.float32)[None]
     c2w = None if stored["c2w"] is None else torch.tensor(stored["c2w"], dtype=torch.float32)[None]
     return Views(images, intrinsics, names, c2w, tuple(bool(assumed) for assumed in stored["assumed"]))

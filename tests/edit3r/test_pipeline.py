@@ -1,15 +1,15 @@
 """The pipeline's promises, with small editors and reconstructors made here."""
 
-from types import SimpleNamespace
-
 import pytest
 import torch
 
+from edit3r.api import run
 from edit3r.errors import InputError, PluginError
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Editor, Reconstructor
-from edit3r.pipeline import composite, run
+from edit3r.pipeline import composite
 from edit3r.reporting import Report
+from edit3r.run_config import make_run_config
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
 
@@ -36,7 +36,7 @@ class Flat(Reconstructor):
     def __init__(self, spoil=None):
         self.spoil = spoil
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
         ones = torch.ones_like(colours[..., :1])
         count = colours.shape[1] // views.count
@@ -128,18 +128,50 @@ def test_an_edit_that_does_nothing_is_reported(views):
     assert any("changed the photos very little" in text for text in report.warnings)
 
 
-def test_a_reconstructor_with_an_editor_part_is_given_the_request(views):
-    class Editing(Flat):
-        offer = SimpleNamespace(component=SimpleNamespace(name="editing", parts=("editor",)))
-
+def test_every_reconstructor_is_given_the_request(views):
+    class Keeping(Flat):
         def __call__(self, views, source=None, request=None):
             self.request = request
             return super().__call__(views, source)
 
-    editing, masks = Editing(), torch.ones(1, 2, 6, 8)
-    run(views, "warmer", editor=Invert(), recon=editing, masks=masks, seed=7)
-    assert (editing.request.prompt, editing.request.seed) == ("warmer", 7)
-    assert torch.equal(editing.request.masks, masks)
+    keeping, masks = Keeping(), torch.ones(1, 2, 6, 8)
+    run(views, "warmer", editor=Invert(), recon=keeping, masks=masks, seed=7)
+    assert (keeping.request.prompt, keeping.request.seed) == ("warmer", 7)
+    assert torch.equal(keeping.request.masks, masks)
+
+
+class Counting(Flat):
+    """Counts how often it is asked."""
+
+    calls = 0
+
+    def __call__(self, views, source=None, request=None):
+        self.calls += 1
+        return super().__call__(views, source)
+
+
+class CountingAndEditing(Counting):
+    edits_views = True
+
+
+@pytest.mark.parametrize(
+    ("recon", "mask", "asked"),
+    [(Counting, None, 1), (Counting, 0.0, 2), (Counting, 1.0, 1), (CountingAndEditing, 0.0, 1)],
+    ids=["no masks", "masks", "masks of everything", "a reconstructor that edits"],
+)
+def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(views, recon, mask, asked):
+    masks = None if mask is None else torch.full((1, 2, 6, 8), mask)
+    if masks is not None:
+        masks[..., :3, :] = 1
+    counting = recon()
+    run(views, "x", editor=Invert(), recon=counting, masks=masks, rasterizer="torch")
+    assert counting.calls == asked
+
+
+def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_last(views):
+    config = make_run_config({"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3})
+    listed = [(choice.name, choice.settings) for choice in config.all_refiners()]
+    assert listed == [("refine", {"steps": 3}), ("keep-outside-mask", {}), ("simplify", {"gaussians": 5})]
 
 
 def test_stages_are_timed_in_order(views):

@@ -4,8 +4,7 @@ import yaml
 from edit3r import quality as presets
 from edit3r.cli.main import main
 from edit3r.errors import SettingsError
-from edit3r.quality import Wish, choose, expectation, note_quality
-from edit3r.quality import Quality, preset_names, read_quality, write_quality
+from edit3r.quality import Quality, Wish, choose, expectation, note_quality, preset_names, read_quality, write_quality
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
 

@@ -10,7 +10,7 @@ from edit3r.component import Component
 from edit3r.errors import InputError, PluginError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.plugins import Offer
-from edit3r.stage_checks import errors_named_after, check_edit, check_reconstruction, check_rendering, component_name
+from edit3r.stage_checks import check_edit, check_reconstruction, check_rendering, component_name, errors_named_after
 from edit3r.testing import cameras_around, gaussian_cloud, photograph
 from edit3r.types import Reconstruction, Rendering
 
@@ -102,7 +102,10 @@ def test_an_error_of_the_component_s_own_code_names_component_and_plugin():
     sepia = Sepia()
     sepia.offer = Offer("editor", Component("sepia", "m:C", ""), "old-photos", "1.0")
     assert component_name(sepia) == "sepia"
-    with pytest.raises(PluginError, match="editor 'sepia' of plugin 'old-photos' raised KeyError: 'x'"), errors_named_after(sepia):
+    with (
+        pytest.raises(PluginError, match="editor 'sepia' of plugin 'old-photos' raised KeyError: 'x'"),
+        errors_named_after(sepia),
+    ):
         raise KeyError("x")
 
 
