@@ -41,14 +41,14 @@ class PartChoice(Settings):
 def make_settings(cls: type[SettingsType], values: Mapping[str, Any], where: str) -> SettingsType:
     """Validate `values` into `cls`; `where` (such as 'editor') prefixes the key in error sentences."""
     try:
-        return cls(**values)
+        return cls.model_validate(dict(values))
     except ValidationError as error:
         raise SettingsError(_sentence(error, cls, where)) from None
 
 
 def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
     first = error.errors()[0]
-    key = ".".join([where, *(str(part) for part in first["loc"])])
+    key = ".".join([where, *(str(part)[:60] for part in first["loc"])])
     if first["type"] == "extra_forbidden":
         known = sorted(cls.model_fields)
         listed = ", ".join(known) or "none"
@@ -56,7 +56,16 @@ def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
     given = first.get("input")
     message = first["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
-    return f"{key}: {message.rstrip('.')}, got {given!r}."
+    return f"{key}: {message.rstrip('.')}, got {_shortened(given)}."
+
+
+def _shortened(value: Any, most: int = 200) -> str:
+    """A value as an error shows it: its beginning, where it is long."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a mapping nested as deep
+        return f"a {type(value).__name__} too large to show"
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -65,15 +74,40 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path}: no such configuration file.")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not valid YAML ({reason}).") from None
+        content = parse_yaml(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: not valid YAML ({error}).") from None
     if content is None:
         return {}
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a mapping of settings at the top, got {type(content).__name__}.")
     return content
+
+
+def parse_yaml(text: str) -> Any:
+    """Read YAML that may come from anybody: numbers, texts, lists and mappings with text as keys.
+
+    Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist, numbers and nestings
+    that Python refuses, keys that are no text.
+    """
+    try:
+        content = yaml.safe_load(text)
+        _require_text_keys(content)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    return content
+
+
+def _require_text_keys(content: Any) -> None:
+    if isinstance(content, Mapping):
+        wrong = [key for key in content if not isinstance(key, str)]
+        if wrong:
+            raise ValueError(f"the key {_shortened(wrong[0])} is no text; put it in quotes")
+    if isinstance(content, Mapping | list):
+        for item in content.values() if isinstance(content, Mapping) else content:
+            _require_text_keys(item)
 
 
 def find_config(name: str) -> Path:
@@ -100,8 +134,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         if not equals or not all(path):
             raise SettingsError(f"--set {assignment}: expected KEY=VALUE, for example --set editor.seed=3.")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError:
+            value = parse_yaml(text)
+        except ValueError:
             value = text
         for part in reversed(path):
             value = {part: value}

@@ -23,6 +23,10 @@ from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstructi
 if TYPE_CHECKING:
     from edit3r.plugins import Offer
 
+# The first logarithm that MKL computes on several threads of a process is sometimes less accurate in one of them, and
+# then the same seed does not give the same bytes. After one small logarithm on one thread it never is.
+torch.log(torch.ones(1))
+
 
 class Configured:
     """What the registry sets on everything it builds."""

@@ -23,7 +23,14 @@ from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.run_config import RunConfig
-from edit3r.stage_checks import check_edit, check_reconstruction, check_refinement, component_name, errors_named_after
+from edit3r.stage_checks import (
+    check_edit,
+    check_reconstruction,
+    check_refinement,
+    component_name,
+    errors_named_after,
+    require_device,
+)
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
@@ -65,6 +72,7 @@ def run(
     """
     report, cache = report or Report(), cache or Cache()
     with collecting(report), using(cache):
+        require_device(config.device)
         with report.stage("load components"):
             parts = _Components(config, registry or default_registry(), components or {})
             views, masks = _views_for(parts.reconstructor, views, masks, config.device)
@@ -97,7 +105,7 @@ class _Components:
         self.editor: Editor = self._built("editor", {"segmenter": segmenter} if segmenter is not None else {})
         self.reconstructor: Reconstructor = self._built("reconstructor", {"editor": self.editor})
         self.refiners: tuple[Refiner, ...] = tuple(
-            registry.build("refiner", choice.name, **choice.settings) for choice in config.all_refiners()
+            registry.build_choice("refiner", choice) for choice in config.all_refiners()
         )
         if self.reconstructor.network is not None:
             self.reconstructor.network.to(config.device)
@@ -121,7 +129,7 @@ class _Components:
         if kind in self._given:
             return self._given[kind]
         choice: PartChoice = getattr(self._config, kind)
-        return self._registry.build(kind, choice.name, parts, **choice.settings)
+        return self._registry.build_choice(kind, choice, parts)
 
 
 def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None, device: str) -> tuple[Views, Tensor | None]:

@@ -95,13 +95,17 @@ class Registry:
             raise PluginError(f"{offer.kind} {offer.component.name!r}: its Settings must subclass edit3r.Settings.")
         return cls
 
-    def build(self, kind: str, name: str, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+    def build(self, kind: str, name: str, /, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
         """Build a component by name from settings.
 
         `parts` fills parts with objects already built, or with names or `PartChoice`s that override the settings'.
         The result carries what it was built from as `.settings`, `.offer` and `.parts`.
         """
         return self._build(kind, name, settings, dict(parts or {}), built={}, where=kind)
+
+    def build_choice(self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None) -> Any:
+        """Build the component that a configuration chose; its settings may have any names."""
+        return self._build(kind, choice.name, dict(choice.settings), dict(parts or {}), built={}, where=kind)
 
     def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any], where: str) -> Any:
         """`where` is the key of this component in a configuration, such as 'reconstructor.backbone'."""
@@ -184,7 +188,7 @@ def default_registry(local_files: tuple[str | Path, ...] = ()) -> Registry:
     return Registry(load_plugins(local_files))
 
 
-def build(kind: str, name: str, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
+def build(kind: str, name: str, /, parts: Mapping[str, Any] | None = None, **settings: Any) -> Any:
     """Build an installed component: `edit3r.build("rasterizer", "numba", near=0.01)`."""
     return default_registry().build(kind, name, parts, **settings)
 

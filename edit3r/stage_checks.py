@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, MatchingError, PluginError, is_out_of_memory
+from edit3r.errors import Edit3rError, MatchingError, PluginError, SettingsError, is_out_of_memory
 from edit3r.interfaces import INTERFACES, Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 
@@ -28,10 +28,21 @@ def errors_named_after(component: Any) -> Iterator[None]:
         yield
     except Edit3rError:
         raise
+    except SystemExit as error:
+        raise PluginError(f"{_who(component)} ended the program (sys.exit({error.code!r})).") from error
     except Exception as error:
         if is_out_of_memory(error):
             raise
         raise PluginError(f"{_who(component)} raised {type(error).__name__}: {error}.") from error
+
+
+def require_device(name: str) -> None:
+    """Raise SettingsError unless torch can put a tensor on the device called `name`, such as cpu or cuda:0."""
+    try:
+        torch.empty(0, device=torch.device(name))
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise SettingsError(f"--device {name}: torch cannot use it ({reason}); --device cpu always works.") from None
 
 
 def check_edit(editor: Editor, views: Views, answer: Views) -> None:

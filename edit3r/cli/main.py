@@ -1,8 +1,10 @@
 """Entry point of `edit3r`: find the command, parse its arguments, turn errors into one sentence and an exit code."""
 
 import argparse
+import errno
 import gc
 import importlib
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -47,12 +49,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in argv
     try:
-        return _dispatch(argv)
+        code = _dispatch(argv)
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         print("edit3r: interrupted; nothing half-written was left under its final name.", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output went away: `edit3r list-plugins | head`
-        sys.stderr.close()
+        # Python writes what is left once more on leaving, which would fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
         if debug:
@@ -119,6 +124,9 @@ def _as_known(error: Exception) -> Edit3rError:
         return RunError(
             "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
         )
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        where = f"{error.filename}: " if error.filename else ""
+        return RunError(f"{where}no space is left on the disk; free some, or give --out a folder on another disk.")
     if isinstance(error, OSError) and error.filename:
         return Edit3rError(f"{error.filename}: {error.strerror}.")
     return RunError(f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback.")

@@ -80,7 +80,7 @@ class RunCommand(Command):
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
             with atomic_folder(args.out) as folder:
-                rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
+                rasterizer = registry.build_choice("rasterizer", config.rasterizer)
                 result = pipeline.run(
                     photos.views,
                     config,

@@ -1,8 +1,9 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field
 
-from edit3r.config import PartChoice, find_config, merge, parse_assignments, read_yaml
+from edit3r.config import PartChoice, Settings, find_config, make_settings, merge, parse_assignments, read_yaml
 from edit3r.errors import InputError, SettingsError
 
 
@@ -19,6 +20,38 @@ def test_text_that_is_no_yaml_stays_text():
 def test_a_wrong_assignment_shows_a_right_one(wrong):
     with pytest.raises(SettingsError, match="expected KEY=VALUE, for example --set"):
         parse_assignments([wrong])
+
+
+HOSTILE = {
+    "no date": "2020-13-45",
+    "a number too long": "9" * 5000,
+    "too deep": "[" * 5000,
+    "a number as key": "{1: 2}",
+    "nothing as key": "{null: 2}",
+    "a list as key": "{[1]: 2}",
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
+def test_a_file_that_python_cannot_hold_is_one_sentence(content, tmp_path):
+    file = tmp_path / "run.yaml"
+    file.write_text(f"editor: {content}")
+    with pytest.raises(InputError, match=r"run.yaml: not valid YAML \("):
+        read_yaml(file)
+
+
+@pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
+def test_an_assignment_that_python_cannot_hold_stays_text(content):
+    assert parse_assignments([f"editor.x={content}"]) == {"editor": {"x": content}}
+
+
+def test_a_long_value_is_not_repeated_whole_in_the_error():
+    class Sizes(Settings):
+        size: int = Field(1, description="size")
+
+    with pytest.raises(SettingsError) as error:
+        make_settings(Sizes, {"size": "x" * 10_000}, where="run")
+    assert len(str(error.value)) < 400
 
 
 def test_later_layers_replace_leaves_and_keep_the_rest():

@@ -1,10 +1,12 @@
 """The pipeline's promises, with small editors and reconstructors made here."""
 
+import sys
+
 import pytest
 import torch
 
 from edit3r.api import run
-from edit3r.errors import InputError, PluginError
+from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Editor, Reconstructor
 from edit3r.pipeline import composite
@@ -179,3 +181,14 @@ def test_stages_are_timed_in_order(views):
     names = [stage.name for stage in result.report.stages]
     assert names == ["load components", "edit (Invert)", "reconstruct (Flat)"]
     assert all(stage.seconds >= 0 for stage in result.report.stages)
+
+
+@pytest.mark.parametrize("device", ["cuda:99", "foo", "mps", "", "meta2"])
+def test_a_device_that_torch_cannot_use_is_one_sentence(views, device):
+    with pytest.raises(SettingsError, match=f"--device {device}: torch cannot use it .* --device cpu always works"):
+        run(views, "x", editor=Invert(), recon=Flat(), device=device)
+
+
+def test_an_editor_that_leaves_the_program_is_named(views):
+    with pytest.raises(PluginError, match=r"editor 'Answer' ended the program \(sys.exit\(0\)\)"):
+        run(views, "x", editor=Answer(lambda v: sys.exit(0)), recon=Flat())

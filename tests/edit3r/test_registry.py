@@ -16,7 +16,7 @@ from edit3r.errors import (
     UnknownComponentError,
 )
 from edit3r.plugins import LoadedPlugins, Offer, PluginFailure
-from edit3r.registry import Registry, install_hint
+from edit3r.registry import Registry, default_registry, install_hint
 
 MODULE = "classes_of_test_registry"
 
@@ -236,3 +236,9 @@ def test_a_component_s_own_sentence_for_the_user_passes_unchanged(registry):
 def test_running_out_of_memory_is_not_the_plugin_s_fault(registry):
     with pytest.raises(RuntimeError, match="out of memory"):
         registry.build("editor", "exhausted")
+
+
+@pytest.mark.parametrize("name", ["kind", "name", "parts", "self", "registry"])
+def test_a_setting_may_have_any_name_and_an_unknown_one_is_said(name):
+    with pytest.raises(SettingsError, match=f"editor.{name}: unknown setting"):
+        default_registry().build_choice("editor", PartChoice(name="none", settings={name: 1}))

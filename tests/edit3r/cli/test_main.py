@@ -1,5 +1,6 @@
 """Wrong use ends with exit code 2 and one sentence; help and lists are quick because nothing heavy is imported."""
 
+import errno
 import subprocess
 import sys
 
@@ -53,3 +54,20 @@ def test_help_and_lists_import_no_torch(arguments):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    code = "import sys; from edit3r.cli.main import program; sys.exit(program())"
+    listing = subprocess.Popen([sys.executable, "-c", code, "list-plugins", "--json"], stdout=subprocess.PIPE)
+    listing.stdout.read(1)
+    listing.stdout.close()
+    assert listing.wait(timeout=60) == 0
+
+
+def test_a_full_disk_is_one_sentence_with_the_way_out(capsys, monkeypatch):
+    def full(argv):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("edit3r.cli.main._dispatch", full)
+    assert main(["run"]) == 1
+    assert "no space is left on the disk; free some" in capsys.readouterr().err
