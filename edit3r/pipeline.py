@@ -8,7 +8,7 @@ Writing the results to disk is `edit3r.results`. The easy call from Python is `e
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -21,6 +21,7 @@ from edit3r.earlier_run import EarlierRun
 from edit3r.errors import InputError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.registry import Registry, default_registry
+from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.run_config import RunConfig
 from edit3r.stage_checks import (
@@ -31,7 +32,8 @@ from edit3r.stage_checks import (
     errors_named_after,
     require_device,
 )
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Rendering, Views
+from edit3r.verdict import Verdict, judge
 
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
 
@@ -40,16 +42,20 @@ MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is repo
 class RunResult:
     """What a run made, in memory."""
 
-    photos: Views  # the views that were used, unedited
+    photos: Views  # the views that were used and placed, unedited
     edited: Views  # after the 2D editor and the mask composite
     gaussians: Gaussians  # the edited scene, frame of view 0
     cameras: Cameras  # poses of the input views in that frame
     request: EditRequest
     editor: Editor
     reconstructor: Reconstructor
+    rasterizer: Rasterizer
+    rendered: Rendering = field(repr=False)  # the scene from the input views
+    verdict: Verdict  # how well that shows the edited images
     report: Report = field(repr=False)
     cache: Cache = field(repr=False)  # answers that a further run on the same photos need not compute again
     prompts: tuple[str, ...] = ()  # the edits so far, those of an earlier run first
+    left_out: Views | None = field(default=None, repr=False)  # photos that could not be placed
 
 
 def run(
@@ -88,11 +94,27 @@ def run(
             before = _scene_before(request, parts, reconstruct, source, earlier)
         scene = scene if before is None else replace(scene, cameras=before.cameras)
         request = replace(request, before=None if before is None else before.gaussians)
+        used, lost = _placed_and_not(scene, views.count)
+        edited, request = edited.select(used), request.of_views(used)
         gaussians = _refine(scene, parts, edited, request, config, report)
-    prompts = (*(earlier.prompts if earlier is not None else ()), config.prompt)
-    asked = replace(request, before=None)
+        with report.stage("check"), torch.no_grad():
+            rendered = render_each(parts.rasterizer, gaussians, scene.cameras, "render input views")
+            verdict = judge(edited, rendered, [i in used for i in range(views.count)], scene.measured)
     return RunResult(
-        source, edited, gaussians, scene.cameras, asked, parts.editor, parts.reconstructor, report, cache, prompts
+        photos=source.select(used),
+        edited=edited,
+        gaussians=gaussians,
+        cameras=scene.cameras,
+        request=replace(request, before=None),
+        editor=parts.editor,
+        reconstructor=parts.reconstructor,
+        rasterizer=parts.rasterizer,
+        rendered=rendered,
+        verdict=verdict,
+        report=report,
+        cache=cache,
+        prompts=(*(earlier.prompts if earlier is not None else ()), config.prompt),
+        left_out=source.select(lost) if lost else None,
     )
 
 
@@ -110,7 +132,7 @@ class _Components:
         if self.reconstructor.network is not None:
             self.reconstructor.network.to(config.device)
 
-    @property
+    @cached_property
     def rasterizer(self) -> Rasterizer:
         return self._built("rasterizer")
 
@@ -201,12 +223,35 @@ def _reconstruct(recon: Reconstructor, source: Views, request: EditRequest, view
     with errors_named_after(recon):
         reconstruction = recon(views, source=source, request=request)
     check_reconstruction(recon, views, reconstruction)
-    if reconstruction.cameras is not None:
-        return reconstruction
-    from edit3r.geometry.pose import estimate_cameras
+    if reconstruction.cameras is None:
+        from edit3r.geometry.pose import estimate_cameras
 
-    note("cameras", "PnP on the predicted Gaussian centres")
-    return replace(reconstruction, cameras=estimate_cameras(reconstruction.gaussians, views))
+        note("cameras", "PnP on the predicted Gaussian centres")
+        reconstruction = replace(reconstruction, cameras=estimate_cameras(reconstruction.gaussians, views))
+    return _only_placed(reconstruction)
+
+
+def _placed_and_not(scene: Reconstruction, views: int) -> tuple[list[int], list[int]]:
+    """Indices of the views that were placed in every scene of the batch, and of the others."""
+    placed = [True] * views if scene.placed is None else scene.placed.all(0).tolist()
+    return [i for i in range(views) if placed[i]], [i for i in range(views) if not placed[i]]
+
+
+def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
+    """The reconstruction without the Gaussians and cameras of views that could not be placed."""
+    if reconstruction.placed is None or bool(reconstruction.placed.all()):
+        return reconstruction
+    used, _ = _placed_and_not(reconstruction, reconstruction.placed.shape[1])
+    gaussians, cameras, measured = reconstruction.gaussians, reconstruction.cameras, reconstruction.measured
+    place = torch.full((reconstruction.placed.shape[1] + 1,), -1, device=gaussians.means.device)  # last: of no view
+    place[used] = torch.arange(len(used), device=place.device)
+    kept = gaussians.select((place[gaussians.view_index] >= 0) | (gaussians.view_index < 0))
+    return replace(
+        reconstruction,
+        gaussians=replace(kept, view_index=place[kept.view_index]),
+        cameras=cameras.select(used),
+        measured=measured[:, used] if measured is not None else None,
+    )
 
 
 def _masks_of_change(

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from edit3r.earlier_run import note_views
-from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.images import LoadedPhotos, save_pixels, to_bytes
@@ -19,9 +18,10 @@ from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer
+from edit3r.rendering import path_around, render_one
 from edit3r.reporting import collecting, note, track, warn
-from edit3r.stage_checks import check_rendering, component_name, errors_named_after
-from edit3r.types import Cameras, Gaussians, Rendering
+from edit3r.stage_checks import component_name
+from edit3r.types import Cameras, Gaussians
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
@@ -36,7 +36,6 @@ def write(
     result: "RunResult",
     photos: LoadedPhotos,
     masks: dict[str, str],
-    rasterizer: Rasterizer,
     config: "RunConfig",
 ) -> None:
     """Render and write everything into the existing folder `root`; `masks` is mask file to sha256."""
@@ -44,12 +43,10 @@ def write(
     report = result.report
     with collecting(report), torch.no_grad():
         with report.stage("render"):
-            rendered = render_each(rasterizer, result.gaussians, result.cameras, "render input views")
-            path = path_around(result.cameras, rendered, config.frames)
-            frames = _frames(rasterizer, result.gaussians, path)
-            note("render.coverage_of_input_views", [round(float(a.mean()), 4) for a in rendered.alphas[0]])
+            path = path_around(result.cameras, result.rendered, config.frames)
+            frames = _frames(result.rasterizer, result.gaussians, path)
         with report.stage("write files"):
-            _write_images(folder, result, rendered, frames)
+            _write_images(folder, result, frames)
             _write_scene(folder, result)
             names = [f"inputs/{name}.png" for name in result.photos.names]
             write_cameras(folder.cameras, posed_cameras(result.cameras, names))
@@ -59,32 +56,13 @@ def write(
             result.cache.save(root / CACHE)
             note_views(result.photos)
             note("edits", list(result.prompts))
-    write_manifest(folder.manifest, _manifest(result, photos, masks, rasterizer, config))
-
-
-def render_each(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, text: str) -> Rendering:
-    """Render camera by camera, showing progress."""
-    parts = [_render_one(rasterizer, gaussians, cameras.select([i])) for i in track(range(cameras.count), text)]
-    return Rendering(*(torch.cat([getattr(p, name) for p in parts], 1) for name in ("images", "alphas", "depths")))
-
-
-def _render_one(rasterizer: Rasterizer, gaussians: Gaussians, camera: Cameras) -> Rendering:
-    with errors_named_after(rasterizer):
-        rendering = rasterizer.render(gaussians, camera)
-    check_rendering(rasterizer, gaussians, camera, rendering)
-    return rendering
-
-
-def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
-    """A camera path between and around `cameras`, whose swing is bounded by the depth of what they show."""
-    seen = rendered.depths[rendered.alphas > 0.5]
-    return between_and_around(cameras, frames, float(seen.median()) if seen.numel() else None)
+    write_manifest(folder.manifest, _manifest(result, photos, masks, config))
 
 
 def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
     """One image of 8-bit pixels [height, width, 3] for each camera of the path."""
     cameras = track(range(path.count), "render camera path")
-    return [to_bytes(_render_one(rasterizer, gaussians, path.select([index])).images[0, 0]) for index in cameras]
+    return [to_bytes(render_one(rasterizer, gaussians, path.select([index])).images[0, 0]) for index in cameras]
 
 
 def _write_scene(folder: RunFolder, result: "RunResult") -> None:
@@ -97,8 +75,8 @@ def _write_scene(folder: RunFolder, result: "RunResult") -> None:
     save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
 
 
-def _write_images(folder: RunFolder, result: "RunResult", rendered: Rendering, frames: list[Pixels]) -> None:
-    views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), rendered.images[0].clamp(0, 1).cpu()]
+def _write_images(folder: RunFolder, result: "RunResult", frames: list[Pixels]) -> None:
+    views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), result.rendered.images[0].clamp(0, 1).cpu()]
     jobs = [
         (to_bytes(picture), directory / f"{name}.png")
         for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
@@ -107,16 +85,17 @@ def _write_images(folder: RunFolder, result: "RunResult", rendered: Rendering, f
     jobs += [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(frames)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
         list(pool.map(lambda job: save_pixels(*job), jobs))
-    subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}"
+    subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}; "
+    subtitle += f"verdict: {result.verdict.label}"
+    if result.left_out is not None:
+        subtitle += f"; left out: {', '.join(result.left_out.names)}"
     title = result.request.prompt or "no prompt"
     save_before_after(folder.before_after, *views, names=result.photos.names, title=title, subtitle=subtitle)
 
 
-def _manifest(
-    result: "RunResult", photos: LoadedPhotos, masks: dict[str, str], rasterizer: Rasterizer, config: "RunConfig"
-) -> RunManifest:
+def _manifest(result: "RunResult", photos: LoadedPhotos, masks: dict[str, str], config: "RunConfig") -> RunManifest:
     report = result.report
-    components = {"editor": result.editor, "reconstructor": result.reconstructor, "rasterizer": rasterizer}
+    components = {"editor": result.editor, "reconstructor": result.reconstructor, "rasterizer": result.rasterizer}
     weights = [WeightsRecord(**value) for key, value in report.notes.items() if key.startswith("weights.")]
     settings: dict[str, Any] = {"run": config.model_dump(), **{k: c.settings for k, c in components.items()}}
     used = set(result.photos.names)
@@ -129,6 +108,7 @@ def _manifest(
         inputs=[photo for photo in photos.photos if photo.name in used],
         masks=masks,
         weights=weights,
+        verdict=result.verdict,
         gaussians=result.gaussians.count,
         harmonics_degree=result.gaussians.degree,
         stages=report.stages,
@@ -152,6 +132,7 @@ def summary(out: Path, result: "RunResult") -> str:
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
     return (
+        f"{result.verdict.label}: {result.verdict.reason}\n"
         f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s\n"
         f"  look first   {folder.before_after}\n"
         f"  walk around  {folder.viewer} (opens in a browser, no network needed)\n"

@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 MAX_DEGREE = 4
@@ -94,6 +94,10 @@ class EditRequest(_Tensors):
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
+
+    def of_views(self, indices: Iterable[int]) -> "EditRequest":
+        """The same request for the views at `indices` only."""
+        return self if self.masks is None else replace(self, masks=self.masks[:, list(indices)])
 
 
 @dataclass(frozen=True)
@@ -209,6 +213,8 @@ class Reconstruction(_Tensors):
 
     gaussians: Gaussians
     cameras: Cameras | None = None  # the input views' predicted poses in the Gaussians' frame; None: not predicted
+    placed: Bool[Tensor, "batch view"] | None = None  # False: could not be placed; None: all were
+    measured: Float[Tensor, "batch view"] | None = None  # share of pixels whose depth was measured; None: unknown
 
 
 @dataclass(frozen=True)

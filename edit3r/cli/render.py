@@ -34,8 +34,9 @@ class RenderCommand(Command):
         from edit3r.io.video import save_video
         from edit3r.io.viewer import save_viewer
         from edit3r.registry import default_registry
+        from edit3r.rendering import path_around, render_each
         from edit3r.reporting import Report, collecting
-        from edit3r.results import VIDEO_FPS, path_around, render_each
+        from edit3r.results import VIDEO_FPS
 
         settings = parse_assignments(args.set)
         if set(settings) - {"rasterizer"}:

@@ -11,6 +11,7 @@ from pydantic.fields import FieldInfo
 
 from edit3r.command import Command
 from edit3r.config import PartChoice
+from edit3r.errors import RunError
 from edit3r.run_config import DEFAULTS, PART_KEYS, RunConfig, make_run_config
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class RunCommand(Command):
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
+        add("--strict", action="store_true", help="end with exit code 1 when the verdict on the result is 'failed'")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
@@ -80,20 +82,20 @@ class RunCommand(Command):
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
             with atomic_folder(args.out) as folder:
-                rasterizer = registry.build_choice("rasterizer", config.rasterizer)
                 result = pipeline.run(
                     photos.views,
                     config,
                     masks=masks,
-                    components={"rasterizer": rasterizer},
                     registry=registry,
                     report=report,
                     cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
                     earlier=continued,
                 )
-                results.write(folder, result, photos, hashes, rasterizer, config)
+                results.write(folder, result, photos, hashes, config)
         if not args.quiet:
             print(results.summary(Path(args.out), result))
+        if args.strict and result.verdict.label == "failed":
+            raise RunError(f"the verdict is failed: {result.verdict.reason}")
         return 0
 
 

@@ -56,6 +56,7 @@ class RunManifest:
     inputs: Sequence[Photo]
     masks: Mapping[str, str]  # file: sha256
     weights: Sequence[WeightsRecord]
+    verdict: Any  # `edit3r.verdict.Verdict`
     gaussians: int
     harmonics_degree: int
     stages: Sequence[StageRecord]

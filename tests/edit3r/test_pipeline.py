@@ -179,7 +179,7 @@ def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_last(
 def test_stages_are_timed_in_order(views):
     result = run(views, "x", editor=Invert(), recon=Flat())
     names = [stage.name for stage in result.report.stages]
-    assert names == ["load components", "edit (Invert)", "reconstruct (Flat)"]
+    assert names == ["load components", "edit (Invert)", "reconstruct (Flat)", "check"]
     assert all(stage.seconds >= 0 for stage in result.report.stages)
 
 

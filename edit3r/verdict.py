@@ -1,0 +1,94 @@
+"""How good a run came out, judged without any truth: does the scene show its own input views?
+
+A scene whose rendering of a photo differs much from that (edited) photo shows other viewpoints no better. The
+thresholds were calibrated on views that no scene had seen; see docs/verdict.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.types import Rendering, Views
+
+Label = Literal["good", "fair", "poor", "failed"]
+
+MEAN_PSNR = {"good": 24.0, "fair": 20.0, "poor": 16.0}
+"""Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed."""
+WORST_PSNR = {"good": 22.0, "fair": 18.0, "poor": 14.0}
+"""Least PSNR [dB] of the worst placed input view for each label."""
+MOST_FILLED = {"good": 0.5, "fair": 0.8, "poor": 1.0}
+"""Largest share of a view's pixels whose depth may be guessed, for each label."""
+LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The label of a run, why, and the figures behind it; the lists have one entry for each photo used, in order."""
+
+    label: Label
+    reason: str  # one sentence that says what was found and what to do
+    input_psnr: tuple[float | None, ...]  # [dB] of each view's rendering against its edited image; None: left out
+    placed: tuple[bool, ...]  # False: the photo could not be placed and is left out
+    coverage: tuple[float | None, ...]  # share of the view's pixels that show Gaussians, in [0, 1]
+    filled: tuple[float | None, ...]  # share of the view's pixels whose depth was guessed; None: not known
+
+
+def judge(
+    edited: Views, rendered: Rendering, placed: Sequence[bool], measured: Float[Tensor, "batch view"] | None
+) -> Verdict:
+    """Judge the rendering of the placed views against their edited images.
+
+    `placed` has one entry for each photo used; `edited`, `rendered` and `measured` (share of pixels with measured
+    depth, None where nobody knows it) hold the placed ones only. Of several scenes the worst counts.
+    """
+    difference = rendered.images.clamp(0, 1) - edited.images
+    error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
+    psnr = (-10 * torch.log10(error)).tolist()
+    coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
+    filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
+    label, reason = _label(edited, psnr, filled, placed)
+    return Verdict(label, reason, *(_with_gaps(values, placed) for values in (psnr, placed, coverage, filled)))
+
+
+def _label(edited: Views, psnr: list[float], filled: list[float | None], placed: Sequence[bool]) -> tuple[Label, str]:
+    """The best label whose conditions hold, and one sentence for it."""
+    mean, worst = sum(psnr) / len(psnr), min(psnr)
+    guessed = max((share for share in filled if share is not None), default=0.0)
+    found = next(
+        (
+            label
+            for label in LABELS[:-1]
+            if mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label] and guessed <= MOST_FILLED[label]
+        ),
+        LABELS[-1],
+    )
+    left_out = len(placed) - sum(map(bool, placed))
+    if left_out and found == "good":
+        found = "fair"
+    name = edited.names[psnr.index(worst)] if edited.names else f"view {psnr.index(worst)}"
+    shown = f"the scene shows its photos at {mean:.1f} dB on average, the worst ({name}) at {worst:.1f} dB"
+    if left_out:
+        shown += f"; {left_out} of {len(placed)} photos could not be placed"
+    if guessed > MOST_FILLED["good"]:
+        shown += f"; up to {guessed:.0%} of a photo's depth is guessed"
+    return found, shown + _way_out(found, name, len(psnr)) + "."
+
+
+def _way_out(label: Label, worst: str, views: int) -> str:
+    if label == "good":
+        return ""
+    if views > 2:
+        return f"; leave {worst} out, or add photos between it and the others"
+    return "; take photos nearer to each other, or add some in between"
+
+
+def _with_gaps(values: Sequence, placed: Sequence[bool]) -> tuple:
+    """One entry for each photo used: the placed ones' values, None for those left out (False in `placed` itself)."""
+    if len(values) == len(placed):
+        return tuple(values)
+    rest = iter(values)
+    return tuple(next(rest) if there else None for there in placed)
