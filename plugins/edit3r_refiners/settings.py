@@ -1,8 +1,35 @@
-"""How much a simplification may change."""
+"""What a user may ask of `simplify`: how many Gaussians, and how much the pictures may change."""
+
+from typing import Any, Literal
 
 from pydantic import Field
 
 from edit3r.config import Settings
+
+Budget = Literal["auto", "all"] | int
+"""How many Gaussians may be left: those the scene requires, all of them, or a number."""
+
+
+def parse_budget(value: Any) -> Budget:
+    """Return `"auto"`, `"all"`, or a number of at least 1 that may be given as text; anything else is a ValueError."""
+    if value in ("auto", "all"):
+        return value
+    try:
+        number = int(str(value))
+    except ValueError:
+        number = 0
+    if number < 1 or isinstance(value, bool):
+        raise ValueError("expected auto, all or a number of at least 1")
+    return number
+
+
+def passes(budget: Budget, most: int | None = None) -> list[int | None]:
+    """List the numbers to simplify to, one after the other; None stands for what the scene requires.
+
+    `most` is a limit that holds on top of the budget.
+    """
+    asked = {"all": [], "auto": [None]}.get(budget, [budget])
+    return asked if most is None else [*asked, most]
 
 
 class SimplifySettings(Settings):

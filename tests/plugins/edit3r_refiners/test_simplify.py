@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 from edit3r_measure.evaluation.metrics import psnr
-from edit3r_refiners.simplify import SimplifySettings, simplify
+from edit3r_refiners.settings import SimplifySettings
+from edit3r_refiners.simplify import simplify
 
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.testing.contract import Contract

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import torch
-from edit3r_refiners.simplify.duplicates import duplicates
-from edit3r_refiners.simplify.placement import place
-from edit3r_refiners.simplify.settings import SimplifySettings
+from edit3r_refiners.merging import duplicates, place
+from edit3r_refiners.settings import SimplifySettings
 
 from edit3r.geometry.harmonics import colour_to_dc
 

@@ -2,8 +2,9 @@
 
 import pytest
 import torch
-from edit3r_refiners.simplify import SimplifySettings, simplify
-from edit3r_refiners.simplify.degree import needed_degree
+from edit3r_refiners.importance import drop_unneeded_harmonics
+from edit3r_refiners.settings import SimplifySettings
+from edit3r_refiners.simplify import simplify
 
 from edit3r.io.ply import load_ply, save_ply
 from edit3r.types import Gaussians
@@ -27,14 +28,14 @@ def with_bands(gaussians: Gaussians, degree: int, strength: float, only: slice =
 
 def test_bands_that_are_zero_are_not_even_rendered():
     gaussians, cameras, _ = textured()
-    assert needed_degree(with_bands(gaussians, 3, 0.0), [cameras], None, STEP).degree == 0
+    assert drop_unneeded_harmonics(with_bands(gaussians, 3, 0.0), [cameras], None, STEP).degree == 0
 
 
 @pytest.mark.parametrize(("strength", "left"), [(1e-4, 0), (0.3, 2)])
 def test_bands_go_where_no_pixel_changes_by_a_step_of_eight_bits(rasterizer, strength, left):
     gaussians, cameras, _ = textured()
     coloured = with_bands(gaussians, 2, strength)
-    fewer = needed_degree(coloured, [cameras], rasterizer, STEP)
+    fewer = drop_unneeded_harmonics(coloured, [cameras], rasterizer, STEP)
     assert fewer.degree == left
     before, after = (rasterizer.render(g, cameras).images for g in (coloured, fewer))
     assert float((before - after).abs().amax()) <= STEP
@@ -44,7 +45,10 @@ def test_one_gaussian_that_shines_to_one_side_keeps_its_bands(rasterizer):
     gaussians, cameras, _ = textured()
     middle = gaussians.count // 4 + 32
     assert (
-        needed_degree(with_bands(gaussians, 1, 2.0, slice(middle, middle + 1)), [cameras], rasterizer, STEP).degree == 1
+        drop_unneeded_harmonics(
+            with_bands(gaussians, 1, 2.0, slice(middle, middle + 1)), [cameras], rasterizer, STEP
+        ).degree
+        == 1
     )
 
 

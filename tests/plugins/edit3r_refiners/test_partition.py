@@ -4,9 +4,9 @@ from functools import cache
 
 import pytest
 import torch
-from edit3r_refiners.simplify.partition import Cells, count_left, measure_cells, own_price, partition, price_for
-from edit3r_refiners.simplify.placement import place
-from edit3r_refiners.simplify.settings import SimplifySettings
+from edit3r_refiners.merging import place
+from edit3r_refiners.partition import Cells, count_left, measure_cells, partition, price_for_count, scene_price
+from edit3r_refiners.settings import SimplifySettings
 
 from .scenes import cameras_side_by_side, gaussian_per_pixel
 
@@ -75,20 +75,20 @@ def test_count_left_is_what_partition_leaves_and_falls_with_the_price(cells):
 
 @pytest.mark.parametrize("most", [4, 17, 40, 63])
 def test_price_for_keeps_to_the_budget_and_uses_it(cells, most):
-    price = price_for(cells, most)
+    price = price_for_count(cells, most)
     assert count_left(cells, price) <= most < count_left(cells, price / 1.05) + 1
 
 
-def own_price_of_noise(amplitude: float) -> float:
+def scene_price_of_noise(amplitude: float) -> float:
     noise = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1)) - 0.5
-    return own_price(measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0)), SimplifySettings())
+    return scene_price(measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0)), SimplifySettings())
 
 
 def test_the_price_of_a_scene_follows_the_variance_of_its_finest_detail_within_bounds():
-    assert own_price_of_noise(0.12) == pytest.approx(4 * own_price_of_noise(0.06), rel=1e-3)
+    assert scene_price_of_noise(0.12) == pytest.approx(4 * scene_price_of_noise(0.06), rel=1e-3)
     highest = SimplifySettings().price
-    assert own_price_of_noise(0) == pytest.approx(highest / 10)
-    assert own_price_of_noise(1) == highest
+    assert scene_price_of_noise(0) == pytest.approx(highest / 10)
+    assert scene_price_of_noise(1) == highest
 
 
 def test_a_step_in_depth_is_never_bridged_at_any_price():
