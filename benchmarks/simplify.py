@@ -21,8 +21,8 @@ import torch
 from edit3r_measure.evaluation.metrics import psnr, ssim
 from edit3r_measure.evaluation.novel_view import views_of
 from edit3r_refiners.refine import refine
-from edit3r_refiners.simplify import SimplifySettings, simplify
-from edit3r_refiners.simplify.simplification import POLISH
+from edit3r_refiners.settings import SimplifySettings
+from edit3r_refiners.simplify import POLISH, simplify
 from simplify_scenes import HeldOut, flat_wall, procedural_scenes, real_scenes
 
 import edit3r

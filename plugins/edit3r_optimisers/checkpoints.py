@@ -13,11 +13,9 @@ from edit3r.errors import InputError, RunError
 from edit3r.io.run_folder import atomic_write
 from edit3r.reporting import note
 
-__all__ = ["Checkpoints", "Keeper", "fingerprint"]
-
 
 def fingerprint(*parts: Any) -> str:
-    """A name for exactly these inputs: tensors by their bytes, anything else by its text."""
+    """Return a name for exactly these inputs: tensors count by their bytes, anything else by its text."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Tensor):
@@ -30,14 +28,14 @@ def fingerprint(*parts: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Keeper:
-    """One fit's checkpoint file."""
+class CheckpointFile:
+    """The checkpoint of one fit."""
 
     path: Path
     every: int  # steps
 
     def load(self) -> dict[str, Any] | None:
-        """What was saved last, None when nothing was."""
+        """Return what was saved last, or None; raises InputError for a file that is no checkpoint."""
         if not self.path.is_file():
             return None
         try:
@@ -61,22 +59,22 @@ class Keeper:
 
 @dataclass
 class Checkpoints:
-    """The checkpoints of one call of a method."""
+    """The checkpoint files of one scene's fits."""
 
     folder: Path | None  # None: none are kept
     every: int  # steps
     _used: list[Path] = field(default_factory=list)
 
-    def keeper(self, name: str, *made_from: Any) -> Keeper | None:
-        """Where the fit `name`, made from these inputs, is kept."""
+    def file(self, name: str, *made_from: Any) -> CheckpointFile | None:
+        """Return the checkpoint file of the fit `name` with these inputs; None where none are kept."""
         if self.folder is None:
             return None
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"{name}-{fingerprint(*made_from)}.pt"
         self._used.append(path)
-        return Keeper(path, self.every)
+        return CheckpointFile(path, self.every)
 
     def discard(self) -> None:
-        """Delete what was used: the work is done."""
+        """Delete the files that were used, because the work is done."""
         for path in self._used:
             path.unlink(missing_ok=True)

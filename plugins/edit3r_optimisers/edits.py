@@ -1,4 +1,4 @@
-"""How the methods call the editor: its contract is kept, masks confine it, and it may start from another picture."""
+"""What the methods ask the editor: edits confined to the masks, edits that begin from an image, renders to edit."""
 
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
@@ -7,18 +7,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.interfaces import Editor
+from edit3r.interfaces import Editor, Rasterizer
 from edit3r.pipeline import composite
 from edit3r.reporting import warn
 from edit3r.stage_checks import blaming, check_edit, component_name
-from edit3r.types import EditRequest, Views
-
-__all__ = ["StartsFromPictures", "edited", "edited_from", "for_views"]
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 
 @runtime_checkable
-class StartsFromPictures(Protocol):
-    """An editor that can begin its edit of `views` from other pictures of the same views.
+class StartsFromImages(Protocol):
+    """An editor that can begin its edit of `views` from other images of the same views.
 
     A diffusion editor adds noise to `start` at `strength` of its way (1: nothing but noise is left) and removes it
     with `views` and the prompt as conditions (Instruct-NeRF2NeRF, section 4.2).
@@ -31,7 +29,7 @@ class StartsFromPictures(Protocol):
 
 @torch.no_grad()
 def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
-    """The edit, held to the editor's contract and confined to the request's masks."""
+    """Edit the views; the answer is held to the editor's contract and confined to the request's masks."""
     with blaming(editor):
         answer = editor.edit(views, request)
     return _confined(editor, views, answer, request)
@@ -45,11 +43,11 @@ def edited_from(
     request: EditRequest,
     strength: float,
 ) -> Views:
-    """The edit of `views` begun from the pictures `start`; `strength` in [0, 1] says how little of them stays.
+    """Edit `views`, beginning from the images `start`; `strength` in [0, 1] says how little of them stays.
 
-    An editor that cannot begin from pictures edits anew, and its result is mixed with them; the run says so.
+    An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
     """
-    if isinstance(editor, StartsFromPictures):
+    if isinstance(editor, StartsFromImages):
         with blaming(editor):
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)
@@ -63,12 +61,33 @@ def edited_from(
 
 
 def for_views(request: EditRequest, indices: list[int]) -> EditRequest:
-    """The request with the masks of some views."""
+    """Return the request with the masks of some views only."""
     return replace(request, masks=None if request.masks is None else request.masks[:, indices])
 
 
 def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest) -> Views:
+    """Check the editor's answer and keep it inside the request's masks."""
     check_edit(editor, views, answer)
     if request.masks is None:
         return replace(views, images=answer.images)
     return replace(views, images=composite(views.images, answer.images, request.masks))
+
+
+@torch.no_grad()
+def rendered(gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer) -> Views:
+    """Return the views as the fitted scene shows them."""
+    return replace(photos, images=rasterizer.render(gaussians, cameras).images.clamp(0, 1), c2w=cameras.c2w)
+
+
+@torch.no_grad()
+def depths_of(
+    gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
+) -> tuple[Float[Tensor, "view height width"], Float[Tensor, "view height width"]]:
+    """Return camera z of every pixel of one scene, and its alpha.
+
+    Where a pixel shows nothing, z is the farthest depth of that view.
+    """
+    seen = rasterizer.render(gaussians, cameras)
+    depths, alphas = seen.depths[0, :, 0], seen.alphas[0, :, 0]
+    farthest = depths.amax((1, 2), keepdim=True).clamp(min=1e-6)
+    return torch.where(depths > 0, depths, farthest), alphas

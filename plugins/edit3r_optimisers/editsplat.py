@@ -1,22 +1,32 @@
-"""The reconstructor `editsplat`: edits are fused across views and redone, attended Gaussians trimmed, then a fit."""
+"""The reconstructor `editsplat`: edits are fused across views and redone, attended Gaussians trimmed, then a fit.
 
-from dataclasses import replace
+EditSplat (Lee et al. 2025): section 3.2 projects edited neighbours into a view and blends them; section 3.3 carries
+attention maps of the edit to the Gaussians and prunes a share of the most attended before the second fit.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Bool, Float
 from pydantic import Field
+from torch import Tensor
 
+from edit3r.geometry.cameras import project, unproject
+from edit3r.geometry.harmonics import DC
+from edit3r.geometry.warping import warp
+from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note, track
-from edit3r.types import Cameras, Gaussians, Views
-from edit3r_optimisers.edits import edited, edited_from, for_views
-from edit3r_optimisers.fitting import FixedPictures
-from edit3r_optimisers.fusion import fuse, nearest_views
-from edit3r_optimisers.method import FittingMethod
-from edit3r_optimisers.renders import depths_of
-from edit3r_optimisers.scenes import Scene
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
+from edit3r_optimisers.edits import depths_of, edited, edited_from, for_views
+from edit3r_optimisers.fitting import FixedImages
+from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
-from edit3r_optimisers.trimming import attention_maps, attention_of, trim
 
-__all__ = ["EditSplatReconstructor"]
+DEPTH_TOLERANCE = 0.03
+"""Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees another surface."""
+OWN_WEIGHT = 0.25
+"""Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no neighbour looks."""
 
 
 class EditSplatReconstructor(FittingMethod):
@@ -36,19 +46,15 @@ class EditSplatReconstructor(FittingMethod):
             0.5, ge=0, le=1, description="attention from which a Gaussian counts as attended; the most is 1"
         )
 
-    @torch.no_grad()
-    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = self.workshop()
-        gaussians, cameras = workshop.fit_photos(scene)
+    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        gaussians, cameras = self._fit_photos(scene)
         first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
         guided = self._guided(scene, first, gaussians, cameras)
         trimmed = self._trimmed(scene, guided, gaussians, cameras)
-        gaussians = workshop.fit_edits(trimmed, cameras, FixedPictures(guided.images[0]))
-        workshop.checkpoints.discard()
-        return gaussians, cameras
+        return self._fit_edits(scene, trimmed, cameras, FixedImages(guided.images[0])), cameras
 
     def _guided(self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras) -> Views:
-        """Every view edited again from the fusion of its neighbours' first edits."""
+        """Edit every view again from the fusion of its neighbours' first edits."""
         depths, _ = depths_of(gaussians, cameras, self.rasterizer)
         images = first.images.clone()
         for view in track(range(first.count), "edit from fused neighbours"):
@@ -59,8 +65,111 @@ class EditSplatReconstructor(FittingMethod):
         return replace(first, images=images)
 
     def _trimmed(self, scene: Scene, edits: Views, gaussians: Gaussians, cameras: Cameras) -> Gaussians:
+        """Remove the Gaussians that the edit attends to most, which hold back the second fit."""
         maps, told_by = attention_maps(self.editor, scene.photos, edits, scene.request)
         attention = attention_of(gaussians, cameras, maps, self.rasterizer)[0]
         kept = trim(attention, self.settings.trim, self.settings.attended)
         note("editsplat.trimmed", {"gaussians": int((~kept).sum()), "attention_told_by": told_by})
         return gaussians.select(kept) if kept.any() else gaussians
+
+
+@dataclass(frozen=True)
+class Fused:
+    """The edit of one view, blended from all of them."""
+
+    image: Float[Tensor, "3 height width"]
+    support: Float[Tensor, "height width"]  # summed weights of the neighbours; 0: only the view's own edit
+
+
+def fuse(
+    view: int,
+    neighbours: list[int],
+    edits: Float[Tensor, "view 3 height width"],
+    depths: Float[Tensor, "view height width"],
+    cameras: Cameras,
+) -> Fused:
+    """Project the edits of `neighbours` into `view` by depth and blend them with its own (section 3.2).
+
+    `depths` are camera z of the fitted scene. The paper chooses neighbours by ImageReward and the background by SAM,
+    which need weights; here each counts by how exactly its surface is the one that the view sees.
+    """
+    points = unproject(depths[view], cameras.intrinsics[0, view], cameras.c2w[0, view])
+    total, weights = OWN_WEIGHT * edits[view], torch.full_like(depths[view], OWN_WEIGHT)
+    for other in neighbours:
+        colours, weight = _seen_from(points, edits[other], depths[other], cameras.select([other]))
+        total, weights = total + weight * colours, weights + weight
+    return Fused(total / weights, weights - OWN_WEIGHT)
+
+
+def nearest_views(cameras: Cameras, view: int, count: int) -> list[int]:
+    """Return the `count` views whose cameras stand nearest, nearest first."""
+    centres = cameras.c2w[0, :, :3, 3]
+    order = (centres - centres[view]).norm(dim=-1).argsort(stable=True).tolist()
+    return [other for other in order if other != view][:count]
+
+
+def _seen_from(
+    points: Float[Tensor, "height width 3"],
+    edit: Float[Tensor, "3 height width"],
+    depth: Float[Tensor, "height width"],
+    camera: Cameras,
+) -> tuple[Float[Tensor, "3 height width"], Float[Tensor, "height width"]]:
+    """Return what one neighbour shows at the points of another view's pixels, and a weight in [0, 1]."""
+    coordinates, z = project(points.flatten(0, 1), camera.intrinsics[0, 0], camera.c2w[0, 0])
+    coordinates, z = coordinates.view(*depth.shape, 2), z.view(depth.shape)
+    sampled = warp(torch.cat((edit, depth[None])), coordinates)
+    inside = (z > 0) & ((coordinates >= 0) & (coordinates <= 1)).all(-1)
+    error = (sampled[3] - z) / (DEPTH_TOLERANCE * z.abs().clamp(min=1e-9))
+    return sampled[:3], torch.exp(-0.5 * error.square()) * inside
+
+
+@runtime_checkable
+class GivesAttention(Protocol):
+    """An editor that can say where an edit looks."""
+
+    def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
+        """Cross-attention of the prompt's words, any scale >= 0."""
+
+
+def attention_maps(
+    editor: Editor, photos: Views, edits: Views, request: EditRequest
+) -> tuple[Float[Tensor, "batch view height width"], str]:
+    """Return where the edit happens, in [0, 1] with the most at 1, and what tells it.
+
+    That is the editor's own attention; else the masks; else how much each pixel changed.
+    """
+    if isinstance(editor, GivesAttention):
+        maps, told_by = editor.attention(photos, request), "the editor's cross-attention"
+    elif request.masks is not None:
+        maps, told_by = request.masks, "the masks, the editor gives no attention"
+    else:
+        maps, told_by = (edits.images - photos.images).abs().mean(2), "the change of each pixel, no attention or masks"
+    return maps / maps.amax().clamp(min=1e-12), told_by
+
+
+def attention_of(
+    gaussians: Gaussians, cameras: Cameras, maps: Float[Tensor, "batch view h w"], rasterizer: Rasterizer
+) -> Float[Tensor, "batch gaussian"]:
+    """Return the mean of the maps over the pixels of each Gaussian, weighted by transmittance times alpha.
+
+    It is 0 for a Gaussian that no pixel shows. An image is linear in the colours, so the sum of map and weights and
+    the sum of weights are gradients by the constant harmonic of grey Gaussians.
+    """
+    grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
+    with torch.enable_grad():
+        images = rasterizer.render(replace(gaussians, harmonics=grey), cameras).images
+        # Two channels, two sums, one backward pass.
+        total = (images[:, :, 0] * maps).sum() + images[:, :, 1].sum()
+        (gradient,) = torch.autograd.grad(total, grey)
+    attended, drawn = gradient[:, :, 0, 0] / DC, gradient[:, :, 0, 1] / DC
+    return torch.where(drawn > 1e-6, attended / drawn.clamp(min=1e-6), torch.zeros_like(drawn))
+
+
+def trim(attention: Float[Tensor, "gaussian"], share: float, threshold: float) -> Bool[Tensor, "gaussian"]:
+    """Tell which to keep: all but the most attended `share` of those whose attention is at least `threshold` (3.3)."""
+    attended = attention >= threshold
+    count = round(share * int(attended.sum()))
+    order = torch.where(attended, attention, -1.0).argsort(descending=True, stable=True)
+    kept = torch.ones_like(attended)
+    kept[order[:count]] = False
+    return kept

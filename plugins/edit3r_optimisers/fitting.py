@@ -1,11 +1,12 @@
-"""Fit Gaussians to pictures from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al. 2023).
+"""Fit Gaussians to images from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al. 2023).
 
-One view a step, L1 and D-SSIM, Adam, density control. Same inputs, same result; a stopped fit continues from its
-checkpoint with the same bytes, because everything random is drawn from the seed and the step.
+One view a step, L1 and D-SSIM, Adam, density control. The same inputs give the same result, and a stopped fit
+continues from its checkpoint with the same bytes, because everything random is drawn from the seed and the step.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Protocol
 
 import torch
@@ -16,37 +17,37 @@ from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers import density_control
-from edit3r_optimisers.checkpoints import Keeper
-from edit3r_optimisers.cloud import Cloud, detached
-from edit3r_optimisers.density_control import Growth
-from edit3r_optimisers.photometric import photometric_loss
-from edit3r_optimisers.schedule import active_degree, step_sizes, view_at
+from edit3r_optimisers.checkpoints import CheckpointFile
+from edit3r_optimisers.density_control import DensityStatistics
 from edit3r_optimisers.settings import FitSettings
+from edit3r_optimisers.trainable import TrainableGaussians, detached
 
-__all__ = ["FitPlan", "Fitted", "FixedPictures", "Pictures", "fit", "scene_extent"]
+DETAIL_SHARE = 1 / 20  # harmonics above the constant move slower by this
+WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
+C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 
 
-class Pictures(Protocol):
-    """What is fitted to; it may change while the fit goes on."""
+class TargetImages(Protocol):
+    """The images that are fitted to; they may change while the fit goes on."""
 
     images: Float[Tensor, "view 3 height width"]
 
-    def before(self, step: int, scene: Callable[[], Gaussians]) -> None:
-        """Called before every step with a way to get the Gaussians so far."""
+    def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
+        """Called before every step with a function that returns the Gaussians so far."""
 
     def state(self) -> dict[str, Any]:
-        """What changed since the beginning, for checkpoints."""
+        """Return what changed since the beginning, for checkpoints."""
 
     def restore(self, state: dict[str, Any]) -> None: ...
 
 
 @dataclass
-class FixedPictures:
-    """Pictures that stay as they are."""
+class FixedImages:
+    """Target images that stay as they are."""
 
     images: Float[Tensor, "view 3 height width"]
 
-    def before(self, step: int, scene: Callable[[], Gaussians]) -> None:
+    def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
         pass
 
     def state(self) -> dict[str, Any]:
@@ -58,17 +59,17 @@ class FixedPictures:
 
 @dataclass(frozen=True)
 class FitPlan:
-    """How long, how and under which name."""
+    """How long and how to fit, and what the progress bar says."""
 
     settings: FitSettings
     steps: int
     seed: int
-    text: str  # for the progress bar
+    text: str
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A scene, and the loss of each step before it was taken, each of one view."""
+    """A fitted scene, and the loss of each step before it was taken, each of one view."""
 
     gaussians: Gaussians
     losses: tuple[float, ...]
@@ -77,25 +78,25 @@ class Fitted:
 def fit(
     start: Gaussians,
     cameras: Cameras,
-    pictures: Pictures,
+    targets: TargetImages,
     rasterizer: Rasterizer,
     plan: FitPlan,
-    keeper: Keeper | None = None,
+    checkpoint: CheckpointFile | None = None,
 ) -> Fitted:
-    """Move, add and remove Gaussians of one scene (batch 1) until they look like `pictures` from `cameras`."""
-    run = _Fit(start, cameras, pictures, rasterizer, plan)
-    first = run.resume(keeper)
+    """Move, add and remove Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
+    run = _Fit(start, cameras, targets, rasterizer, plan)
+    first = run.resume(checkpoint)
     for step in range(first, plan.steps):
         run.step(step)
         done = step + 1
         progress(plan.text, done, plan.steps)
-        if keeper is not None and (done % keeper.every == 0 or done == plan.steps):
-            keeper.save(run.state(done))
-    return Fitted(detached(run.cloud.gaussians()), tuple(run.losses))
+        if checkpoint is not None and (done % checkpoint.every == 0 or done == plan.steps):
+            checkpoint.save(run.state(done))
+    return Fitted(detached(run.scene.gaussians()), tuple(run.losses))
 
 
 def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:
-    """Median distance from cameras to Gaussians [scene units].
+    """Return the median distance from cameras to Gaussians of one scene [scene units].
 
     The paper takes the cameras' distance from their middle, which is the same for cameras around a scene but next to
     nothing for two photos taken a step apart.
@@ -108,56 +109,124 @@ class _Fit:
     """A fit in progress."""
 
     def __init__(
-        self, start: Gaussians, cameras: Cameras, pictures: Pictures, rasterizer: Rasterizer, plan: FitPlan
+        self, start: Gaussians, cameras: Cameras, targets: TargetImages, rasterizer: Rasterizer, plan: FitPlan
     ) -> None:
-        self.cameras, self.pictures, self.rasterizer, self.plan = cameras, pictures, rasterizer, plan
+        self.cameras, self.targets, self.rasterizer, self.plan = cameras, targets, rasterizer, plan
         self.extent = scene_extent(start, cameras)
-        self.cloud = Cloud(start, plan.settings.degree)
-        self.growth = Growth.of(len(self.cloud), start.means)
+        self.scene = TrainableGaussians(start, plan.settings.degree)
+        self.statistics = DensityStatistics.of(len(self.scene), start.means)
         self.losses: list[float] = []
 
     def step(self, step: int) -> None:
-        """Look at one view, move a little, and add and remove Gaussians where that is due."""
+        """Render one view, take one step of Adam, and add and remove Gaussians where that is due."""
         settings, steps = self.plan.settings, self.plan.steps
-        self.pictures.before(step, lambda: detached(self.cloud.gaussians()))
+        self.targets.before_step(step, lambda: detached(self.scene.gaussians()))
         view = view_at(step, self.cameras.count, self.plan.seed)
         camera = self.cameras.select([view])
         with torch.enable_grad():
-            scene = self.cloud.gaussians(active_degree(settings, step, steps))
-            seen = self.rasterizer.render(scene, camera).images[0, 0]
-            loss = photometric_loss(seen, self.pictures.images[view], settings.ssim)
-            gradients = self.cloud.gradients(loss)
+            gaussians = self.scene.gaussians(active_degree(settings, step, steps))
+            image = self.rasterizer.render(gaussians, camera).images[0, 0]
+            loss = photometric_loss(image, self.targets.images[view], settings.ssim)
+            gradients = self.scene.gradients(loss)
         self.losses.append(float(loss.detach()))
-        if density_control.is_watching(settings, step + 1, steps):
-            self.growth.add(self.cloud.rows, gradients.means, camera)
-        self.cloud.step(gradients, step_sizes(settings, step, steps, self.extent))
-        self._control(step + 1)
+        if density_control.needs_statistics(settings, step + 1, steps):
+            self.statistics.add(self.scene.parameters, gradients.means, camera)
+        self.scene.step(gradients, step_sizes(settings, step, steps, self.extent))
+        self._control_density(step + 1)
 
-    def _control(self, done: int) -> None:
+    def _control_density(self, done: int) -> None:
         settings, steps = self.plan.settings, self.plan.steps
         if density_control.is_due(settings, done, steps):
-            density_control.control(self.cloud, self.growth, settings, self.extent, done, self.plan.seed)
-            self.growth = Growth.of(len(self.cloud), self.cloud.rows.means.detach())
-        if density_control.must_reset(settings, done, steps):
-            self.cloud.cap_opacities(density_control.RESET_OPACITY)
+            density_control.control_density(self.scene, self.statistics, settings, self.extent, done, self.plan.seed)
+            self.statistics = DensityStatistics.of(len(self.scene), self.scene.parameters.means.detach())
+        if density_control.is_reset_due(settings, done, steps):
+            self.scene.cap_opacities(density_control.RESET_OPACITY)
 
     def state(self, done: int) -> dict[str, Any]:
-        growth = {name: value.clone() for name, value in vars(self.growth).items()}
+        """Return the checkpoint after `done` steps."""
+        statistics = {name: value.clone() for name, value in vars(self.statistics).items()}
         return {
             "step": done,
-            "cloud": self.cloud.state(),
-            "growth": growth,
+            "scene": self.scene.state(),
+            "statistics": statistics,
             "losses": self.losses,
-            "pictures": self.pictures.state(),
+            "targets": self.targets.state(),
         }
 
-    def resume(self, keeper: Keeper | None) -> int:
-        """Take up what the keeper has; the step to go on with."""
-        content = keeper.load() if keeper is not None else None
+    def resume(self, checkpoint: CheckpointFile | None) -> int:
+        """Restore what the checkpoint holds and return the step to go on with."""
+        content = checkpoint.load() if checkpoint is not None else None
         if content is None:
             return 0
-        self.cloud.restore(content["cloud"])
-        self.growth = Growth(**content["growth"])
+        self.scene.restore(content["scene"])
+        self.statistics = DensityStatistics(**content["statistics"])
         self.losses = list(content["losses"])
-        self.pictures.restore(content["pictures"])
+        self.targets.restore(content["targets"])
         return content["step"]
+
+
+def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> dict[str, float]:
+    """Return Adam's step size of each parameter at `step` in [0, steps).
+
+    The centres' falls log-linearly, the others stay (3D Gaussian Splatting, released code).
+    """
+    start, end = settings.means_rate, settings.means_rate_end
+    share = step / max(1, steps - 1)
+    means = start ** (1 - share) * end**share if start > 0 and end > 0 else start
+    return {
+        "means": means * extent,
+        "scales": settings.scale_rate,
+        "quats": settings.rotation_rate,
+        "opacities": settings.opacity_rate,
+        "colour": settings.colour_rate,
+        "detail": settings.colour_rate * DETAIL_SHARE,
+    }
+
+
+def active_degree(settings: FitSettings, step: int, steps: int) -> int:
+    """Return the degree of the harmonics in use: from 0 up to the setting, each for an even share of the fit."""
+    return min(settings.degree, step * (settings.degree + 1) // steps)
+
+
+def view_at(step: int, views: int, seed: int) -> int:
+    """Return the view that a step renders: every view once a round, each round in its own random order."""
+    generator = torch.Generator().manual_seed((seed * 1_000_003 + step // views) % 2**63)
+    return int(torch.randperm(views, generator=generator)[step % views])
+
+
+def photometric_loss(
+    image: Float[Tensor, "3 height width"], target: Float[Tensor, "3 height width"], ssim: float
+) -> Float[Tensor, ""]:
+    """Return (1 - ssim) L1 + ssim D-SSIM, where D-SSIM is (1 - SSIM) / 2 (3D Gaussian Splatting, equation 7).
+
+    It is in [0, 1] for images in [0, 1], and 0 where they are equal.
+    """
+    difference = (image - target).abs().mean()
+    if ssim == 0:
+        return difference
+    return (1 - ssim) * difference + ssim * (1 - structural_similarity(image, target)) / 2
+
+
+def structural_similarity(a: Float[Tensor, "c height width"], b: Float[Tensor, "c height width"]) -> Float[Tensor, ""]:
+    """Return the mean SSIM over all windows inside the image; an image smaller than a window gets a smaller one.
+
+    Windows are matrix products: on a CPU a tenth of the time of a convolution's gradient, which bounds a whole fit.
+    """
+    rows, columns = (_windows(side, a.dtype, a.device) for side in a.shape[-2:])
+    stacked = torch.stack((a, b, a * a, b * b, a * b))
+    mean_a, mean_b, aa, bb, ab = (rows @ stacked @ columns.T).unbind(0)
+    luminance = (2 * mean_a * mean_b + C1) / (mean_a**2 + mean_b**2 + C1)
+    structure = (2 * (ab - mean_a * mean_b) + C2) / (aa - mean_a**2 + bb - mean_b**2 + C2)
+    return (luminance * structure).mean()
+
+
+@cache
+def _windows(side: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "position side"]:
+    """Return a matrix whose row k averages pixels k to k + WINDOW with Gaussian weights."""
+    length = min(WINDOW, side)
+    offsets = torch.arange(length, dtype=torch.float64) - (length - 1) / 2
+    weights = torch.exp(-0.5 * (offsets / SIGMA) ** 2)
+    matrix = torch.zeros(side - length + 1, side, dtype=torch.float64)
+    for position in range(len(matrix)):
+        matrix[position, position : position + length] = weights / weights.sum()
+    return matrix.to(device, dtype)

@@ -7,21 +7,33 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.interfaces import Editor, MatchedGeometry, Matcher, Rasterizer, Reconstructor
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import edited, for_views
-from edit3r_optimisers.fitting import FixedPictures
-from edit3r_optimisers.method import FittingMethod
-from edit3r_optimisers.renders import FittedGeometry, depths_of, rendered
-from edit3r_optimisers.scenes import Scene
+from edit3r_optimisers.edits import depths_of, edited, for_views, rendered
+from edit3r_optimisers.fitting import FixedImages
+from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
-
-__all__ = ["GaussCtrlReconstructor", "aligns_views", "chunks", "reference_views", "references_of", "takes_depth"]
 
 ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
 DEPTH = "edits are not conditioned on the fitted depth"
+OPAQUE = 0.5  # alpha from which a pixel's depth is the scene's
+
+Depths = Float[Tensor, "view height width"]
+
+
+class FittedGeometry(Matcher):
+    """Poses and depths of a fitted scene, for components that ask a matcher; it matches nothing."""
+
+    def __init__(self, cameras: Cameras, depths: Depths, alphas: Depths) -> None:
+        self.cameras, self.depths, self.alphas = cameras, depths, alphas
+
+    def match(self, views: Views) -> MatchedGeometry:
+        """Return the geometry of the views it was made for, whatever their images."""
+        registered = torch.ones(1, self.cameras.count, dtype=torch.bool, device=self.depths.device)
+        confidence = (self.alphas > OPAQUE).to(self.depths)
+        return MatchedGeometry(self.cameras.c2w, self.depths[None], confidence[None], registered)
 
 
 class GaussCtrlReconstructor(FittingMethod):
@@ -41,42 +53,38 @@ class GaussCtrlReconstructor(FittingMethod):
         self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
     ) -> None:
         super().__init__(settings, reconstructor, editor, rasterizer)
-        self._twin: Editor | None = None  # of the editor, to be given other depths; it shares the loaded weights
+        self._copy: Editor | None = None  # of the editor, to be given other depths; shares the weights
 
-    @torch.no_grad()
-    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = self.workshop()
-        gaussians, cameras = workshop.fit_photos(scene)
+    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        gaussians, cameras = self._fit_photos(scene)
         views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
         geometry = depths_of(gaussians, cameras, self.rasterizer)
         images = self._edited(views, cameras, geometry, scene.request)
-        gaussians = workshop.fit_edits(gaussians, cameras, FixedPictures(images))
-        workshop.checkpoints.discard()
-        return gaussians, cameras
+        return self._fit_edits(scene, gaussians, cameras, FixedImages(images)), cameras
 
     def _edited(
-        self, views: Views, cameras: Cameras, geometry: tuple[Tensor, Tensor], request: EditRequest
+        self, views: Views, cameras: Cameras, geometry: tuple[Depths, Depths], request: EditRequest
     ) -> Float[Tensor, "view 3 height width"]:
-        """All views, a few at a time, the reference views first in every call."""
-        self._say_what_is_missing()
+        """Edit all views, a few at a time, the reference views first in every call."""
+        self._warn_of_missing_abilities()
         together = self.settings.together
         references = reference_views(views.count, min(references_of(self.editor), together - 1))
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
-            editor = self._given(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
+            editor = self._editor_with(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
             answer = edited(editor, views.select(chunk), for_views(request, chunk))
             images[chunk] = answer.images[0]
         return images
 
-    def _given(self, geometry: FittedGeometry) -> Editor:
-        """The editor with the fitted scene in place of its matcher, where it has one; the original keeps its own."""
+    def _editor_with(self, geometry: FittedGeometry) -> Editor:
+        """Return a copy of the editor with the fitted scene as matcher, or the editor itself where it has none."""
         if not takes_depth(self.editor):
             return self.editor
-        self._twin = self._twin or copy(self.editor)
-        self._twin.matcher = geometry
-        return self._twin
+        self._copy = self._copy or copy(self.editor)
+        self._copy.matcher = geometry
+        return self._copy
 
-    def _say_what_is_missing(self) -> None:
+    def _warn_of_missing_abilities(self) -> None:
         name, aligns = component_name(self.editor), aligns_views(self.editor)
         conditioned = takes_depth(self.editor)
         note("gaussctrl.editor", {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned})
@@ -86,29 +94,29 @@ class GaussCtrlReconstructor(FittingMethod):
 
 
 def aligns_views(editor: Editor) -> bool:
-    """Whether the editor's views look at each other (setting `cross_view` of controlnet-depth)."""
+    """Tell whether the editor's views look at each other (setting `cross_view` of controlnet-depth)."""
     return getattr(getattr(editor, "settings", None), "cross_view", 0) > 0
 
 
 def takes_depth(editor: Editor) -> bool:
-    """Whether the editor reads depth from a matcher part that can be replaced."""
+    """Tell whether the editor reads depth from a matcher part that can be replaced."""
     matcher = getattr(editor, "parts", {}).get("matcher")
     own_network = getattr(getattr(editor, "settings", None), "depth_model", "")
     return matcher is not None and getattr(editor, "matcher", None) is matcher and not own_network
 
 
 def references_of(editor: Editor) -> int:
-    """How many views, from the first, the editor's other views look at; 0 for one whose views do not."""
+    """Return how many views, from the first, the editor's other views look at; 0 for one whose views do not."""
     return editor.settings.references if aligns_views(editor) else 0
 
 
 def reference_views(count: int, wanted: int) -> list[int]:
-    """`wanted` of `count` views, spread evenly; [] for none."""
+    """Choose `wanted` of `count` views, spread evenly; [] for none."""
     return sorted(set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist()))
 
 
 def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
-    """Calls of at most `together` views that between them edit every view; the references lead each of them."""
+    """List calls of at most `together` views that edit every view between them; the references lead each call."""
     others = [view for view in range(count) if view not in references]
     room = max(1, together - len(references))
     parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]

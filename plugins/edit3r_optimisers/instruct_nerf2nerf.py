@@ -1,17 +1,23 @@
-"""The reconstructor `instruct-nerf2nerf`: edits trickle into the pictures while the scene is fitted to them."""
+"""The reconstructor `instruct-nerf2nerf`: images are edited one after the other while the scene is fitted to them.
+
+Instruct-NeRF2NeRF's iterative dataset update (Haque et al. 2023, section 4.2): every few steps a view is rendered,
+noised, and denoised with the unedited photo as condition; the result replaces the view's image.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from pydantic import Field, model_validator
 
-from edit3r.interfaces import Editor
+from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note
-from edit3r.types import Cameras, Gaussians
-from edit3r_optimisers.dataset_update import Renewal, RenewedPictures
-from edit3r_optimisers.method import FittingMethod
-from edit3r_optimisers.scenes import Scene
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
+from edit3r_optimisers.edits import edited_from, for_views
+from edit3r_optimisers.fitting import view_at
+from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
-
-__all__ = ["InstructNerf2NerfReconstructor"]
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
@@ -36,21 +42,77 @@ class InstructNerf2NerfReconstructor(FittingMethod):
                 )
             return self
 
-    @torch.no_grad()
-    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        workshop = self.workshop()
-        gaussians, cameras = workshop.fit_photos(scene)
+    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        gaussians, cameras = self._fit_photos(scene)
         chosen = self.settings
         strengths = (chosen.least_strength, chosen.most_strength)
-        renewal = Renewal(chosen.every, chosen.views_at_once, strengths, chosen.fresh_noise)
-        pictures = RenewedPictures(scene.photos, cameras, scene.request, renewal, self.editor, self.rasterizer)
+        schedule = UpdateSchedule(chosen.every, chosen.views_at_once, strengths, chosen.fresh_noise)
+        targets = DatasetUpdate(scene.photos, cameras, scene.request, schedule, self.editor, self.rasterizer)
         asked = scene.request.prompt, scene.request.seed, scene.request.masks
-        gaussians = workshop.fit_edits(gaussians, cameras, pictures, *asked, renewal, *_identity(self.editor))
-        note("refit.edits_of_the_dataset", pictures.renewals)
-        workshop.checkpoints.discard()
+        gaussians = self._fit_edits(scene, gaussians, cameras, targets, *asked, schedule, *_identity(self.editor))
+        note("refit.edits_of_the_dataset", targets.updates)
         return gaussians, cameras
 
 
 def _identity(editor: Editor) -> tuple[str, str]:
-    """Which editor it is, so that a checkpoint made with another is not taken up."""
+    """Describe the editor, so that a checkpoint made with another is not continued."""
     return type(editor).__qualname__, repr(getattr(editor, "settings", None))
+
+
+@dataclass(frozen=True)
+class UpdateSchedule:
+    """When and how images are edited anew."""
+
+    every: int  # steps
+    views: int  # at once
+    strengths: tuple[float, float]  # least and most, in [0, 1]; 1: nothing of the render stays
+    fresh_noise: bool  # another seed for every edit
+
+
+class DatasetUpdate:
+    """Target images that start as the photos and are edited anew; `updates` counts the edits."""
+
+    def __init__(
+        self,
+        photos: Views,
+        cameras: Cameras,
+        request: EditRequest,
+        schedule: UpdateSchedule,
+        editor: Editor,
+        rasterizer: Rasterizer,
+    ) -> None:
+        self.photos, self.cameras, self.request, self.schedule = photos, cameras, request, schedule
+        self.editor, self.rasterizer = editor, rasterizer
+        self.images = photos.images[0].clone()
+        self.updates = 0
+
+    def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
+        if step % self.schedule.every == 0:
+            self._update(scene())
+
+    def state(self) -> dict[str, Any]:
+        return {"images": self.images.clone(), "updates": self.updates}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.images, self.updates = state["images"], state["updates"]
+
+    @torch.no_grad()
+    def _update(self, gaussians: Gaussians) -> None:
+        """Edit the next views, starting from how the scene shows them now."""
+        count = min(self.schedule.views, self.photos.count)
+        first = self.updates * count
+        # A round of all views may begin and end within one update; a view is edited once then.
+        views = list(dict.fromkeys(view_at(first + k, self.photos.count, self.request.seed) for k in range(count)))
+        start = self.rasterizer.render(gaussians, self.cameras.select(views)).images
+        request = for_views(self.request, views)
+        if self.schedule.fresh_noise:
+            request = replace(request, seed=self.request.seed + self.updates)
+        answer = edited_from(self.editor, self.photos.select(views), start, request, self._strength())
+        self.images[views] = answer.images[0]
+        self.updates += 1
+
+    def _strength(self) -> float:
+        """Draw the strength evenly between the limits, by seed and number of the edit."""
+        generator = torch.Generator().manual_seed(self.request.seed * 1_000_003 + self.updates)
+        least, most = self.schedule.strengths
+        return least + (most - least) * float(torch.rand((), generator=generator))

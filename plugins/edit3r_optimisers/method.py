@@ -1,17 +1,41 @@
-"""What a method is made of, the same for all four: settings, a first reconstruction, the editor, the rasterizer."""
+"""What the four methods share: one scene at a time, a fit to the photos, edits, and a fit to the edits."""
 
 from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Shaped
+from torch import Tensor
 
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.scenes import Scene, Workshop, each_scene
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.checkpoints import Checkpoints
+from edit3r_optimisers.fitting import FitPlan, FixedImages, TargetImages, fit
+from edit3r_optimisers.settings import FitSettings, MethodSettings
+from edit3r_optimisers.starting_points import begin
 
-__all__ = ["FittingMethod"]
+
+@dataclass(frozen=True)
+class Scene:
+    """One scene (batch 1) to edit."""
+
+    photos: Views  # unedited
+    edited: Views  # as the caller's editor made them; the photos themselves where it edited nothing
+    request: EditRequest
+    checkpoints: Checkpoints = field(repr=False)
+
+    @property
+    def is_edited(self) -> bool:
+        return not torch.equal(self.photos.images, self.edited.images)
 
 
 class FittingMethod(Reconstructor):
-    """A reconstructor that fits Gaussians scene by scene; a method fills in `_scene`."""
+    """A reconstructor that fits Gaussians scene by scene and edits in between; a method fills in `_reconstruct`."""
+
+    edits_views = True
 
     def __init__(
         self, settings: MethodSettings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
@@ -19,13 +43,84 @@ class FittingMethod(Reconstructor):
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
 
+    @torch.no_grad()
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
-        return each_scene(self.settings, views, source, request, self._scene)
-
-    def workshop(self) -> Workshop:
-        """The tools of one scene's fits."""
-        return Workshop(self.settings, self.reconstructor, self.editor, self.rasterizer)
+        """Reconstruct every scene of the batch by itself; without a request, prompt and seed are the settings' own."""
+        photos = views if source is None else source
+        if photos.c2w is None and views.c2w is not None:
+            photos = replace(photos, c2w=views.c2w)
+        request = request or EditRequest(self.settings.prompt, self.settings.seed)
+        folder = Path(self.settings.checkpoint) if self.settings.checkpoint else None
+        results = []
+        for item in range(len(views.images)):
+            asked = replace(request, masks=_item(request.masks, item))
+            checkpoints = Checkpoints(folder, self.settings.checkpoint_every)
+            scene = Scene(_views_of(photos, item), _views_of(views, item), asked, checkpoints)
+            results.append(self._reconstruct(scene))
+            checkpoints.discard()
+        return _batched(results)
 
     @abstractmethod
-    def _scene(self, scene: Scene) -> tuple[Gaussians, Cameras]:
-        """The edited scene, and its cameras in the frame of view 0."""
+    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        """Return the edited scene, and its cameras in the frame of view 0."""
+
+    def _fit_photos(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+        """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
+        start = begin(scene.photos, self.reconstructor, self.settings)
+        targets = FixedImages(scene.photos.images[0])
+        return self._fit(scene, "photos", start.gaussians, start.cameras, targets), start.cameras
+
+    def _fit_edits(
+        self, scene: Scene, start: Gaussians, cameras: Cameras, targets: TargetImages, *made_from: object
+    ) -> Gaussians:
+        """Fit the edits, beginning at `start`; `made_from` says what else decides how the targets change."""
+        return self._fit(scene, "edits", start, cameras, targets, *made_from)
+
+    def _fit(
+        self, scene: Scene, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages, *made_from: object
+    ) -> Gaussians:
+        steps = self.settings.steps if what == "photos" else self.settings.edit_steps
+        chosen = {name: getattr(self.settings, name) for name in FitSettings.model_fields}
+        plan = FitPlan(FitSettings(**chosen), steps, self.settings.seed, f"fit to the {what}")
+        tensors = start.means, start.scales, start.quats, start.opacities, start.harmonics
+        seen = cameras.c2w, cameras.intrinsics, targets.images
+        file = scene.checkpoints.file(what, *tensors, *seen, sorted(chosen.items()), steps, plan.seed, *made_from)
+        fitted = fit(start, cameras, targets, self.rasterizer, plan, file)
+        first, last = (sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:]))
+        facts = {"steps": steps, "gaussians": fitted.gaussians.count, "first_loss": first, "last_loss": last}
+        note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})
+        return fitted.gaussians
+
+
+def _views_of(views: Views, item: int) -> Views:
+    """Return one item of a batch of views, as a batch of one."""
+    fields = {name: _item(getattr(views, name), item) for name in ("images", "intrinsics", "c2w")}
+    return replace(views, **fields)
+
+
+def _item(tensor: Shaped[Tensor, "batch *shape"] | None, item: int) -> Shaped[Tensor, "1 *shape"] | None:
+    return None if tensor is None else tensor[item : item + 1]
+
+
+def _batched(results: list[tuple[Gaussians, Cameras]]) -> Reconstruction:
+    """Join scenes to one batch; those with fewer Gaussians are filled up with transparent ones."""
+    most = max(gaussians.count for gaussians, _ in results)
+    filled = [_filled(gaussians, most) for gaussians, _ in results]
+    names = ("means", "scales", "quats", "opacities", "harmonics")
+    fields = {name: torch.cat([getattr(gaussians, name) for gaussians in filled]) for name in names}
+    # One index serves the whole batch, so scenes that were fitted apart have none.
+    view_index = filled[0].view_index if len(filled) == 1 else None
+    cameras = [cameras for _, cameras in results]
+    c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
+    return Reconstruction(Gaussians(**fields, view_index=view_index), Cameras(c2w, intrinsics, cameras[0].image_size))
+
+
+def _filled(gaussians: Gaussians, count: int) -> Gaussians:
+    """Append transparent copies of the first Gaussian, up to `count`."""
+    missing = count - gaussians.count
+    if missing == 0:
+        return gaussians
+    index = torch.cat((torch.arange(gaussians.count), torch.zeros(missing, dtype=torch.int64)))
+    grown = gaussians.select(index.to(gaussians.means.device))
+    shown = F.pad(torch.ones(gaussians.count), (0, missing)).to(grown.opacities)
+    return replace(grown, opacities=grown.opacities * shown)

@@ -1,4 +1,4 @@
-"""Where a fit begins: a reconstruction carried to the known poses, or random points."""
+"""Where a fit begins: a reconstruction moved to the known poses, or random points."""
 
 from dataclasses import dataclass, replace
 
@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from edit3r.errors import InputError, MatchingError
+from edit3r.geometry.alignment import median_scale, scale_poses
 from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.pose import estimate_cameras
@@ -17,8 +18,6 @@ from edit3r.reporting import note, warn
 from edit3r.stage_checks import blaming, check_reconstruction
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_optimisers.settings import MethodSettings
-
-__all__ = ["Start", "begin", "carried", "random_points", "thinned"]
 
 RANDOM_OPACITY = 0.1  # 3D Gaussian Splatting, released code
 RANDOM_DEPTHS = (0.3, 3.0)  # nearest and farthest random point, in distances to where the cameras look
@@ -36,7 +35,9 @@ class Start:
 
 
 def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings) -> Start:
-    """First Gaussians for one scene's unedited photos (batch 1); poses are the known ones, else the reconstruction's.
+    """Return the first Gaussians for one scene's unedited photos (batch 1) and the poses of the photos.
+
+    The poses are the known ones, else those of the reconstruction.
 
     Raises MatchingError when neither is there, InputError for random points without known poses.
     """
@@ -57,14 +58,14 @@ def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings)
             raise
         warn(f"the first reconstruction failed ({error}); poses are known, so the fit begins from random points.")
         return Start(random_points(photos, known, settings.points, settings.seed), known)
-    gaussians = first.gaussians if known is None else carried(first.gaussians, first.cameras, known)
+    gaussians = first.gaussians if known is None else moved_to(first.gaussians, first.cameras, known)
     gaussians = replace(gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY))
     note("refit.first_gaussians", min(gaussians.count, settings.points))
     return Start(thinned(gaussians, settings.points, settings.seed), known or first.cameras)
 
 
 def _reconstructed(photos: Views, reconstructor: Reconstructor) -> Reconstruction:
-    """The reconstruction of unedited photos with cameras, without transparent Gaussians."""
+    """Reconstruct the unedited photos; the result has cameras and no transparent Gaussians."""
     with blaming(reconstructor):
         answer = reconstructor(photos, source=photos)
     check_reconstruction(reconstructor, photos, answer)
@@ -72,17 +73,14 @@ def _reconstructed(photos: Views, reconstructor: Reconstructor) -> Reconstructio
     return Reconstruction(answer.gaussians.select(answer.gaussians.opacities[0] > 0), cameras)
 
 
-def carried(gaussians: Gaussians, predicted: Cameras, known: Cameras) -> Gaussians:
-    """Gaussians moved from predicted to known poses of the views, each with the view it came from.
+def moved_to(gaussians: Gaussians, predicted: Cameras, known: Cameras) -> Gaussians:
+    """Move Gaussians from predicted to known poses of the views, each with the view it came from.
 
     They stay on the pixels they came from; the unit of length is scaled by the median ratio of the views' distances
     from view 0. Harmonics keep only what looks the same from everywhere.
     """
-    lengths = [cameras.c2w[0, 1:, :3, 3].norm(dim=-1) for cameras in (known, predicted)]
-    scale = (lengths[0] / lengths[1].clamp(min=1e-12)).median() if known.count > 1 else known.c2w.new_ones(())
-    unit = predicted.c2w[0].clone()
-    unit[:, :3, 3] *= scale
-    motion = (known.c2w[0] @ invert_rigid(unit))[gaussians.view_index.clamp(min=0)]
+    scale = median_scale(predicted.c2w[0, 1:, :3, 3], known.c2w[0, 1:, :3, 3])
+    motion = (known.c2w[0] @ invert_rigid(scale_poses(predicted.c2w[0], scale)))[gaussians.view_index.clamp(min=0)]
     rotations = motion[:, :3, :3]
     means = (rotations @ (gaussians.means[0] * scale)[..., None])[..., 0] + motion[:, :3, 3]
     quats = matrices_to_quats(rotations @ quats_to_matrices(gaussians.quats[0]))
@@ -96,7 +94,7 @@ def carried(gaussians: Gaussians, predicted: Cameras, known: Cameras) -> Gaussia
 
 
 def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
-    """At most `most` Gaussians, chosen at random and widened so that they still cover their surfaces."""
+    """Choose at most `most` Gaussians at random and widen them so that they still cover their surfaces."""
     if gaussians.count <= most:
         return gaussians
     order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
@@ -105,7 +103,7 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
 
 
 def random_points(photos: Views, cameras: Cameras, count: int, seed: int) -> Gaussians:
-    """Points at random depths behind random pixels, coloured by them, as large as their neighbours are far."""
+    """Put Gaussians at random depths behind random pixels, with their colours, as large as neighbours are far apart."""
     generator = torch.Generator().manual_seed(seed)
     height, width = cameras.image_size
     view = torch.randint(cameras.count, (count,), generator=generator)
@@ -131,7 +129,7 @@ def random_points(photos: Views, cameras: Cameras, count: int, seed: int) -> Gau
 
 
 def _spacing(points: Float[Tensor, "point 3"]) -> Float[Tensor, "point"]:
-    """Mean distance to the nearest others."""
+    """Return the mean distance of each point to its nearest others [scene units]."""
     if len(points) < 2:
         return torch.full((len(points),), 0.1)
     near = min(NEIGHBOURS, len(points) - 1)
@@ -140,7 +138,7 @@ def _spacing(points: Float[Tensor, "point 3"]) -> Float[Tensor, "point"]:
 
 
 def _viewing_distance(cameras: Cameras) -> float:
-    """Mean distance along the optical axes to the point nearest to all of them [scene units]."""
+    """Return the mean distance along the optical axes to the point nearest to all of them [scene units]."""
     centres, axes = cameras.c2w[0, :, :3, 3].double().cpu(), cameras.c2w[0, :, :3, 2].double().cpu()
     across = torch.eye(3).double() - axes[:, :, None] * axes[:, None, :]
     middle = torch.linalg.lstsq(across.sum(0), (across @ centres[..., None]).sum(0)).solution[:, 0]

@@ -11,8 +11,7 @@ from edit3r.geometry.cameras import invert_rigid, to_pixels
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.checks import check_scene, resolve_background
-from edit3r_rasterizers.settings import RasterizerSettings
+from edit3r_rasterizers.settings import RasterizerSettings, check_scene, resolve_background
 
 _BUILT_IN = ("max_alpha", "min_alpha", "min_transmittance")
 """Settings that are constants of gsplat's kernels."""
@@ -44,7 +43,7 @@ class GsplatRasterizer(Rasterizer):
         check_scene(gaussians, cameras)
         backgrounds = resolve_background(background, self.settings.background, gaussians, cameras)
         scenes = [self._render_scene(gaussians, cameras, scene) for scene in range(gaussians.means.shape[0])]
-        colours, alphas, depths = (torch.stack(pictures) for pictures in zip(*scenes))
+        colours, alphas, depths = (torch.stack(images) for images in zip(*scenes))
         return Rendering(colours + (1 - alphas) * backgrounds[..., None, None], alphas, depths)
 
     def _render_scene(self, gaussians: Gaussians, cameras: Cameras, scene: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -56,7 +55,7 @@ class GsplatRasterizer(Rasterizer):
             return empty[:, :3], empty[:, 3:4], empty[:, 4:]
         from gsplat import rasterization
 
-        pictures, alphas, _ = rasterization(
+        images, alphas, _ = rasterization(
             means=gaussians.means[scene].float(),
             quats=normalise_quats(gaussians.quats[scene].float()),
             scales=gaussians.scales[scene].float(),
@@ -72,8 +71,8 @@ class GsplatRasterizer(Rasterizer):
             sh_degree=gaussians.degree,
             render_mode="RGB+ED",
         )
-        pictures, alphas = pictures.movedim(-1, 1).to(dtype), alphas.movedim(-1, 1).to(dtype)
-        return pictures[:, :3], alphas, pictures[:, 3:]
+        images, alphas = images.movedim(-1, 1).to(dtype), alphas.movedim(-1, 1).to(dtype)
+        return images[:, :3], alphas, images[:, 3:]
 
 
 def _require_cuda() -> None:

@@ -1,5 +1,7 @@
 """The CPU rasterizer: kernels compiled by numba, with a hand-derived backward pass."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -9,11 +11,14 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.checks import check_cameras, check_finite, resolve_background
-from edit3r_rasterizers.frames import Frame, Pictures, Scene, differentiate, draw, project_scene
-from edit3r_rasterizers.records import TileGrid, pack_camera
-from edit3r_rasterizers.settings import BORDER, RasterizerSettings
-from edit3r_rasterizers.threads import thread_count
+from edit3r_rasterizers.compositing import BACKWARD_SCRATCH, FORWARD_SCRATCH, differentiate_tiles, shade_tiles
+from edit3r_rasterizers.kernels import aligned_empty, even_bounds, run_slices, scratch, thread_count
+from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
+from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
+from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
+from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
+from edit3r_rasterizers.tile_lists import TileLists, list_tiles
+from edit3r_rasterizers.tiles import BATCH
 
 
 class NumbaSettings(RasterizerSettings):
@@ -61,6 +66,44 @@ def _check_device(gaussians: Gaussians) -> None:
         )
 
 
+@dataclass(frozen=True)
+class Scene:
+    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32 arrays."""
+
+    means: np.ndarray  # [G, 3]
+    scales: np.ndarray  # [G, 3]
+    quats: np.ndarray  # [G, 4]
+    opacities: np.ndarray  # [G]
+    harmonics: np.ndarray  # [G, K, 3]
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        return self.means, self.scales, self.quats, self.opacities, self.harmonics
+
+    def zeros_like(self) -> "Scene":
+        return Scene(*(np.zeros_like(array) for array in self.arrays))
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """What a camera sees, or the gradient by it."""
+
+    image: np.ndarray  # [3, H, W]
+    alpha: np.ndarray  # [H, W]
+    depth: np.ndarray  # [H, W]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What `project_scene` prepares for drawing, and the forward pass leaves for the backward pass."""
+
+    grid: TileGrid
+    camera: np.ndarray  # see records.CAMERA
+    records: np.ndarray  # [G, RECORD]
+    lists: TileLists
+    transmittances: np.ndarray  # [H, W], filled by `draw`
+
+
 class _Rasterize(torch.autograd.Function):
     """B scenes with C cameras each, one after the other."""
 
@@ -79,7 +122,7 @@ class _Rasterize(torch.autograd.Function):
                 frame = project_scene(settings, threads, scenes[b], camera, grid)
                 if frame is None:
                     check_finite(Gaussians(*(field.detach() for field in fields)))
-                draw(settings, threads, frame, _array(backgrounds[b, c]), _pictures((images, alphas, depths), b, c))
+                draw(settings, threads, frame, _array(backgrounds[b, c]), _images_of((images, alphas, depths), b, c))
                 frames += [frame] if any(ctx.needs_input_grad) else []
         ctx.settings, ctx.scenes, ctx.frames = settings, scenes, frames
         ctx.save_for_backward(images, alphas, depths)
@@ -94,7 +137,7 @@ class _Rasterize(torch.autograd.Function):
         by_backgrounds = torch.zeros(batch, count, 3)
         for index, frame in enumerate(ctx.frames):
             b, c = divmod(index, count)
-            seen, by_seen = _pictures(outputs, b, c), _pictures(gradients, b, c)
+            seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
             differentiate(ctx.settings, threads, ctx.scenes[b], frame, seen, by_seen, by_scenes[b])
             by_backgrounds[b, c] = _by_background(gradients[0][b, c], frame)
         by_fields = [torch.from_numpy(np.stack(arrays)) for arrays in zip(*(scene.arrays for scene in by_scenes))]
@@ -106,11 +149,106 @@ def _by_background(by_image: Tensor, frame: Frame) -> Float[Tensor, "3"]:
     return torch.einsum("chw,hw->c", by_image.double(), left.double())
 
 
-def _pictures(outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int) -> Pictures:
-    """One camera's pictures; views of the tensors' memory where that is contiguous."""
+def _images_of(outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int) -> CameraImages:
+    """One camera's images; views of the tensors' memory where that is contiguous."""
     image, alpha, depth = (_array(output[scene, camera]) for output in outputs)
-    return Pictures(image, alpha[0], depth[0])
+    return CameraImages(image, alpha[0], depth[0])
 
 
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
+
+
+def project_scene(
+    settings: RasterizerSettings, threads: int, scene: Scene, camera: np.ndarray, grid: TileGrid
+) -> Frame | None:
+    """Records and tile lists of one camera; None when a Gaussian is not finite."""
+    count = len(scene.means)
+    records = aligned_empty((count, RECORD))
+    boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
+    limits = (float(grid.width), float(grid.height), settings.near, settings.far, settings.eps2d, settings.min_alpha)
+    work = scratch(PROJECTION_SCRATCH, np.float64)
+    sound = run_slices(
+        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, work, records, boxes, keys
+    )
+    if not all(sound):
+        return None
+    lists = list_tiles(threads, grid, records, boxes, keys)
+    return Frame(grid, camera, records, lists, np.empty((grid.height, grid.width), np.float32))
+
+
+def draw(
+    settings: RasterizerSettings, threads: int, frame: Frame, background: np.ndarray, images: CameraImages
+) -> None:
+    """Fill `images` over a background colour [3]."""
+    run_slices(
+        shade_tiles,
+        _tile_bounds(frame, threads),
+        threads,
+        *_tile_arguments(settings, frame),
+        background,
+        scratch(FORWARD_SCRATCH, np.float32),
+        scratch(int(BATCH), np.uint64),
+        images.image,
+        images.alpha,
+        images.depth,
+        frame.transmittances,
+    )
+
+
+def differentiate(
+    settings: RasterizerSettings,
+    threads: int,
+    scene: Scene,
+    frame: Frame,
+    images: CameraImages,
+    image_gradients: CameraImages,
+    by_scene: Scene,
+) -> None:
+    """Add the gradients of one camera's images to those of the scene."""
+    sums = aligned_empty((len(frame.lists.positions) * SUMS,))
+    run_slices(
+        differentiate_tiles,
+        _tile_bounds(frame, threads),
+        threads,
+        *_tile_arguments(settings, frame),
+        scratch(BACKWARD_SCRATCH, np.float32),
+        scratch(int(BATCH), np.uint64),
+        images.image,
+        images.depth,
+        frame.transmittances,
+        image_gradients.image,
+        image_gradients.alpha,
+        image_gradients.depth,
+        sums,
+    )
+    run_slices(
+        project_backward,
+        even_bounds(len(scene.means), threads),
+        threads,
+        *scene.arrays,
+        frame.camera,
+        settings.eps2d,
+        frame.records,
+        frame.lists.splat_offsets,
+        frame.lists.positions,
+        sums,
+        scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
+        scratch(8, np.uint64),
+        *by_scene.arrays,
+    )
+
+
+def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
+    limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
+    return frame.grid.columns, frame.lists.offsets, frame.lists.entries, frame.records, *limits
+
+
+def _tile_bounds(frame: Frame, threads: int) -> list[int]:
+    """Slices of tiles with about equal numbers of entries."""
+    if threads == 1:
+        return [0, frame.grid.count]
+    slices = min(frame.grid.count, 8 * threads)
+    work = frame.lists.offsets + 16 * np.arange(frame.grid.count + 1)  # opening a tile costs as much as some entries
+    cuts = np.searchsorted(work, work[-1] * np.arange(1, slices) / slices)
+    return [0, *np.unique(cuts[(cuts > 0) & (cuts < frame.grid.count)]).tolist(), frame.grid.count]

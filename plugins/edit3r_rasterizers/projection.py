@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from edit3r.geometry.harmonics import DC
-from edit3r_rasterizers.compiled import inlined, kernel
+from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection_maths import (
     GROUP,
     INPUTS,
@@ -13,7 +13,7 @@ from edit3r_rasterizers.projection_maths import (
     SCALE,
     U,
     camera_position,
-    conditional_form,
+    factorised_conic,
     image_rows,
     offset_from_camera,
     rotation_matrix,
@@ -25,37 +25,38 @@ from edit3r_rasterizers.records import (
     BLUE,
     CENTRE_X,
     CENTRE_Y,
+    CUTOFF,
     DEPTH,
-    FLATNESS,
     FOCAL_X,
     FOCAL_Y,
     GREEN,
-    LEAN,
+    INV_STD_X,
+    INV_STD_Y,
     LOG_OPACITY,
-    NARROWNESS,
-    REACH,
     RECORD,
     RED,
-    SLOPE,
-    SLOPE_REST,
     TILE,
+    X_PER_Y,
+    X_PER_Y_REST,
     X_REST,
+    Y_PER_X,
     Y_REST,
     X,
     Y,
 )
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
-from edit3r_rasterizers.simd import broadcast, mask_bits, maximum, minimum, square_root
-from edit3r_rasterizers.simd_math import log2
+from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum, square_root
 from edit3r_rasterizers.simd_memory import flat, shifted, store
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
 """The records' squares are exponents of two: standard deviations times this."""
 _DEVIATIONS = 1 / UNIT
 
-_X, _Y, _SLOPE, _NARROWNESS, _FLATNESS, _LEAN, _LOG_OPACITY, _REACH, _DEPTH = (INPUTS + U(row) for row in range(9))
-_LEFT, _TOP, _RIGHT, _BOTTOM, _EAST, _DOWN, _AHEAD = (INPUTS + U(row) for row in range(9, 16))
+_X, _Y, _X_PER_Y, _INV_STD_X, _INV_STD_Y, _Y_PER_X, _LOG_OPACITY, _CUTOFF, _DEPTH = (
+    INPUTS + U(row) for row in range(9)
+)
+_LEFT, _TOP, _RIGHT, _BOTTOM, _DIRECTION_X, _DIRECTION_Y, _DIRECTION_Z = (INPUTS + U(row) for row in range(9, 16))
 """Rows of the staged results; the last three are the direction seen."""
 _BASIS = INPUTS + U(16)
 PROJECTION_SCRATCH = int(_BASIS * GROUP) + 25
@@ -137,13 +138,13 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     a0, b0 = (j0 * r0 + j1 * r3 + j2 * r6) * s0, (k0 * r0 + k1 * r3 + k2 * r6) * s0
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
-    slope, narrowness, flatness, variance_x, variance_y = conditional_form(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
     mean_x, mean_y = u * camera[FOCAL_X] + camera[CENTRE_X], v * camera[FOCAL_Y] + camera[CENTRE_Y]
 
     opacity = maximum(opacity, min_alpha)
     log_opacity = log2(opacity)
-    reach = maximum(log_opacity - log2(broadcast(min_alpha)), 0.0)
-    extent_x, extent_y = square_root(reach * variance_x) * _DEVIATIONS, square_root(reach * variance_y) * _DEVIATIONS
+    cutoff = maximum(log_opacity - log2(broadcast(min_alpha)), 0.0)
+    extent_x, extent_y = square_root(cutoff * variance_x) * _DEVIATIONS, square_root(cutoff * variance_y) * _DEVIATIONS
     # Bounds in pixel indices, of pixels whose centres lie inside; clamped, so that they fit an integer.
     left, right = maximum(mean_x - extent_x - 0.5, 0.0), minimum(mean_x + extent_x - 0.5, width - 1.0)
     top, bottom = maximum(mean_y - extent_y - 0.5, 0.0), minimum(mean_y + extent_y - 0.5, height - 1.0)
@@ -151,21 +152,21 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
 
     store(staged, _X * GROUP, mean_x)
     store(staged, _Y * GROUP, mean_y)
-    store(staged, _SLOPE * GROUP, slope)
-    store(staged, _NARROWNESS * GROUP, narrowness * UNIT)
-    store(staged, _FLATNESS * GROUP, flatness * UNIT)
-    store(staged, _LEAN * GROUP, slope * variance_y / variance_x)
+    store(staged, _X_PER_Y * GROUP, x_per_y)
+    store(staged, _INV_STD_X * GROUP, inv_std_x * UNIT)
+    store(staged, _INV_STD_Y * GROUP, inv_std_y * UNIT)
+    store(staged, _Y_PER_X * GROUP, x_per_y * variance_y / variance_x)
     store(staged, _LOG_OPACITY * GROUP, log_opacity)
-    store(staged, _REACH * GROUP, reach)
+    store(staged, _CUTOFF * GROUP, cutoff)
     store(staged, _DEPTH * GROUP, z)
     store(staged, _LEFT * GROUP, left)
     store(staged, _TOP * GROUP, top)
     store(staged, _RIGHT * GROUP, right)
     store(staged, _BOTTOM * GROUP, bottom)
     shorten = 1.0 / square_root(dx * dx + dy * dy + dz * dz)
-    store(staged, _EAST * GROUP, dx * shorten)
-    store(staged, _DOWN * GROUP, dy * shorten)
-    store(staged, _AHEAD * GROUP, dz * shorten)
+    store(staged, _DIRECTION_X * GROUP, dx * shorten)
+    store(staged, _DIRECTION_Y * GROUP, dy * shorten)
+    store(staged, _DIRECTION_Z * GROUP, dz * shorten)
     return mask_bits(seen), mask_bits(finite)
 
 
@@ -197,16 +198,16 @@ def _write_empty_box(boxes, i):
 @inlined
 def _write_geometry(records, i, results, lane):
     record = i * U(RECORD)
-    x, y, slope = results[_X * GROUP + lane], results[_Y * GROUP + lane], results[_SLOPE * GROUP + lane]
-    records[record + U(X)], records[record + U(Y)], records[record + U(SLOPE)] = x, y, slope
+    x, y, x_per_y = results[_X * GROUP + lane], results[_Y * GROUP + lane], results[_X_PER_Y * GROUP + lane]
+    records[record + U(X)], records[record + U(Y)], records[record + U(X_PER_Y)] = x, y, x_per_y
     records[record + U(X_REST)] = x - np.float64(np.float32(x))
     records[record + U(Y_REST)] = y - np.float64(np.float32(y))
-    records[record + U(SLOPE_REST)] = slope - np.float64(np.float32(slope))
-    records[record + U(NARROWNESS)] = results[_NARROWNESS * GROUP + lane]
-    records[record + U(FLATNESS)] = results[_FLATNESS * GROUP + lane]
+    records[record + U(X_PER_Y_REST)] = x_per_y - np.float64(np.float32(x_per_y))
+    records[record + U(INV_STD_X)] = results[_INV_STD_X * GROUP + lane]
+    records[record + U(INV_STD_Y)] = results[_INV_STD_Y * GROUP + lane]
     records[record + U(LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
-    records[record + U(LEAN)] = results[_LEAN * GROUP + lane]
-    records[record + U(REACH)] = results[_REACH * GROUP + lane]
+    records[record + U(Y_PER_X)] = results[_Y_PER_X * GROUP + lane]
+    records[record + U(CUTOFF)] = results[_CUTOFF * GROUP + lane]
     records[record + U(DEPTH)] = results[_DEPTH * GROUP + lane]
 
 
@@ -218,7 +219,11 @@ def _write_colour(records, i, results, lane, harmonics, count):
     green = DC * np.float64(harmonics[first + U(1)])
     blue = DC * np.float64(harmonics[first + U(2)])
     if count > U(1):
-        east, down, ahead = results[_EAST * GROUP + lane], results[_DOWN * GROUP + lane], results[_AHEAD * GROUP + lane]
+        east, down, ahead = (
+            results[_DIRECTION_X * GROUP + lane],
+            results[_DIRECTION_Y * GROUP + lane],
+            results[_DIRECTION_Z * GROUP + lane],
+        )
         basis = shifted(results, _BASIS * GROUP)
         evaluate_basis(east, down, ahead, count, basis)
         for k in range(U(1), count):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from edit3r.geometry.harmonics import DC
-from edit3r_rasterizers.compiled import inlined, kernel
+from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
 from edit3r_rasterizers.projection_maths import (
     GROUP,
@@ -14,7 +14,7 @@ from edit3r_rasterizers.projection_maths import (
     SCALE,
     U,
     camera_position,
-    conditional_form,
+    factorised_conic,
     image_rows,
     offset_from_camera,
     rotation_matrix,
@@ -76,7 +76,7 @@ def project_backward(
     camera,
     eps2d,
     records,
-    places,
+    splat_offsets,
     positions,
     sums,
     scratch,
@@ -89,7 +89,7 @@ def project_backward(
 ):
     """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
 
-    `positions[places[i] : places[i + 1]]` are the rows of `sums` that belong to Gaussian i.
+    `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that belong to Gaussian i.
     `scratch` and `group` (eight indices): work space.
     """
     count = U(harmonics.shape[1])
@@ -100,7 +100,13 @@ def project_backward(
         flat(opacities),
         flat(harmonics),
     )
-    camera, records, places, positions, sums = flat(camera), flat(records), flat(places), flat(positions), flat(sums)
+    camera, records, splat_offsets, positions, sums = (
+        flat(camera),
+        flat(records),
+        flat(splat_offsets),
+        flat(positions),
+        flat(sums),
+    )
     scratch, group = flat(scratch), flat(group)
     mean_gradients, scale_gradients, quat_gradients = (
         flat(mean_gradients),
@@ -110,10 +116,10 @@ def project_backward(
     opacity_gradients, harmonic_gradients = flat(opacity_gradients), flat(harmonic_gradients)
     found = U(0)
     for i in range(U(first), U(last)):
-        if places[i] < places[i + U(1)]:
+        if splat_offsets[i] < splat_offsets[i + U(1)]:
             group[found] = i
             stage(scratch, found, i, means, scales, quats, opacities)
-            _add_up(scratch, found, places[i], places[i + U(1)], positions, sums)
+            _add_up(scratch, found, splat_offsets[i], splat_offsets[i + U(1)], positions, sums)
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
             for lane in range(found, GROUP):  # lanes of a short group hold some sound Gaussian, and are not read
@@ -161,18 +167,18 @@ def _differentiate_group(staged, camera, eps2d):
     m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
     m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
-    slope, narrowness, flatness, _, _ = conditional_form(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, _, _ = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
 
     # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
     ss = staged_row(staged, _TOTALS + U(SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
     st = staged_row(staged, _TOTALS + U(SUM_VST)) * (_PER_UNIT * _PER_UNIT)
     tt = staged_row(staged, _TOTALS + U(SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
-    p0, p1, p2 = narrowness * (a0 - slope * b0), narrowness * (a1 - slope * b1), narrowness * (a2 - slope * b2)
-    q0, q1, q2 = flatness * b0, flatness * b1, flatness * b2
-    f0, f1, f2 = narrowness * (ss * p0 + st * q0), narrowness * (ss * p1 + st * q1), narrowness * (ss * p2 + st * q2)
-    g0 = flatness * (st * p0 + tt * q0) - slope * f0
-    g1 = flatness * (st * p1 + tt * q1) - slope * f1
-    g2 = flatness * (st * p2 + tt * q2) - slope * f2
+    p0, p1, p2 = inv_std_x * (a0 - x_per_y * b0), inv_std_x * (a1 - x_per_y * b1), inv_std_x * (a2 - x_per_y * b2)
+    q0, q1, q2 = inv_std_y * b0, inv_std_y * b1, inv_std_y * b2
+    f0, f1, f2 = inv_std_x * (ss * p0 + st * q0), inv_std_x * (ss * p1 + st * q1), inv_std_x * (ss * p2 + st * q2)
+    g0 = inv_std_y * (st * p0 + tt * q0) - x_per_y * f0
+    g1 = inv_std_y * (st * p1 + tt * q1) - x_per_y * f1
+    g2 = inv_std_y * (st * p2 + tt * q2) - x_per_y * f2
     store(staged, _SCALE * GROUP, f0 * m0 + g0 * n0)
     store(staged, (_SCALE + U(1)) * GROUP, f1 * m1 + g1 * n1)
     store(staged, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
@@ -186,8 +192,8 @@ def _differentiate_group(staged, camera, eps2d):
     # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
     f0, f1, f2 = f0 * r0 + f1 * r1 + f2 * r2, f0 * r3 + f1 * r4 + f2 * r5, f0 * r6 + f1 * r7 + f2 * r8
     g0, g1, g2 = g0 * r0 + g1 * r1 + g2 * r2, g0 * r3 + g1 * r4 + g2 * r5, g0 * r6 + g1 * r7 + g2 * r8
-    by_x = narrowness * staged_row(staged, _TOTALS + U(SUM_VS)) * _PER_UNIT
-    by_y = flatness * staged_row(staged, _TOTALS + U(SUM_VT)) * _PER_UNIT - slope * by_x
+    by_x = inv_std_x * staged_row(staged, _TOTALS + U(SUM_VS)) * _PER_UNIT
+    by_y = inv_std_y * staged_row(staged, _TOTALS + U(SUM_VT)) * _PER_UNIT - x_per_y * by_x
     by_u, by_v = by_x * camera[FOCAL_X], by_y * camera[FOCAL_Y]
     inside_x = (u >= camera[LOW_X]) & (u <= camera[HIGH_X])
     inside_y = (v >= camera[LOW_Y]) & (v <= camera[HIGH_Y])

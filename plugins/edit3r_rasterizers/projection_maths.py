@@ -5,7 +5,7 @@ Gaussians are staged first: eight of them side by side in scratch memory, one ro
 
 import numpy as np
 
-from edit3r_rasterizers.compiled import inlined
+from edit3r_rasterizers.kernels import inlined
 from edit3r_rasterizers.records import CENTRE, FOCAL_X, FOCAL_Y, HIGH_X, HIGH_Y, LOW_X, LOW_Y
 from edit3r_rasterizers.simd import broadcast, maximum, minimum, select, square_root
 from edit3r_rasterizers.simd_memory import load
@@ -56,7 +56,7 @@ def camera_position(camera, dx, dy, dz):
 
 @inlined
 def image_rows(camera, u, v, per_z):
-    """Jacobian of the picture position by the world position [pixels / scene unit], tangents clamped."""
+    """Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
     u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
     v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
     gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
@@ -86,16 +86,16 @@ def rotation_matrix(a, b, c, d):
 
 
 @inlined
-def conditional_form(a0, a1, a2, b0, b1, b2, eps2d):
-    """(slope, narrowness, flatness, variance_x, variance_y) of the covariance of rows a (x) and b (y).
+def factorised_conic(a0, a1, a2, b0, b1, b2, eps2d):
+    """(x_per_y, inv_std_x, inv_std_y, variance_x, variance_y) of the covariance of rows a (x) and b (y).
 
     The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
     """
     square = a0 * a0 + a1 * a1 + a2 * a2
     variance_x, variance_y = square + eps2d, b0 * b0 + b1 * b1 + b2 * b2 + eps2d
-    flatness = 1.0 / square_root(variance_y)
-    b0, b1, b2 = b0 * flatness, b1 * flatness, b2 * flatness
+    inv_std_y = 1.0 / square_root(variance_y)
+    b0, b1, b2 = b0 * inv_std_y, b1 * inv_std_y, b2 * inv_std_y
     e0, e1, e2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    given = e0 * e0 + e1 * e1 + e2 * e2 + (square * flatness * flatness + 1.0) * eps2d
-    slope = (a0 * b0 + a1 * b1 + a2 * b2) * flatness
-    return slope, 1.0 / square_root(given), flatness, variance_x, variance_y
+    given = e0 * e0 + e1 * e1 + e2 * e2 + (square * inv_std_y * inv_std_y + 1.0) * eps2d
+    x_per_y = (a0 * b0 + a1 * b1 + a2 * b2) * inv_std_y
+    return x_per_y, 1.0 / square_root(given), inv_std_y, variance_x, variance_y

@@ -12,16 +12,16 @@ BLOCK = 4
 """Side of a block [pixels]; one block is one vector of sixteen lanes."""
 
 LOOKAHEAD = 32
-"""Spare places after lists of entries, so that kernels may ask ahead for the memory of entries to come."""
+"""Spare room after lists of entries, so that kernels may ask ahead for the memory of entries to come."""
 
 # Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
-# log2(alpha) = LOG_OPACITY - (NARROWNESS * (d_x - SLOPE * d_y))^2 - (FLATNESS * d_y)^2.
+# log2(alpha) = LOG_OPACITY - (INV_STD_X * (d_x - X_PER_Y * d_y))^2 - (INV_STD_Y * d_y)^2.
 X, X_REST, Y, Y_REST = 0, 1, 2, 3  # mean as a sum of two float32 [pixels]
-SLOPE, NARROWNESS, FLATNESS, LOG_OPACITY = 4, 5, 6, 7
+X_PER_Y, INV_STD_X, INV_STD_Y, LOG_OPACITY = 4, 5, 6, 7
 RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
-REACH = 12  # the sum of the two squares above which alpha < min_alpha
-LEAN = 13  # d_y of the highest alpha on a column, per d_x
-SLOPE_REST = 14  # what float32 left out of SLOPE; a long needle's end is far from its mean
+CUTOFF = 12  # the sum of the two squares above which alpha < min_alpha
+Y_PER_X = 13  # d_y of the highest alpha on a column, per d_x
+X_PER_Y_REST = 14  # what float32 left out of X_PER_Y; a long needle's end is far from its mean
 RECORD = 16
 
 # Columns of a camera, float64: the world axes' images first (rotation of c2w, row-major), then the rest.
@@ -39,7 +39,7 @@ SUMS = 10
 
 @dataclass(frozen=True)
 class TileGrid:
-    """How a picture is cut into tiles."""
+    """How an image is cut into tiles."""
 
     height: int  # [pixels]
     width: int  # [pixels]
@@ -58,7 +58,7 @@ class TileGrid:
 
 
 def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
-    """The camera as the kernels read it; `border`: how far the Jacobian's tangents may leave the picture."""
+    """The camera as the kernels read it; `border`: how far the Jacobian's tangents may leave the image."""
     pose = c2w.detach().to("cpu", torch.float64).numpy()
     matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
     size = np.array([grid.width, grid.height], dtype=np.float64)

@@ -1,13 +1,18 @@
-"""The settings that every rasterizer shares, and with them the rendering convention."""
+"""What every rasterizer shares: the settings, which are the rendering convention, and what it refuses."""
 
+import torch
 from pydantic import Field, model_validator
+from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.errors import InputError
+from edit3r.types import Cameras, Gaussians
 
 BORDER = 0.3
-"""Tangents in the projection's Jacobian are clamped this far beyond the picture's border [half picture widths]."""
+"""Tangents in the projection's Jacobian are clamped this far beyond the image's border [half image widths]."""
 MAX_COLOUR = 1e30
-"""Colours are clamped to [0, MAX_COLOUR], so that no finite input makes an infinite picture."""
+"""Colours are clamped to [0, MAX_COLOUR], so that no finite input makes an infinite image."""
+GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 MIN_TOTAL_ALPHA = 1e-10
 """Expected depth divides by at least this alpha."""
 
@@ -34,3 +39,52 @@ class RasterizerSettings(Settings):
         if not all(0 <= channel <= 1 for channel in self.background):
             raise ValueError(f"background must be three numbers in [0, 1], got {self.background}")
         return self
+
+
+def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
+    """Raise InputError unless Gaussians and cameras are finite, of one batch, and the focal lengths positive."""
+    check_cameras(gaussians, cameras)
+    check_finite(gaussians)
+
+
+def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
+    """The part of `check_scene` that reads no Gaussian: a few numbers per camera."""
+    if cameras.c2w.shape[0] != gaussians.means.shape[0]:
+        raise InputError(
+            f"Cameras.c2w: got cameras for {cameras.c2w.shape[0]} scenes, but Gaussians of "
+            f"{gaussians.means.shape[0]}; give each scene its cameras."
+        )
+    _check_finite("Cameras.c2w", cameras.c2w)
+    _check_finite("Cameras.intrinsics", cameras.intrinsics)
+    focal = torch.stack((cameras.intrinsics[..., 0, 0], cameras.intrinsics[..., 1, 1]))
+    if bool((focal <= 0).any()):
+        raise InputError(f"Cameras.intrinsics: focal lengths must be positive, got {focal.min().item():g}.")
+
+
+def check_finite(gaussians: Gaussians) -> None:
+    """Raise InputError that names the first field with a value that is no number, and how many it has."""
+    for name in GAUSSIAN_FIELDS:
+        _check_finite(f"Gaussians.{name}", getattr(gaussians, name))
+
+
+def resolve_background(
+    background: Tensor | None, default: tuple[float, float, float], gaussians: Gaussians, cameras: Cameras
+) -> Tensor:
+    """The background as `[B, C, 3]` in the Gaussians' dtype: a tensor that broadcasts to it, or the setting."""
+    means = gaussians.means
+    value = means.new_tensor(default) if background is None else background.to(means)
+    _check_finite("background", value)
+    shape = (*cameras.c2w.shape[:2], 3)
+    try:
+        return value.expand(shape)
+    except RuntimeError:
+        raise InputError(f"background: expected a shape that fits {list(shape)}, got {list(value.shape)}.") from None
+
+
+def _check_finite(name: str, values: Tensor) -> None:
+    wrong = values.numel() - int(torch.isfinite(values.detach()).sum())
+    if wrong:
+        verb = "is" if wrong == 1 else "are"
+        raise InputError(
+            f"{name}: {wrong} of {values.numel()} values {verb} not finite (NaN or infinite); give finite numbers."
+        )

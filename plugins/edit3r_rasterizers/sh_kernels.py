@@ -3,7 +3,7 @@
 from math import pi, sqrt
 
 from edit3r.geometry.harmonics import DC
-from edit3r_rasterizers.compiled import inlined
+from edit3r_rasterizers.kernels import inlined
 
 _C0 = DC
 _C1 = 0.5 * sqrt(3 / pi)

@@ -55,7 +55,7 @@ def load(typing, pointer, offset):
 
 @intrinsic
 def store(typing, pointer, offset, value):
-    """Write a vector to consecutive places."""
+    """Write a vector to consecutive addresses."""
     kind = _KINDS[pointer.dtype]
 
     def emit(context, builder, signature, values):
@@ -67,7 +67,7 @@ def store(typing, pointer, offset, value):
 
 @intrinsic
 def load_block(typing, pointer, offset, stride):
-    """A 4x4 block of a float32 picture: four rows of four from flat index `offset`, `stride` apart."""
+    """A 4x4 block of a float32 image: four rows of four from flat index `offset`, `stride` apart."""
     quarter = ir.VectorType(ir.FloatType(), _PARTS)
 
     def emit(context, builder, signature, values):
@@ -84,7 +84,7 @@ def load_block(typing, pointer, offset, stride):
 
 @intrinsic
 def store_block(typing, pointer, offset, stride, value):
-    """Write a 4x4 block of a float32 picture; see `load_block`."""
+    """Write a 4x4 block of a float32 image; see `load_block`."""
 
     def emit(context, builder, signature, values):
         data, offset, stride, lanes = values
@@ -99,7 +99,7 @@ def store_block(typing, pointer, offset, stride, value):
 
 @intrinsic
 def store_sums(typing, pointer, offset, vectors):
-    """Write the lane sums of a tuple of up to 16 float32 vectors to consecutive places."""
+    """Write the lane sums of a tuple of up to 16 float32 vectors to consecutive addresses."""
     count = len(vectors)
 
     def emit(context, builder, signature, values):

@@ -1,15 +1,34 @@
-"""Which splats each tile has to draw, and in which order."""
+"""Which splats each tile has to draw, and in which order: sorted by depth, then listed per tile."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from edit3r.errors import RunError
-from edit3r_rasterizers.binning import COUNTS, count_entries, list_entries, sort_by_depth
-from edit3r_rasterizers.records import LOOKAHEAD, TileGrid
-from edit3r_rasterizers.threads import even_bounds, run_slices
+from edit3r_rasterizers.kernels import even_bounds, inlined, kernel, run_slices
+from edit3r_rasterizers.records import (
+    CUTOFF,
+    INV_STD_X,
+    INV_STD_Y,
+    LOOKAHEAD,
+    RECORD,
+    TILE,
+    X_PER_Y,
+    Y_PER_X,
+    TileGrid,
+    X,
+    Y,
+)
+from edit3r_rasterizers.simd_memory import flat, prefetch, shifted
 
 MAX_ENTRIES = 2**31 - 1
+U = np.uint64
+_DIGIT, _BUCKETS, _LAST = U(8), U(256), U(255)  # bits per pass of the sort
+_PASSES = U(4)
+COUNTS = 4 * 256
+"""Length of the sort's table of counts."""
+_AHEAD = U(8)  # splats whose memory is asked for before it is their turn
+_EXACT_ABOVE = U(4)  # a box of more tiles than this is tested tile by tile
 
 
 @dataclass(frozen=True)
@@ -19,7 +38,7 @@ class TileLists:
     offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
     entries: np.ndarray  # [E + LOOKAHEAD], splat of each entry
     positions: np.ndarray  # [E + LOOKAHEAD], entries grouped by splat
-    places: np.ndarray  # [G + 1], where each splat's positions begin
+    splat_offsets: np.ndarray  # [G + 1], where each splat's positions begin
 
 
 def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndarray, keys: np.ndarray) -> TileLists:
@@ -32,18 +51,18 @@ def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndar
     slices = list(range(len(chunks)))
     shared = chunks, order, boxes, records, grid.columns
     counts = np.empty((len(chunks) - 1, grid.count), np.int64)
-    places = np.zeros(len(records) + 1, np.int64)
-    run_slices(count_entries, slices, threads, *shared, counts, places[1:])
-    np.cumsum(places, out=places)
-    _check_total(int(places[-1]))
+    splat_offsets = np.zeros(len(records) + 1, np.int64)
+    run_slices(count_entries, slices, threads, *shared, counts, splat_offsets[1:])
+    np.cumsum(splat_offsets, out=splat_offsets)
+    _check_total(int(splat_offsets[-1]))
 
     offsets = np.zeros(grid.count + 1, np.int64)
     np.cumsum(counts.sum(0), out=offsets[1:])
     cursors = offsets[:-1] + np.cumsum(counts, 0) - counts
-    entries, positions = (np.empty(places[-1] + LOOKAHEAD, np.int32) for _ in range(2))
+    entries, positions = (np.empty(splat_offsets[-1] + LOOKAHEAD, np.int32) for _ in range(2))
     entries[-LOOKAHEAD:] = positions[-LOOKAHEAD:] = 0
-    run_slices(list_entries, slices, threads, *shared, cursors, places, entries, positions)
-    return TileLists(offsets, entries, positions, places)
+    run_slices(list_entries, slices, threads, *shared, cursors, splat_offsets, entries, positions)
+    return TileLists(offsets, entries, positions, splat_offsets)
 
 
 def _sort(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
@@ -62,3 +81,130 @@ def _check_total(total: int) -> None:
             f"rasterizer 'numba': {total} pairs of Gaussian and tile, at most {MAX_ENTRIES} can be listed; "
             f"the Gaussians cover the picture too many times over. Use fewer, smaller ones, or a smaller picture."
         )
+
+
+@kernel
+def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts):
+    """Sort the splats that have a box by ascending key, equal keys in index order (radix sort, a byte a pass).
+
+    `keys`: the bits of positive float32, which order as the numbers do. Returns how many there are and whether the
+    result is in `other_index` instead of `index`: a pass over a byte that all keys share is left out.
+    """
+    size = U(len(keys))
+    keys, boxes, counts = flat(keys), flat(boxes), flat(counts)
+    index, values = flat(index), flat(values)
+    other_index, other_values = flat(other_index), flat(other_values)
+    for bucket in range(_PASSES * _BUCKETS):
+        counts[bucket] = 0
+    n = U(0)
+    for i in range(size):
+        if boxes[U(4) * i] <= boxes[U(4) * i + U(2)]:
+            key = keys[i]
+            index[n], values[n] = i, key
+            n += U(1)
+            for digit in range(_PASSES):
+                counts[digit * _BUCKETS + ((U(key) >> (digit * _DIGIT)) & _LAST)] += 1
+    swapped = False
+    for digit in range(_PASSES):
+        table = shifted(counts, digit * _BUCKETS)
+        if n == U(0) or U(table[(U(values[U(0)]) >> (digit * _DIGIT)) & _LAST]) == n:
+            continue
+        total = 0
+        for bucket in range(_BUCKETS):
+            table[bucket], total = total, total + table[bucket]
+        for i in range(n):
+            key = values[i]
+            bucket = (U(key) >> (digit * _DIGIT)) & _LAST
+            place = U(table[bucket])
+            table[bucket] += 1
+            other_index[place], other_values[place] = index[i], key
+        index, other_index = other_index, index
+        values, other_values = other_values, values
+        swapped = not swapped
+    return n, swapped
+
+
+@inlined
+def touches_tile(record, column, row):
+    """Whether the splat's ellipse reaches the pixel centres of a tile: the smallest exponent over the rectangle."""
+    left = np.float64(column * U(TILE)) + 0.5 - np.float64(record[X])
+    top = np.float64(row * U(TILE)) + 0.5 - np.float64(record[Y])
+    right, bottom = left + (TILE - 1), top + (TILE - 1)
+    x, y = min(max(0.0, left), right), min(max(0.0, top), bottom)
+    by_column = _exponent(record, x, min(max(record[Y_PER_X] * x, top), bottom))
+    by_row = _exponent(record, min(max(record[X_PER_Y] * y, left), right), y)
+    return min(by_column, by_row) <= record[CUTOFF] * 1.001 + 0.01
+
+
+@inlined
+def _exponent(record, x, y):
+    across, down = record[INV_STD_X] * (x - record[X_PER_Y] * y), record[INV_STD_Y] * y
+    return across * across + down * down
+
+
+@kernel
+def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
+    """For the chunks [first, last): how many of its splats are on each tile, and on how many tiles each splat is.
+
+    Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
+    `numbers` [splats].
+    """
+    tiles, columns = U(counts.shape[1]), U(columns)
+    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
+    counts, numbers = flat(counts), flat(numbers)
+    for chunk in range(U(first), U(last)):
+        table = shifted(counts, chunk * tiles)
+        for tile in range(tiles):
+            table[tile] = 0
+        end = U(bounds[chunk + U(1)])
+        for rank in range(U(bounds[chunk]), end):
+            prefetch(boxes, U(4) * U(order[min(rank + _AHEAD, end - U(1))]))
+            i = U(order[rank])
+            record = shifted(records, i * U(RECORD))
+            left, top, right, bottom = _box(boxes, i)
+            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            number = 0
+            for row in range(top, bottom + U(1)):
+                for column in range(left, right + U(1)):
+                    if not exact or touches_tile(record, column, row):
+                        table[row * columns + column] += 1
+                        number += 1
+            numbers[i] = number
+
+
+@kernel
+def list_entries(first, last, bounds, order, boxes, records, columns, cursors, splat_offsets, entries, positions):
+    """For the chunks [first, last): put each splat at the end of its tiles' lists.
+
+    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
+    entries grouped by tile, front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat
+    i.
+    """
+    tiles, columns = U(cursors.shape[1]), U(columns)
+    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
+    cursors, splat_offsets, entries, positions = flat(cursors), flat(splat_offsets), flat(entries), flat(positions)
+    for chunk in range(U(first), U(last)):
+        table = shifted(cursors, chunk * tiles)
+        end = U(bounds[chunk + U(1)])
+        for rank in range(U(bounds[chunk]), end):
+            coming = U(order[min(rank + _AHEAD, end - U(1))])
+            prefetch(boxes, U(4) * coming)
+            prefetch(splat_offsets, coming)
+            i = U(order[rank])
+            record = shifted(records, i * U(RECORD))
+            left, top, right, bottom = _box(boxes, i)
+            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            done = U(splat_offsets[i])
+            for row in range(top, bottom + U(1)):
+                for column in range(left, right + U(1)):
+                    if not exact or touches_tile(record, column, row):
+                        tile = row * columns + column
+                        place = U(table[tile])
+                        table[tile] += 1
+                        entries[place], positions[done] = i, place
+                        done += U(1)
+
+
+@inlined
+def _box(boxes, i):
+    return U(boxes[U(4) * i]), U(boxes[U(4) * i + U(1)]), U(boxes[U(4) * i + U(2)]), U(boxes[U(4) * i + U(3)])

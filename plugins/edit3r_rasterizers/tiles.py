@@ -7,19 +7,24 @@ in the tile.
 
 import numpy as np
 
-from edit3r_rasterizers.compiled import inlined
+from edit3r_rasterizers.kernels import inlined
 from edit3r_rasterizers.records import (
     BLOCK,
-    FLATNESS,
-    LEAN,
+    BLUE,
+    CUTOFF,
+    DEPTH,
+    GREEN,
+    INV_STD_X,
+    INV_STD_Y,
+    LOG_OPACITY,
     LOOKAHEAD,
-    NARROWNESS,
-    REACH,
     RECORD,
-    SLOPE,
-    SLOPE_REST,
+    RED,
     TILE,
+    X_PER_Y,
+    X_PER_Y_REST,
     X_REST,
+    Y_PER_X,
     Y_REST,
     X,
     Y,
@@ -31,9 +36,9 @@ F = np.float32
 U = np.uint64
 LANES = U(16)
 BLOCKS = U((TILE // BLOCK) ** 2)
-ACROSS = U(TILE // BLOCK)
+BLOCKS_PER_ROW = U(TILE // BLOCK)
 """Blocks in a row of a tile."""
-TRANSMITTANCE, LATTICE_X, LATTICE_Y, FIRST_FREE = U(0), LANES, U(2) * LANES, U(3) * LANES
+TRANSMITTANCE, PIXEL_X, PIXEL_Y, FIRST_FREE = U(0), LANES, U(2) * LANES, U(3) * LANES
 BATCH = U(16)
 """Entries looked at together: first which blocks each reaches, then what it does there."""
 LOWEST_EXPONENT = F(-60)
@@ -45,13 +50,13 @@ def open_tile(scratch, stride, width, height):
     """Prepare the first three planes for a tile of width x height pixels; returns the blocks that have any."""
     live = U(0)
     for block in range(BLOCKS):
-        columns = lane_columns() + F((block % ACROSS) * U(BLOCK))
-        rows = lane_rows() + F((block // ACROSS) * U(BLOCK))
+        columns = lane_columns() + F((block % BLOCKS_PER_ROW) * U(BLOCK))
+        rows = lane_rows() + F((block // BLOCKS_PER_ROW) * U(BLOCK))
         inside = (broadcast(F(width)) > columns) & (broadcast(F(height)) > rows)
         place = block * stride
         store(scratch, place + TRANSMITTANCE, select(inside, broadcast(F(1)), F(-1)))
-        store(scratch, place + LATTICE_X, columns + F(0.5))
-        store(scratch, place + LATTICE_Y, rows + F(0.5))
+        store(scratch, place + PIXEL_X, columns + F(0.5))
+        store(scratch, place + PIXEL_Y, rows + F(0.5))
         if mask_bits(inside):
             live |= U(1) << block
     return live
@@ -68,22 +73,35 @@ def live_blocks(scratch, stride):
 
 
 @inlined
-def line_up(records, start, tile_x, tile_y):
-    """Constants of the splat whose record begins at flat index `start`, for positions (x, y) relative to a tile.
+def place_splat(records, start, tile_x, tile_y):
+    """Read the splat whose record begins at flat index `start`, for positions (x, y) relative to a tile.
 
-    Returns (narrowness, slant, shift_x, flatness, shift_y): the exponent's two terms are the squares of
-    narrowness * x - slant * y + shift_x and flatness * y + shift_y. In float64, as the mean may be far away.
+    Returns its ellipse, red, green, blue and depth. The ellipse is (inv_std_x, shear, shift_x, inv_std_y, shift_y,
+    log_opacity): log2(alpha) is log_opacity minus the squares of inv_std_x * x - shear * y + shift_x and of
+    inv_std_y * y + shift_y. Computed in float64, as the mean may be far away.
     """
     x = (np.float64(records[start + U(X)]) - tile_x) + np.float64(records[start + U(X_REST)])
     y = (np.float64(records[start + U(Y)]) - tile_y) + np.float64(records[start + U(Y_REST)])
-    slope = np.float64(records[start + U(SLOPE)]) + np.float64(records[start + U(SLOPE_REST)])
-    narrowness, flatness = records[start + U(NARROWNESS)], records[start + U(FLATNESS)]
-    shift_x, shift_y = F(np.float64(narrowness) * (slope * y - x)), F(-np.float64(flatness) * y)
-    return narrowness, narrowness * F(slope), shift_x, flatness, shift_y
+    x_per_y = np.float64(records[start + U(X_PER_Y)]) + np.float64(records[start + U(X_PER_Y_REST)])
+    inv_std_x, inv_std_y = records[start + U(INV_STD_X)], records[start + U(INV_STD_Y)]
+    shift_x, shift_y = F(np.float64(inv_std_x) * (x_per_y * y - x)), F(-np.float64(inv_std_y) * y)
+    ellipse = inv_std_x, inv_std_x * F(x_per_y), shift_x, inv_std_y, shift_y, records[start + U(LOG_OPACITY)]
+    red, green, blue = records[start + U(RED)], records[start + U(GREEN)], records[start + U(BLUE)]
+    return ellipse, red, green, blue, records[start + U(DEPTH)]
 
 
 @inlined
-def find_touched(first, last, entries, records, tile_x, tile_y, touched):
+def splat_exponent(scratch, place, ellipse):
+    """The two terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
+    inv_std_x, shear, shift_x, inv_std_y, shift_y, log_opacity = ellipse
+    pixel_y = load(scratch, place + PIXEL_Y)
+    across = load(scratch, place + PIXEL_X) * inv_std_x + (broadcast(shift_x) - pixel_y * shear)
+    down = pixel_y * inv_std_y + shift_y
+    return across, down, maximum((broadcast(log_opacity) - across * across) - down * down, LOWEST_EXPONENT)
+
+
+@inlined
+def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
     """Into `touched`: for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits.
 
     One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean, where x nearest or
@@ -94,45 +112,45 @@ def find_touched(first, last, entries, records, tile_x, tile_y, touched):
         start = U(entries[entry]) * U(RECORD)
         x = (records[start + U(X)] - F(tile_x)) + records[start + U(X_REST)]
         y = (records[start + U(Y)] - F(tile_y)) + records[start + U(Y_REST)]
-        slope, lean = records[start + U(SLOPE)], records[start + U(LEAN)]
-        narrowness, flatness = records[start + U(NARROWNESS)], records[start + U(FLATNESS)]
+        x_per_y, y_per_x = records[start + U(X_PER_Y)], records[start + U(Y_PER_X)]
+        inv_std_x, inv_std_y = records[start + U(INV_STD_X)], records[start + U(INV_STD_Y)]
         left = lane_columns() * F(BLOCK) + (F(0.5) - x)
         top = lane_rows() * F(BLOCK) + (F(0.5) - y)
         right, bottom = left + F(BLOCK - 1), top + F(BLOCK - 1)
         near_x = minimum(maximum(left, F(0)), right)
         near_y = minimum(maximum(top, F(0)), bottom)
-        down = minimum(maximum(near_x * lean, top), bottom)
-        by_column = _squares(near_x - down * slope, down, narrowness, flatness)
-        axis = near_y * slope
-        by_row = _squares(minimum(maximum(axis, left), right) - axis, near_y, narrowness, flatness)
-        limit = broadcast(records[start + U(REACH)] * F(1.001) + F(1e-2))
+        down = minimum(maximum(near_x * y_per_x, top), bottom)
+        by_column = _squares(near_x - down * x_per_y, down, inv_std_x, inv_std_y)
+        axis = near_y * x_per_y
+        by_row = _squares(minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y)
+        limit = broadcast(records[start + U(CUTOFF)] * F(1.001) + F(1e-2))
         touched[entry - first] = mask_bits(minimum(by_column, by_row) <= limit)
 
 
 @inlined
-def _squares(across, down, narrowness, flatness):
-    across, down = across * narrowness, down * flatness
+def _squares(across, down, inv_std_x, inv_std_y):
+    across, down = across * inv_std_x, down * inv_std_y
     return across * across + down * down
 
 
 @inlined
-def write_block(scratch, place, picture, target, width, columns, rows):
-    """Copy columns x rows pixels of a plane to flat index `target` of a picture `width` wide."""
+def write_block(scratch, place, image, target, width, columns, rows):
+    """Copy columns x rows pixels of a plane to flat index `target` of a image `width` wide."""
     if columns == U(BLOCK) and rows == U(BLOCK):
-        store_block(picture, target, width, load(scratch, place))
+        store_block(image, target, width, load(scratch, place))
         return
     for row in range(rows):
         for column in range(columns):
-            picture[target + row * width + column] = scratch[place + row * U(BLOCK) + column]
+            image[target + row * width + column] = scratch[place + row * U(BLOCK) + column]
 
 
 @inlined
-def read_block(scratch, place, picture, source, width, columns, rows):
-    """Copy columns x rows pixels of a picture `width` wide from flat index `source` to a plane, zero elsewhere."""
+def read_block(scratch, place, image, source, width, columns, rows):
+    """Copy columns x rows pixels of a image `width` wide from flat index `source` to a plane, zero elsewhere."""
     if columns == U(BLOCK) and rows == U(BLOCK):
-        store(scratch, place, load_block(picture, source, width))
+        store(scratch, place, load_block(image, source, width))
         return
     store(scratch, place, broadcast(F(0)))
     for row in range(rows):
         for column in range(columns):
-            scratch[place + row * U(BLOCK) + column] = picture[source + row * width + column]
+            scratch[place + row * U(BLOCK) + column] = image[source + row * width + column]

@@ -1,22 +1,50 @@
-"""The readable reference: front-to-back compositing of splats, tile by tile, with plain tensor operations."""
+"""The readable reference: EWA splatting (Zwicker et al. 2001), composited front to back with plain tensor operations.
 
-from dataclasses import fields
+Projection is computed in float64 where the device has it: positions in a wide image and needles need more than 24 bits.
+"""
+
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from edit3r.geometry.harmonics import basis
+from edit3r.geometry.rotations import quats_to_matrices
 from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.checks import check_scene, resolve_background
-from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA, RasterizerSettings
-from edit3r_rasterizers.torch_projection import Splats, project_scene
+from edit3r_rasterizers.settings import (
+    BORDER,
+    MAX_COLOUR,
+    MIN_TOTAL_ALPHA,
+    RasterizerSettings,
+    check_scene,
+    resolve_background,
+)
 
 TILE = 16
 """Side of the square of pixels composited at once [pixels]."""
 CHUNK = 4096
 """Splats composited at once: bounds the memory to TILE^2 * CHUNK numbers whatever the scene."""
+
+
+@dataclass(frozen=True)
+class Splats:
+    """The Gaussians one camera sees, front to back.
+
+    With d = pixel - mean the exponent is (inv_std_x * (d_x - x_per_y * d_y))^2 / 2 + (inv_std_y * d_y)^2 / 2: the conic
+    (inverse of the 2D covariance [[a, b], [b, c]]) in factors, d_y with variance c and d_x given d_y with variance
+    a - b^2 / c. No large terms cancel, which they do in the usual quadratic form of a needle.
+    """
+
+    means: Float[Tensor, "splat 2"]  # [pixels]
+    x_per_y: Float[Tensor, "splat"]  # b / c
+    inv_std_x: Float[Tensor, "splat"]  # 1 / sqrt(a - b^2 / c) [1 / pixels]
+    inv_std_y: Float[Tensor, "splat"]  # 1 / sqrt(c) [1 / pixels]
+    opacities: Float[Tensor, "splat"]
+    features: Float[Tensor, "splat 4"]  # colour >= 0, then camera z [scene units]
+    extents: Float[Tensor, "splat 2"]  # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
 
 
 class TorchRasterizer(Rasterizer):
@@ -37,13 +65,13 @@ class TorchRasterizer(Rasterizer):
         """
         check_scene(gaussians, cameras)
         backgrounds = resolve_background(background, self.settings.background, gaussians, cameras)
-        pictures = [
+        images = [
             [self._render_one(gaussians, cameras, scene, camera) for camera in range(cameras.count)]
             for scene in range(gaussians.means.shape[0])
         ]
         height, width = cameras.image_size
         empty = gaussians.means.new_zeros(*cameras.c2w.shape[:2], 5, height, width)
-        sums = torch.stack([torch.stack(row) for row in pictures]) if empty.numel() else empty
+        sums = torch.stack([torch.stack(row) for row in images]) if empty.numel() else empty
         transmittance = sums[:, :, 4:]
         alphas = 1 - transmittance
         return Rendering(
@@ -79,7 +107,7 @@ class TorchRasterizer(Rasterizer):
         touches = ((offsets + splats.extents >= 0) & (offsets - splats.extents <= size)).all(-1)
         index = touches.nonzero().squeeze(-1)
         values = [getattr(splats, field.name)[index] for field in fields(Splats)[:-1]]
-        values[0] = values[0] - origin  # before rounding to dtype, so that a wide picture costs no accuracy
+        values[0] = values[0] - origin  # before rounding to dtype, so that a wide image costs no accuracy
         ys, xs = torch.meshgrid(_centres(height, origin), _centres(width, origin), indexing="ij")
         pixels = torch.stack((xs.flatten(), ys.flatten()), -1).to(dtype)
         values = [value.to(dtype) for value in values]
@@ -111,14 +139,14 @@ class TorchRasterizer(Rasterizer):
         self,
         pixels: Float[Tensor, "pixel 2"],
         means: Float[Tensor, "splat 2"],
-        slope: Float[Tensor, "splat"],
-        narrowness: Float[Tensor, "splat"],
-        flatness: Float[Tensor, "splat"],
+        x_per_y: Float[Tensor, "splat"],
+        inv_std_x: Float[Tensor, "splat"],
+        inv_std_y: Float[Tensor, "splat"],
         opacities: Float[Tensor, "splat"],
     ) -> Float[Tensor, "pixel splat"]:
         """Alpha of every splat at every pixel, 0 where it is skipped (see `Splats` for the exponent)."""
         x, y = (pixels[:, None] - means).unbind(-1)
-        exponent = 0.5 * ((narrowness * (x - slope * y)).square() + (flatness * y).square())
+        exponent = 0.5 * ((inv_std_x * (x - x_per_y * y)).square() + (inv_std_y * y).square())
         alphas = (opacities * torch.exp(-exponent)).clamp(max=self.settings.max_alpha)
         return torch.where(alphas.detach() >= self.settings.min_alpha, alphas, torch.zeros_like(alphas))
 
@@ -126,3 +154,80 @@ class TorchRasterizer(Rasterizer):
 def _centres(count: int, like: Tensor) -> Float[Tensor, "count"]:
     """Pixel centres 0.5, 1.5, ... [pixels]."""
     return torch.arange(count, dtype=like.dtype, device=like.device) + 0.5
+
+
+def project_scene(
+    gaussians: Gaussians,
+    scene: int,
+    c2w: Float[Tensor, "4 4"],
+    intrinsics: Float[Tensor, "3 3"],
+    image_size: tuple[int, int],
+    settings: RasterizerSettings,
+) -> Splats:
+    """Splats of one scene for one camera with normalised intrinsics; differentiable in all fields of `gaussians`."""
+    work = working_dtype(gaussians.means)
+    offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(work)  # subtracting first is exact far from the origin
+    rotation = c2w[:3, :3].to(work)
+    depth = (offsets.detach() @ rotation)[:, 2]
+    opacities = gaussians.opacities[scene].to(work)
+    kept = (depth >= settings.near) & (depth <= settings.far) & (opacities.detach() >= settings.min_alpha)
+    index = kept.nonzero().squeeze(-1)
+    index = index[depth[index].argsort(stable=True)]  # front to back, ties in index order
+
+    camera = offsets[index] @ rotation
+    height, width = image_size
+    size = intrinsics.new_tensor([width, height], dtype=work)
+    focal = intrinsics.to(work)[[0, 1], [0, 1]] * size  # [pixels]
+    centre = intrinsics.to(work)[:2, 2] * size
+    tangents = camera[:, :2] / camera[:, 2:]
+    rows = _image_rows(tangents, camera[:, 2], focal, centre, size, rotation)
+    shape = quats_to_matrices(gaussians.quats[scene, index].to(work)) * gaussians.scales[scene, index, None].to(work)
+    across, down = (rows @ shape).unbind(-2)  # covariance a = |across|^2 + eps2d, b = across . down, ...
+    variance_x = across.square().sum(-1) + settings.eps2d
+    variance_y = down.square().sum(-1) + settings.eps2d
+    down = down / variance_y.sqrt()[:, None]
+    spread = torch.linalg.cross(across, down).square().sum(-1)
+    variance_given_y = spread + settings.eps2d * (1 + across.square().sum(-1) / variance_y)
+    cutoff = 2 * (opacities[index] / settings.min_alpha).log()
+    variances = torch.stack((variance_x, variance_y), -1)
+    colours = seen_colours(gaussians.harmonics[scene, index].to(work), offsets[index])
+    return Splats(
+        means=tangents * focal + centre,
+        x_per_y=(across * down).sum(-1) / variance_y.sqrt(),
+        inv_std_x=variance_given_y.rsqrt(),
+        inv_std_y=variance_y.rsqrt(),
+        opacities=opacities[index],
+        features=torch.cat((colours, camera[:, 2:]), -1),
+        extents=(cutoff[:, None] * variances).detach().sqrt(),
+    )
+
+
+def _image_rows(
+    tangents: Float[Tensor, "splat 2"],
+    depth: Float[Tensor, "splat"],
+    focal: Float[Tensor, "2"],
+    centre: Float[Tensor, "2"],
+    size: Float[Tensor, "2"],
+    rotation: Float[Tensor, "3 3"],
+) -> Float[Tensor, "splat 2 3"]:
+    """Jacobian of the image position by the world position, at the tangents clamped near the image's border."""
+    margin = BORDER * 0.5 * size / focal
+    low, high = -(centre / focal + margin), (size - centre) / focal + margin
+    x, y = tangents.clamp(low, high).unbind(-1)
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    rows = torch.stack((torch.stack((one, zero, -x), -1), torch.stack((zero, one, -y), -1)), -2)
+    return (focal[:, None] * rows / depth[:, None, None]) @ rotation.T
+
+
+def seen_colours(
+    harmonics: Float[Tensor, "splat coefficient 3"], offsets: Float[Tensor, "splat 3"]
+) -> Float[Tensor, "splat 3"]:
+    """Colours seen along `offsets` from the camera centre to the Gaussians."""
+    degree = round(harmonics.shape[1] ** 0.5) - 1
+    values = basis(offsets / offsets.norm(dim=-1, keepdim=True), degree)
+    return (torch.einsum("nk,nkc->nc", values, harmonics) + 0.5).clamp(0, MAX_COLOUR)
+
+
+def working_dtype(like: Tensor) -> torch.dtype:
+    """float64, or the tensor's own dtype on a device without (Apple's mps)."""
+    return like.dtype if like.device.type == "mps" else torch.float64

@@ -10,7 +10,7 @@ def register_refiners() -> list[Component]:
     return [
         Component(
             "simplify",
-            "edit3r_refiners.simplify.refiner:SimplifyRefiner",
+            "edit3r_refiners.simplify:SimplifyRefiner",
             "keeps only the Gaussians that the scene requires, or at most a number",
         ),
         Component(

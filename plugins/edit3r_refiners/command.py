@@ -2,8 +2,12 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edit3r.command import Command
+
+if TYPE_CHECKING:
+    from edit3r_refiners.settings import SimplifySettings
 
 
 class SimplifyCommand(Command):
@@ -33,7 +37,7 @@ class SimplifyCommand(Command):
         from edit3r.reporting import Report, collecting
         from edit3r_refiners.simplify import simplify
 
-        most, settings = _wish(args)
+        most, settings = _budget_and_settings(args)
         rasterizer = default_registry(tuple(args.plugin)).build("rasterizer", args.rasterizer)
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
             with report.stage("read scene"):
@@ -52,12 +56,11 @@ class SimplifyCommand(Command):
         return 0
 
 
-def _wish(args: argparse.Namespace):
-    """The budget (None: auto) and the settings."""
+def _budget_and_settings(args: argparse.Namespace) -> tuple[int | None, "SimplifySettings"]:
+    """Read the most Gaussians that may be left (None: as the scene requires) and the settings of `simplify`."""
     from edit3r.config import make_settings, parse_assignments
     from edit3r.errors import SettingsError
-    from edit3r_refiners.simplify import SimplifySettings
-    from edit3r_refiners.simplify.budget import parse_budget
+    from edit3r_refiners.settings import SimplifySettings, parse_budget
 
     try:
         budget = parse_budget(args.gaussians)

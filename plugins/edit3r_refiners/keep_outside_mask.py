@@ -1,29 +1,29 @@
-"""An edit put into a scene: what shows outside the edited region stays as it was, bit for bit.
+"""Put an edit into a scene such that what shows outside the masks stays as it was, bit for bit.
 
-    scene before --.                     shows outside the region in some view --> stays
-    scene after  --+--> which Gaussians? shows inside only                     --> the edited scene's in its place
+    Gaussians before --.                    shows outside the region in some view --> stays
+    Gaussians after  --+--> each Gaussian:  shows inside only                     --> replaced by the edited ones
 
-Which pixels a Gaussian shows in is read from the rasterizer (blending weight, the gradient of the picture by its
-colour), so the rule holds for any reconstructor's Gaussians.
+Which pixels a Gaussian shows in is read from the rasterizer (its blending weights), so the rule holds for any
+reconstructor's Gaussians.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.config import Settings as BaseSettings
+from edit3r.geometry.alignment import median_scale
 from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, warn
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_refiners.footprint import Outlines, cells_of, measured_footprint
-from edit3r_refiners.simplify.contribution import contributions
-from edit3r_refiners.simplify.placement import place
+from edit3r_refiners.importance import contributions
+from edit3r_refiners.merging import place
 
 Region = Bool[Tensor, "view height width"]
 SHAPE = ("means", "scales", "quats", "opacities")
-VALUES = (*SHAPE, "harmonics")
+FIELDS = (*SHAPE, "harmonics")
 
 
 class KeepOutsideMask(Refiner):
@@ -40,7 +40,7 @@ class KeepOutsideMask(Refiner):
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:
-        """`request.before` with those Gaussians replaced that show only where `request.masks` are above 0.
+        """Return `request.before` with those Gaussians replaced that show only where `request.masks` are above 0.
 
         Without masks, or where they cover every pixel, `gaussians` come back unchanged.
         """
@@ -55,109 +55,84 @@ class KeepOutsideMask(Refiner):
         region = request.masks[0] > 0
         note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
         with torch.no_grad():
-            return graft(request.before, gaussians, region, cameras, rasterizer).gaussians
+            return insert_edit(request.before, gaussians, region, cameras, rasterizer)
 
 
-@dataclass(frozen=True)
-class Graft:
-    """A scene with an edit in it."""
+def insert_edit(
+    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+) -> Gaussians:
+    """Replace those Gaussians of `before` (batch 1) that show only inside `region` by those of `after`.
 
-    gaussians: Gaussians
-    removed: Gaussians  # of the scene before that are gone
-    inserted: Gaussians  # that are new
-
-
-def graft(before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer) -> Graft:
-    """Replace those of `before` (batch 1) that show only inside `region` of the cameras' pictures.
-
-    Where both reconstructions have the same structure (as many Gaussians, from the same views: one per pixel), each is
-    replaced by its counterpart, and only if neither shows outside. Otherwise those of `before` that show inside alone
-    go, and those of `after` that do so come; a gap may then stay along the border.
+    Where both reconstructions have the same structure (as many Gaussians, from the same views: one per pixel), each
+    Gaussian is replaced by its counterpart, and only if neither shows outside. Otherwise those of `before` that show
+    inside alone go, and those of `after` that do so come; a gap may then stay along the border.
     """
     if same_structure(before, after):
-        return _graft_counterparts(before, _in_unit_of(before, after, region, cameras), region, cameras, rasterizer)
-    return _graft_sets(before, after, region, cameras, rasterizer)
+        after = _in_unit_of(before, after, region, cameras)
+        return _replace_counterparts(before, after, region, cameras, rasterizer)
+    return _replace_sets(before, after, region, cameras, rasterizer)
 
 
 def same_structure(before: Gaussians, after: Gaussians) -> bool:
-    """Whether Gaussian i of one is Gaussian i of the other."""
+    """Tell whether Gaussian i of one scene is the counterpart of Gaussian i of the other."""
     same = before.count == after.count and before.harmonics.shape == after.harmonics.shape
     return same and torch.equal(before.view_index, after.view_index) and bool((before.view_index >= 0).all())
 
 
-def differing(before: Gaussians, after: Gaussians, names: tuple[str, ...] = VALUES) -> Bool[Tensor, "gaussian"]:
-    """Which Gaussians of one structure differ in any bit."""
+def differing(before: Gaussians, after: Gaussians, names: tuple[str, ...] = FIELDS) -> Bool[Tensor, "gaussian"]:
+    """Tell which Gaussians of two scenes (batch 1, same structure) differ in any bit of the named fields."""
     differs = torch.zeros(before.count, dtype=torch.bool, device=before.means.device)
     for name in names:
         differs |= (getattr(before, name)[0] != getattr(after, name)[0]).reshape(before.count, -1).any(1)
     return differs
 
 
-def _graft_counterparts(
+def _replace_counterparts(
     before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
-) -> Graft:
-    own = _own_pixel_inside(before, region, cameras)
-    wanted = differing(before, after) & own
-    replaced = wanted & ~_shows_outside(before, wanted, region, cameras, rasterizer)
-    # Equal shapes have equal weights. Otherwise the new one may reach further, and what it hid may come forth.
+) -> Gaussians:
+    """Replace Gaussians one by one, for scenes of the same structure."""
+    wanted = differing(before, after) & _own_pixel_inside(before, region, cameras)
+    replaced = wanted & ~_show_in(before, ~region, cameras, rasterizer)
+    # Equal shapes have equal weights. Otherwise the new one may show further out, and what it hid may appear.
     reshaped = bool((replaced & differing(before, after, SHAPE)).any())
     while reshaped and replaced.any():
-        spilling = replaced & _shows_outside(_mixed(before, after, replaced), replaced, region, cameras, rasterizer)
+        spilling = replaced & _show_in(_mixed(before, after, replaced), ~region, cameras, rasterizer)
         replaced &= ~spilling
         reshaped = bool(spilling.any())
     note("keep_outside_mask.wanted_gaussians", int(wanted.sum()))
     note("keep_outside_mask.replaced_gaussians", int(replaced.sum()))
-    return Graft(_mixed(before, after, replaced), before.select(replaced), after.select(replaced))
+    return _mixed(before, after, replaced)
 
 
-def _graft_sets(before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer) -> Graft:
-    inside, outside = (_weights(before, pixels, cameras, rasterizer) for pixels in (region, ~region))
-    kept = ~((inside > 0) & (outside == 0))
-    inside, outside = (_weights(after, pixels, cameras, rasterizer) for pixels in (region, ~region))
-    inserted = (inside > 0) & (outside == 0)
-    old = before.select(kept)
+def _replace_sets(
+    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+) -> Gaussians:
+    """Replace all Gaussians that show inside alone, for scenes of different structure."""
+    removed, inserted = (
+        _show_in(gaussians, region, cameras, rasterizer) & ~_show_in(gaussians, ~region, cameras, rasterizer)
+        for gaussians in (before, after)
+    )
+    kept = before.select(~removed)
     while inserted.any():
-        both = _joined(old, after.select(inserted))
-        new = torch.arange(both.count, device=inserted.device) >= old.count
-        spilling = _shows_outside(both, new, region, cameras, rasterizer)[old.count :]
+        both = _concatenated(kept, after.select(inserted))
+        spilling = _show_in(both, ~region, cameras, rasterizer)[kept.count :]
         if not spilling.any():
             break
         inserted[inserted.nonzero()[:, 0][spilling]] = False
-    note("keep_outside_mask.replaced_gaussians", int((~kept).sum()))
+    note("keep_outside_mask.replaced_gaussians", int(removed.sum()))
     note("keep_outside_mask.inserted_gaussians", int(inserted.sum()))
-    return Graft(_joined(old, after.select(inserted)), before.select(~kept), after.select(inserted))
+    return _concatenated(kept, after.select(inserted))
 
 
-def _shows_outside(
-    gaussians: Gaussians, asked: Bool[Tensor, "gaussian"], region: Region, cameras: Cameras, rasterizer: Rasterizer
+def _show_in(
+    gaussians: Gaussians, pixels: Region, cameras: Cameras, rasterizer: Rasterizer
 ) -> Bool[Tensor, "gaussian"]:
-    """Which of the Gaussians `asked` about add anything to a pixel outside the region; False for the others.
-
-    The rasterizer is only asked about those near the outside, and shown all that is there.
-    """
-    found = torch.zeros_like(asked)
-    if not asked.any() or region.all():
-        return found
-    footprint = measured_footprint(rasterizer, gaussians.means)
-    if footprint is None:
-        return asked & (_weights(gaussians, ~region, cameras, rasterizer) > 0)
-    everything = Outlines(gaussians, footprint)
-    for index in range(cameras.count):
-        outside = cells_of(~region[index])
-        border = everything.meeting(cameras, index, outside)
-        cells = Outlines(gaussians.select(border[asked[border]]), footprint).cells(cameras, index)
-        near = everything.meeting(cameras, index, cells & outside)
-        weights = _weights(gaussians.select(near), ~region[index, None], cameras.select([index]), rasterizer)
-        found[near[weights > 0]] = True
-    return asked & found
-
-
-def _weights(gaussians: Gaussians, pixels: Region, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "n"]:
-    return contributions(gaussians, cameras, rasterizer, pixels)[0]
+    """Tell which Gaussians add anything to the pixels."""
+    return contributions(gaussians, cameras, rasterizer, pixels)[0] > 0
 
 
 def _own_pixel_inside(gaussians: Gaussians, region: Region, cameras: Cameras) -> Bool[Tensor, "gaussian"]:
-    """Whether each lies on a pixel of the region in the view it came from; outside the picture the nearest counts."""
+    """Tell which lie on a pixel of the region in their own view; outside the image the nearest pixel counts."""
     placement = place(gaussians, cameras)
     height, width = cameras.image_size
     row, column = placement.row.clamp(0, height - 1), placement.column.clamp(0, width - 1)
@@ -165,7 +140,7 @@ def _own_pixel_inside(gaussians: Gaussians, region: Region, cameras: Cameras) ->
 
 
 def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Cameras) -> Gaussians:
-    """`after` in the unit of length of `before`: networks without poses choose one per answer.
+    """Bring `after` to the unit of length of `before`: networks without poses choose one per answer.
 
     The view-0 camera is the frame of both, so a factor is all there is; the Gaussians outside the region tell it.
     """
@@ -174,8 +149,7 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
     still = ~_own_pixel_inside(before, region, cameras)
     if not still.any():
         return after
-    lengths = [gaussians.means[0, still].norm(dim=-1) for gaussians in (before, after)]
-    factor = float((lengths[0] / lengths[1].clamp(min=1e-12)).median())
+    factor = float(median_scale(after.means[0, still], before.means[0, still]))
     if abs(factor - 1) < 1e-6:
         return after
     note("keep_outside_mask.rescaled_by", factor)
@@ -183,15 +157,17 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
 
 
 def _mixed(before: Gaussians, after: Gaussians, replaced: Bool[Tensor, "gaussian"]) -> Gaussians:
-    def chosen(name: str) -> Tensor:
+    """Take the Gaussians of `after` where `replaced`, else those of `before`; both have the same structure."""
+
+    def chosen(name: str) -> Float[Tensor, "1 gaussian *field"]:
         old, new = getattr(before, name), getattr(after, name)
         return torch.where(replaced.view(1, -1, *(1,) * (old.dim() - 2)), new, old)
 
-    return replace(before, **{name: chosen(name) for name in VALUES})
+    return replace(before, **{name: chosen(name) for name in FIELDS})
 
 
-def _joined(first: Gaussians, second: Gaussians) -> Gaussians:
-    """Both, with as many harmonics as the richer of them."""
+def _concatenated(first: Gaussians, second: Gaussians) -> Gaussians:
+    """Join both scenes, with as many harmonics as the richer of them."""
     most = max(first.harmonics.shape[2], second.harmonics.shape[2])
 
     def padded(gaussians: Gaussians) -> Gaussians:

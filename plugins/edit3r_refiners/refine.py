@@ -1,11 +1,12 @@
-"""A few photometric steps on the input views after the feed-forward pass: Gaussians only, cameras stay.
+"""Refine Gaussians by a few photometric steps on the input views; the cameras stay.
 
-Each step renders the input views and moves colours, opacities, sizes and centres a little towards the (edited)
-photos. A share of the pixels is held back from the loss; when they stop getting better, so do the steps, and the
-best state by them is returned: it is never worse on them than the start.
+Each step renders the input views and moves colours, opacities, sizes and centres a little towards their images. A
+share of the pixels is held back from the loss. The steps end when those pixels stop getting better, and the best
+state by them is returned: it is never worse on them than the start.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -17,12 +18,10 @@ from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, progress
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_refiners.adam import Adam
-
-__all__ = ["RefineRefiner", "RefineSettings", "Refined", "refine"]
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
+BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam; torch's defaults
 
 
 class RefineSettings(Settings):
@@ -48,7 +47,7 @@ class Refined:
 
     @property
     def facts(self) -> dict[str, float]:
-        """Steps, and what they gained [dB]."""
+        """The number of steps, and what they gained [dB]."""
         gains = (
             10 * math.log10(max(errors[0], LEAST_ERROR) / max(errors[self.steps], LEAST_ERROR))
             for errors in (self.held_back, self.fitted)
@@ -65,7 +64,10 @@ def refine(
     steps: int,
     settings: RefineSettings | None = None,
 ) -> Refined:
-    """Take up to `steps` steps towards `images` as seen from `cameras`; same inputs, same result on one device."""
+    """Take up to `steps` steps towards `images` as seen from `cameras`.
+
+    The same inputs give the same result on one device. Works under `torch.no_grad()` too.
+    """
     settings = settings or RefineSettings()
     kept_out = _held_back(images, settings)
     followed = (~kept_out).to(images.dtype) / (~kept_out).sum()
@@ -107,8 +109,31 @@ class RefineRefiner(Refiner):
         return refined.gaussians
 
 
+class Adam:
+    """Moves `values` in place by Adam (Kingma and Ba 2015); `rates` are their step sizes.
+
+    `torch.optim` computes the same bits, but its first optimizer of a process imports torch's compiler: two seconds,
+    more than all steps of a usual refinement together.
+    """
+
+    def __init__(self, values: Sequence[Tensor], rates: Sequence[float]) -> None:
+        self.values, self.rates, self.steps = list(values), list(rates), 0
+        self.first, self.second = ([torch.zeros_like(value) for value in self.values] for _ in range(2))
+
+    @torch.no_grad()
+    def step(self, gradients: Sequence[Tensor]) -> None:
+        """One step against the gradients, in the order of the values."""
+        self.steps += 1
+        unbiased = [1 - beta**self.steps for beta in BETAS]
+        for value, rate, gradient, first, second in zip(self.values, self.rates, gradients, self.first, self.second):
+            first.lerp_(gradient, 1 - BETAS[0])
+            second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
+            spread = second.sqrt().div_(math.sqrt(unbiased[1])).add_(EPSILON)
+            value.addcdiv_(first, spread, value=-rate / unbiased[0])
+
+
 class _Variables:
-    """What Adam moves: unconstrained numbers from which valid Gaussians are made."""
+    """The unconstrained numbers that Adam moves, from which valid Gaussians are made."""
 
     def __init__(self, gaussians: Gaussians, settings: RefineSettings) -> None:
         self.start = _detached(gaussians)
@@ -135,8 +160,10 @@ class _Variables:
         self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())))
 
 
-def _held_back(images: Tensor, settings: RefineSettings) -> Bool[Tensor, "batch camera height width"]:
-    """Pixels kept out of the loss; at least one is, and one is not."""
+def _held_back(
+    images: Float[Tensor, "batch camera 3 height width"], settings: RefineSettings
+) -> Bool[Tensor, "batch camera height width"]:
+    """Choose the pixels kept out of the loss: at least one, and not all."""
     batch, cameras, _, height, width = images.shape
     generator = torch.Generator().manual_seed(settings.seed)
     order = torch.randperm(batch * cameras * height * width, generator=generator)
@@ -147,11 +174,11 @@ def _held_back(images: Tensor, settings: RefineSettings) -> Bool[Tensor, "batch 
 
 
 def _detached(gaussians: Gaussians) -> Gaussians:
-    """Without history, and with storage of its own: Adam changes values in place."""
+    """Copy without gradient history; Adam changes values in place."""
     names = ("means", "scales", "quats", "opacities", "harmonics")
     return replace(gaussians, **{name: getattr(gaussians, name).detach().clone() for name in names})
 
 
 def _lowest(errors: list[float]) -> int:
-    """Where the first of the lowest is."""
+    """Return the index of the first of the lowest errors."""
     return min(range(len(errors)), key=errors.__getitem__)

@@ -1,10 +1,21 @@
-"""A fit finds the scene, repeats itself, and goes on after it was stopped."""
+"""A fit finds the scene, repeats itself, and goes on after it was stopped; its schedule and its loss."""
 
 import pytest
 import torch
 from edit3r_optimisers.checkpoints import Checkpoints, fingerprint
-from edit3r_optimisers.fitting import FitPlan, FixedPictures, fit, scene_extent
+from edit3r_optimisers.fitting import (
+    FitPlan,
+    FixedImages,
+    active_degree,
+    fit,
+    photometric_loss,
+    scene_extent,
+    step_sizes,
+    structural_similarity,
+    view_at,
+)
 from edit3r_optimisers.settings import FitSettings
+from skimage.metrics import structural_similarity as reference
 
 from edit3r.errors import InputError
 from edit3r.types import Views
@@ -20,9 +31,9 @@ def start(build, posed):
     return first.gaussians, first.cameras
 
 
-def fitted(start, posed, rasterizer, steps, settings=QUICK, keeper=None, pictures=None):
-    pictures = pictures or FixedPictures(posed.images[0])
-    return fit(*start, pictures, rasterizer, FitPlan(settings, steps, 3, "test"), keeper)
+def fitted(start, posed, rasterizer, steps, settings=QUICK, checkpoint=None, targets=None):
+    targets = targets or FixedImages(posed.images[0])
+    return fit(*start, targets, rasterizer, FitPlan(settings, steps, 3, "test"), checkpoint)
 
 
 def psnr(image, target) -> float:
@@ -50,47 +61,105 @@ class Stop(Exception):
     pass
 
 
-class Stopping(FixedPictures):
+class Stopping(FixedImages):
     """Raises when it is asked before step 9."""
 
-    def before(self, step, scene):
+    def before_step(self, step, scene):
         if step == 9:
             raise Stop
 
 
 def test_a_fit_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(start, posed, rasterizer, tmp_path):
     straight = fitted(start, posed, rasterizer, 18)
-    keeper = Checkpoints(tmp_path / "new", every=4).keeper("fit", posed.images)
+    checkpoint = Checkpoints(tmp_path / "new", every=4).file("fit", posed.images)
     with pytest.raises(Stop):
-        fitted(start, posed, rasterizer, 18, keeper=keeper, pictures=Stopping(posed.images[0]))
-    assert keeper.load()["step"] == 8
-    resumed = fitted(start, posed, rasterizer, 18, keeper=keeper)
+        fitted(start, posed, rasterizer, 18, checkpoint=checkpoint, targets=Stopping(posed.images[0]))
+    assert checkpoint.load()["step"] == 8
+    resumed = fitted(start, posed, rasterizer, 18, checkpoint=checkpoint)
     assert resumed.losses == straight.losses
     assert all(torch.equal(getattr(resumed.gaussians, n), getattr(straight.gaussians, n)) for n in FIELDS)
     # A finished one is taken as it is.
-    again = fitted(start, posed, rasterizer, 18, keeper=keeper, pictures=Stopping(posed.images[0]))
+    again = fitted(start, posed, rasterizer, 18, checkpoint=checkpoint, targets=Stopping(posed.images[0]))
     assert torch.equal(again.gaussians.means, straight.gaussians.means)
 
 
 def test_a_file_that_is_no_checkpoint_is_an_error_that_says_what_to_do(tmp_path):
-    keeper = Checkpoints(tmp_path, every=1).keeper("fit", 1)
-    keeper.path.write_bytes(b"no checkpoint")
+    checkpoint = Checkpoints(tmp_path, every=1).file("fit", 1)
+    checkpoint.path.write_bytes(b"no checkpoint")
     with pytest.raises(InputError, match="delete it to begin anew"):
-        keeper.load()
+        checkpoint.load()
 
 
 def test_checkpoints_of_other_inputs_are_other_files_and_vanish_when_the_work_is_done(tmp_path):
     checkpoints = Checkpoints(tmp_path, every=1)
-    one, other = (checkpoints.keeper("fit", torch.tensor([value]), "same") for value in (1.0, 2.0))
+    one, other = (checkpoints.file("fit", torch.tensor([value]), "same") for value in (1.0, 2.0))
     assert one.path != other.path and fingerprint(torch.zeros(2)) != fingerprint(torch.zeros(1, 2))
-    for keeper in (one, other):
-        keeper.save({"step": 1})
+    for checkpoint in (one, other):
+        checkpoint.save({"step": 1})
     checkpoints.discard()
     assert not list(tmp_path.iterdir())
-    assert Checkpoints(None, every=1).keeper("fit", 1) is None
+    assert Checkpoints(None, every=1).file("fit", 1) is None
 
 
 def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_other(truth, start):
     near = scene_extent(*start)
     apart = Views(truth.views.images, truth.views.intrinsics, c2w=truth.cameras.c2w)
     assert 2 < near < 4.5 and apart.count == 3  # balls and wall are 1.8 to 4 away, the cameras 0.2 from each other
+
+
+def test_centres_slow_down_log_linearly_in_units_of_the_scene():
+    settings = FitSettings(means_rate=1e-2, means_rate_end=1e-4)
+    sizes = [step_sizes(settings, step, 11, extent=3.0)["means"] for step in (0, 5, 10)]
+    assert sizes == pytest.approx([3e-2, 3e-3, 3e-4])
+
+
+def test_other_groups_keep_their_pace_and_harmonics_above_the_constant_move_at_a_twentieth():
+    first, last = (step_sizes(FitSettings(), step, 100, 2.0) for step in (0, 99))
+    assert {k: v for k, v in first.items() if k != "means"} == {k: v for k, v in last.items() if k != "means"}
+    assert first["detail"] == pytest.approx(first["colour"] / 20)
+
+
+def test_harmonics_come_in_one_degree_after_the_other():
+    degrees = [active_degree(FitSettings(degree=2), step, 9) for step in range(9)]
+    assert degrees == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+
+
+def test_every_round_looks_at_every_view_once_in_its_own_order():
+    rounds = [[view_at(7 * r + k, 7, seed=1) for k in range(7)] for r in range(4)]
+    assert all(sorted(views) == list(range(7)) for views in rounds)
+    assert len({tuple(views) for views in rounds}) > 1
+
+
+@pytest.fixture(scope="module")
+def pair():
+    generator = torch.Generator().manual_seed(0)
+    a = torch.rand(3, 24, 30, generator=generator, dtype=torch.float64)
+    return a, (a + 0.2 * torch.randn(a.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
+
+
+def test_ssim_agrees_with_scikit_image_on_whole_windows(pair):
+    a, b = (picture.permute(1, 2, 0).numpy() for picture in pair)
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "full": True}
+    maps = reference(a, b, channel_axis=2, data_range=1.0, **options)[1]
+    inside = maps[5:-5, 5:-5].mean()
+    assert float(structural_similarity(*pair)) == pytest.approx(inside, abs=1e-9)
+
+
+def test_a_picture_equals_itself_and_the_loss_is_zero(pair):
+    assert float(structural_similarity(pair[0], pair[0])) == pytest.approx(1, abs=1e-12)
+    assert float(photometric_loss(pair[0], pair[0], 0.2)) == pytest.approx(0, abs=1e-12)
+
+
+def test_weights_of_the_two_terms_are_those_of_the_paper(pair):
+    l1, dssim = (pair[0] - pair[1]).abs().mean(), (1 - structural_similarity(*pair)) / 2
+    assert torch.allclose(photometric_loss(*pair, 0.2), 0.8 * l1 + 0.2 * dssim)
+    assert torch.equal(photometric_loss(*pair, 0), l1)
+
+
+def test_gradient_agrees_with_finite_differences(pair):
+    a, b = pair[0][:1, :12, :13].clone().requires_grad_(), pair[1][:1, :12, :13]
+    assert torch.autograd.gradcheck(lambda picture: photometric_loss(picture, b, 0.2), a, atol=1e-7)
+
+
+def test_a_picture_smaller_than_a_window_has_a_loss():
+    assert torch.isfinite(photometric_loss(torch.rand(3, 4, 2), torch.rand(3, 4, 2), 0.2))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_optimisers.settings import MethodSettings
-from edit3r_optimisers.starting_points import begin, carried, random_points, thinned
+from edit3r_optimisers.starting_points import begin, moved_to, random_points, thinned
 
 from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import project
@@ -34,7 +34,7 @@ def shrunk(first: Reconstruction, factor: float) -> Reconstruction:
 
 def test_another_unit_of_length_is_undone_by_the_known_poses(first):
     small = shrunk(first, 0.2)
-    back = carried(small.gaussians, small.cameras, first.cameras)
+    back = moved_to(small.gaussians, small.cameras, first.cameras)
     assert torch.allclose(back.means, first.gaussians.means, atol=1e-4)
     assert torch.allclose(back.scales, first.gaussians.scales, atol=1e-5)
 
@@ -42,7 +42,7 @@ def test_another_unit_of_length_is_undone_by_the_known_poses(first):
 def test_gaussians_stay_on_their_pixels_however_wrong_the_predicted_poses_are(first):
     wrong = Cameras(first.cameras.c2w.flip(1), first.cameras.intrinsics, first.cameras.image_size)
     wrong = replace(wrong, c2w=torch.linalg.inv(wrong.c2w[:, :1]) @ wrong.c2w)
-    moved = carried(first.gaussians, wrong, first.cameras)
+    moved = moved_to(first.gaussians, wrong, first.cameras)
     for view in range(3):
         own = first.gaussians.view_index == view
         before, _ = project(first.gaussians.means[0, own], wrong.intrinsics[0, view], wrong.c2w[0, view])

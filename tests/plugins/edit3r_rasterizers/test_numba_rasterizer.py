@@ -3,10 +3,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_rasterizers import compiled
-from edit3r_rasterizers.raster_forward import shade_tiles
+from edit3r_rasterizers import kernels
+from edit3r_rasterizers.compositing import shade_tiles
+from edit3r_rasterizers.kernels import even_bounds, run_slices
 from edit3r_rasterizers.settings import RasterizerSettings
-from edit3r_rasterizers.threads import even_bounds, run_slices
 from raster_scenes import cameras, cloud, gradients
 
 import edit3r
@@ -130,19 +130,19 @@ def test_the_defaults_are_the_stated_convention():
 
 
 def test_kernels_without_a_cache_folder_still_run_and_say_so(monkeypatch):
-    real = compiled.njit
+    real = kernels.njit
 
     def njit(**options):
         if options.get("cache"):
             raise RuntimeError("cannot cache function: no locator available")
         return real(**options)
 
-    monkeypatch.setattr(compiled, "njit", njit)
+    monkeypatch.setattr(kernels, "njit", njit)
     with collecting(Report()) as report:
-        doubled = compiled.kernel(lambda x: 2 * x)
+        doubled = kernels.kernel(lambda x: 2 * x)
     assert doubled(21) == 42
     assert "NUMBA_CACHE_DIR" in report.warnings[0]
 
 
 def test_a_kernel_is_named_after_all_sources_so_that_no_stale_one_is_run():
-    assert shade_tiles.py_func.__qualname__ == f"shade_tiles_{compiled._digest_of_sources()}"
+    assert shade_tiles.py_func.__qualname__ == f"shade_tiles_{kernels._digest_of_sources()}"

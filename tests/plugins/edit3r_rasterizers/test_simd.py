@@ -2,8 +2,18 @@
 
 import numpy as np
 import pytest
-from edit3r_rasterizers.simd import broadcast, flag_negative, lowest_bit, magnitude, mask_bits, maximum, minimum, select
-from edit3r_rasterizers.simd_math import exp2, log2
+from edit3r_rasterizers.simd import (
+    broadcast,
+    exp2,
+    flag_negative,
+    log2,
+    lowest_bit,
+    magnitude,
+    mask_bits,
+    maximum,
+    minimum,
+    select,
+)
 from edit3r_rasterizers.simd_memory import flat, load, load_block, store, store_block, store_sums
 from numba import njit
 

@@ -1,20 +1,16 @@
-"""Refinement steps help on the input views, know when to stop, and are never worse than not refining."""
+"""Refinement steps help on the input views, know when to stop, and are never worse than no refining."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_refiners.refine import RefineSettings, refine
+from edit3r_refiners.refine import Adam, RefineSettings, refine
 
-import edit3r
 from edit3r.testing.scenes import cameras_around, gaussian_cloud
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
-
-
-@pytest.fixture(scope="module")
-def rasterizer():
-    return edit3r.build("rasterizer", "numba", threads=1)
 
 
 @pytest.fixture
@@ -85,3 +81,34 @@ def test_opacities_at_their_limits_can_still_be_refined(rasterizer, scene):
     hard = replace(gaussians, opacities=(gaussians.opacities > 0.5).float())
     result = refine(hard, cameras, images, rasterizer, 10)
     assert result.fitted[result.steps] < result.fitted[0]
+
+
+def test_steps_of_adam_are_those_of_torch():
+    generator = torch.Generator().manual_seed(0)
+    start = [torch.randn(5, 3, generator=generator), torch.randn(4, generator=generator)]
+    ours, theirs = ([value.clone().requires_grad_(True) for value in start] for _ in range(2))
+    adam, reference = Adam(ours, [0.1, 1e-3]), torch.optim.Adam(
+        [{"params": [value], "lr": rate} for value, rate in zip(theirs, [0.1, 1e-3])]
+    )  # fmt: skip
+    for _ in range(20):
+        gradients = [torch.randn(value.shape, generator=generator) ** 3 for value in start]
+        adam.step(gradients)
+        for value, gradient in zip(theirs, gradients):
+            value.grad = gradient
+        reference.step()
+    for value, expected in zip(ours, theirs):
+        assert torch.equal(value, expected)
+
+
+def test_a_gradient_of_zero_moves_nothing():
+    value = torch.ones(3)
+    Adam([value], [0.1]).step([torch.zeros(3)])
+    assert torch.equal(value, torch.ones(3))
+
+
+def test_no_compiler_is_loaded():
+    code = (
+        "import sys, torch; from edit3r_refiners.refine import Adam; Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"
+    )
+    code += "; sys.exit('torch._dynamo' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

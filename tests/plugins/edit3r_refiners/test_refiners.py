@@ -7,15 +7,14 @@ import torch
 
 import edit3r
 from edit3r.errors import SettingsError
+from edit3r.interfaces import Rasterizer
+from edit3r.reporting import Report, collecting
 from edit3r.testing.scenes import cameras_around, gaussian_cloud
 from edit3r.types import EditRequest, Views
 
+from .scenes import textured
+
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
-
-
-@pytest.fixture(scope="module")
-def rasterizer():
-    return edit3r.build("rasterizer", "numba", threads=1)
 
 
 @pytest.fixture
@@ -48,6 +47,37 @@ def test_refine_brings_the_scene_closer_to_the_edited_views(rasterizer, scene):
         first = cameras.select([0])
         before, after = (rasterizer.render(g, first).images - views.images for g in (gaussians, better))
     assert after.square().mean() < 0.8 * before.square().mean() and not better.means.requires_grad
+
+
+def test_simplify_and_refine_tell_what_they_did(rasterizer):
+    gaussians, cameras, images = textured()
+    views, report = Views(images, cameras.intrinsics), Report()
+    with collecting(report):
+        fewer = edit3r.build("refiner", "simplify", gaussians=900)(
+            gaussians, cameras, views, EditRequest("x"), rasterizer
+        )
+        edit3r.build("refiner", "refine", steps=2)(fewer, cameras, views, EditRequest("x"), rasterizer)
+    assert fewer.count == report.notes["simplify.left"] <= 900 < report.notes["simplify.before"] == gaussians.count
+    assert report.notes["simplify.psnr_of_input_views_against_all"] > 15
+    assert 0 <= report.notes["refine"]["steps"] <= 2
+
+
+class Watch(Rasterizer):
+    """Remembers how many cameras each call had."""
+
+    def __init__(self, rasterizer):
+        self.rasterizer, self.seen = rasterizer, []
+
+    def render(self, gaussians, cameras):
+        self.seen.append(cameras.count)
+        return self.rasterizer.render(gaussians, cameras)
+
+
+def test_refine_renders_the_edited_views_only(rasterizer, scene):
+    """Photos that still show the colours from before would pull them back."""
+    watch = Watch(rasterizer)
+    edit3r.build("refiner", "refine", steps=2)(*scene, EditRequest("x"), watch)
+    assert set(watch.seen) == {1}
 
 
 def masked(scene, rasterizer, share):

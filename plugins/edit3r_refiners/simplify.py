@@ -1,0 +1,132 @@
+"""Leave only the Gaussians that a scene requires: drop what no view needs, merge what is flat, polish what is left."""
+
+from dataclasses import dataclass
+from math import isfinite, log10
+from typing import Any
+
+import torch
+from pydantic import Field, field_validator
+
+from edit3r.errors import InputError
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.interfaces import Rasterizer, Refiner
+from edit3r.reporting import note
+from edit3r.types import Cameras, EditRequest, Gaussians, Views
+from edit3r_refiners.importance import drop_unneeded_harmonics, first_focal, viewpoints, visible_weight
+from edit3r_refiners.merging import Placement, duplicates, merge_groups, place
+from edit3r_refiners.partition import measure_cells, partition, price_for_count, scene_price
+from edit3r_refiners.refine import RefineSettings, refine
+from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
+
+# Larger steps than towards photos: merged Gaussians reach across the borders of things and must shrink within few.
+POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08)
+LONE_BASELINE = 0.1  # how far new views of a lone photo are taken to be [its median depth]
+
+
+class SimplifyRefiner(Refiner):
+    """Keeps only the Gaussians that the scene requires, or at most a number of them."""
+
+    class Settings(SimplifySettings):
+        gaussians: Budget = Field(
+            "auto", description="all, auto (only what the scene requires), or the most there may be"
+        )
+        max_gaussians: int | None = Field(None, ge=1, description="never leave more than this")
+
+        @field_validator("gaussians", mode="before")
+        @classmethod
+        def _parse_gaussians(cls, value: Any) -> Budget:
+            return parse_budget(value)
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def __call__(
+        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+    ) -> Gaussians:
+        """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer."""
+        for most in passes(self.settings.gaussians, self.settings.max_gaussians):
+            gaussians = simplify(gaussians, cameras, rasterizer, most, self.settings).gaussians
+        return gaussians
+
+
+@dataclass(frozen=True)
+class Simplified:
+    """Fewer Gaussians, and what was lost."""
+
+    gaussians: Gaussians
+    before: int
+    unseen: int  # dropped because no camera sees them
+    doubled: int  # dropped because an earlier view shows the same surface
+    merged: int  # gone into others
+    psnr: float  # of the cameras' images against those of all Gaussians [dB]
+
+
+@torch.no_grad()
+def simplify(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
+    most: int | None = None,
+    settings: SimplifySettings | None = None,
+) -> Simplified:
+    """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of `view_index`.
+
+    `most` is a budget: the price of a Gaussian is searched so that at most so many are left. With None the price
+    follows from the scene's detail, see `scene_price`. Raises InputError for a batch of several scenes.
+    """
+    settings = settings or SimplifySettings()
+    if gaussians.means.shape[0] != 1:
+        raise InputError(f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}.")
+    if gaussians.count <= (1 if most is None else most):
+        return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
+    kept = drop_unneeded_harmonics(gaussians, viewpoints(cameras), rasterizer, settings.harmonics)
+    twice = duplicates(kept, cameras, place(kept, cameras), settings)
+    kept = kept.select(~twice)
+    seen = visible_weight(kept, cameras, rasterizer) >= settings.contribution
+    kept = kept.select(seen)
+    fewer = _merge(kept, cameras, most, settings)
+    if most is not None and fewer.count > most:
+        fewer = _most_visible(fewer, cameras, rasterizer, most)
+    merged = kept.count - fewer.count
+    images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
+    fewer = refine(fewer, cameras, images, rasterizer, settings.polish, POLISH).gaussians
+    again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
+    psnr = _decibels(float((again - images).square().mean()))
+    result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr)
+    _note(result)
+    return result
+
+
+def _decibels(squared_error: float) -> float:
+    return -10 * log10(squared_error) if squared_error > 0 else float("inf")
+
+
+def _note(result: Simplified) -> None:
+    for name in ("before", "unseen", "doubled", "merged"):
+        note(f"simplify.{name}", getattr(result, name))
+    note("simplify.left", result.gaussians.count)
+    note("simplify.psnr_of_input_views_against_all", round(result.psnr, 3) if isfinite(result.psnr) else None)
+
+
+def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings) -> Gaussians:
+    """Merge the Gaussians that share a cell of the best partition of the views."""
+    placement = place(gaussians, cameras)
+    colours = dc_to_colour(gaussians.harmonics[0, :, 0])
+    parallax = _parallax(placement, cameras)
+    cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
+    price = scene_price(cells, settings) if most is None else price_for_count(cells, most)
+    return merge_groups(gaussians, partition(cells, price), cameras, settings)
+
+
+def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, most: int) -> Gaussians:
+    weight = visible_weight(gaussians, cameras, rasterizer)
+    return gaussians.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
+
+
+def _parallax(placement: Placement, cameras: Cameras) -> float:
+    """Return focal length times the mean distance between neighbouring views [pixels times scene units]."""
+    focal = first_focal(cameras)
+    centres = cameras.c2w[0, :, :3, 3]
+    if cameras.count == 1:
+        return focal * LONE_BASELINE * float(placement.depth.median())
+    return focal * float((centres[1:] - centres[:-1]).norm(dim=-1).mean())

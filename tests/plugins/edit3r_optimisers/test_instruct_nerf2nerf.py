@@ -1,0 +1,109 @@
+"""The images of a fit are edited anew when they should be, from what they should be."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_optimisers.instruct_nerf2nerf import DatasetUpdate, UpdateSchedule
+
+from edit3r.reporting import Report, collecting
+from edit3r.testing.scenes import gaussian_cloud
+from edit3r.types import EditRequest
+
+SCHEDULE = UpdateSchedule(every=3, views=1, strengths=(0.5, 0.5), fresh_noise=True)
+ASK = EditRequest("invert", seed=5)
+
+
+@pytest.fixture
+def targets(posed, truth, editor, rasterizer):
+    def targets(schedule=SCHEDULE, request=ASK, editor=editor):
+        return DatasetUpdate(posed, truth.cameras, request, schedule, editor, rasterizer)
+
+    return targets
+
+
+def before(targets, steps):
+    for step in steps:
+        targets.before_step(step, gaussian_cloud)
+
+
+def test_one_view_is_edited_every_so_many_steps_and_every_view_once_a_round(targets, editor, posed):
+    updated = targets()
+    before(updated, range(9))
+    assert len(editor.calls) == updated.updates == 3
+    asked = [views.images[0, 0] for views, _ in editor.calls]
+    assert all(any(torch.equal(photo, one) for one in asked) for photo in posed.images[0])
+
+
+def test_views_that_were_not_edited_yet_stay_as_they_are(targets, posed):
+    updated = targets()
+    before(updated, [0, 1, 2])
+    changed = (updated.images != posed.images[0]).flatten(1).any(1)
+    assert changed.sum() == 1
+
+
+def test_the_photo_before_editing_is_what_is_edited_however_often(targets, editor, posed):
+    before(targets(), range(0, 27, 3))
+    assert len(editor.calls) == 9
+    assert all(any(torch.equal(views.images[0, 0], photo) for photo in posed.images[0]) for views, _ in editor.calls)
+
+
+def test_an_editor_that_cannot_start_from_a_picture_is_mixed_with_the_render_and_the_run_says_so(
+    targets, posed, rasterizer, truth
+):
+    report = Report()
+    with collecting(report):
+        updated = targets()
+        before(updated, [0])
+    view = int((updated.images != posed.images[0]).flatten(1).any(1).nonzero())
+    render = rasterizer.render(gaussian_cloud(), truth.cameras.select([view])).images[0, 0].clamp(0, 1)
+    assert torch.allclose(updated.images[view], 0.5 * render + 0.5 * (1 - posed.images[0, view]), atol=1e-6)
+    assert any("cannot start from a given picture" in text for text in report.warnings)
+
+
+def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(targets, posed):
+    class Starting:
+        def edit(self, views, request):
+            raise AssertionError
+
+        def edit_from(self, views, start, request, strength):
+            self.asked = views, start, request, strength
+            return replace(views, images=start.clamp(0, 1))
+
+    editor = Starting()
+    before(targets(editor=editor), [0])
+    views, start, request, strength = editor.asked
+    assert any(torch.equal(views.images[0, 0], photo) for photo in posed.images[0])
+    assert start.shape == views.images.shape and strength == 0.5 and request.prompt == "invert"
+
+
+def test_fresh_noise_is_another_seed_each_time(targets, editor):
+    before(targets(), range(0, 9, 3))
+    assert [request.seed for _, request in editor.calls] == [5, 6, 7]
+    editor.calls.clear()
+    before(targets(replace(SCHEDULE, fresh_noise=False)), range(0, 9, 3))
+    assert [request.seed for _, request in editor.calls] == [5, 5, 5]
+
+
+def test_masks_go_with_their_view_and_confine_it(targets, posed, editor):
+    masks = torch.zeros(1, 3, 32, 40)
+    masks[:, :, :, :20] = 1
+    updated = targets(request=replace(ASK, masks=masks))
+    before(updated, range(9))
+    assert torch.equal(updated.images[..., 20:], posed.images[0, ..., 20:])
+    assert not torch.equal(updated.images[..., :20], posed.images[0, ..., :20])
+    assert editor.calls[0][1].masks.shape == (1, 1, 32, 40)
+
+
+def test_several_views_at_once_are_one_call(targets, editor):
+    before(targets(replace(SCHEDULE, views=3)), [0, 3])
+    assert [views.count for views, _ in editor.calls] == [3, 3]
+
+
+def test_restored_targets_go_on_where_they_were(targets):
+    straight, stopped, resumed = targets(), targets(), targets()
+    before(straight, range(12))
+    before(stopped, range(6))
+    resumed.restore(stopped.state())
+    before(resumed, range(6, 12))
+    assert torch.equal(resumed.images, straight.images) and resumed.updates == straight.updates
