@@ -12,7 +12,7 @@ from torch import Tensor
 from edit3r.geometry.cameras import unproject
 from edit3r.interfaces import MatchedGeometry, SceneSample
 from edit3r.types import Cameras, Views
-from edit3r_training.edit_regimes import EditedSample, RegimeShares, apply_regime
+from edit3r_training.asymmetric_inputs import EditedSample, RegimeShares, edit_sample
 from edit3r_training.simulated_matching import simulate_match
 
 
@@ -32,8 +32,7 @@ class TrainingBatch:
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
-        geometry = None if self.geometry is None else replace(self.geometry, **_moved(self.geometry, device))
-        return replace(self, **(_moved(self, device) | {"geometry": geometry}))
+        return replace(self, **{field.name: _moved(getattr(self, field.name), device) for field in fields(self)})
 
     def true_centres(self) -> Float[Tensor, "batch gaussian 3"] | None:
         """Surface points of all context pixels, view-major, row-major."""
@@ -43,10 +42,13 @@ class TrainingBatch:
         return points.reshape(len(points), -1, 3)
 
 
-def _moved(data: TrainingBatch | MatchedGeometry, device: torch.device) -> dict[str, Any]:
-    """The fields that live on a device, there."""
-    values = {field.name: getattr(data, field.name) for field in fields(data)}
-    return {name: value.to(device) for name, value in values.items() if hasattr(value, "to")}
+def _moved(value: Any, device: torch.device) -> Any:
+    """The value of a field on another device."""
+    if isinstance(value, Tensor | Views | Cameras):
+        return value.to(device)
+    if isinstance(value, MatchedGeometry):
+        return replace(value, **{field.name: _moved(getattr(value, field.name), device) for field in fields(value)})
+    return value
 
 
 def make_batch(
@@ -78,7 +80,7 @@ class _Item:
 
     @staticmethod
     def made(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> "_Item":
-        edit = apply_regime(sample, shares, rng)
+        edit = edit_sample(sample, shares, rng)
         if sample.context_depths is None:
             return _Item(sample, edit, None)
         match = simulate_match(sample, rng)

@@ -1,26 +1,27 @@
 """Trainer `recolor`: the reference view recoloured, the others as they were, and the truth recoloured everywhere.
 
-A step draws a batch, edits it (`edit_regimes`), simulates what a matcher would say about it (`simulated_matching`),
-reconstructs, and compares: pixel by pixel at every step, rendered at every `render_every`-th. All random numbers
-follow from (seed, step), so a run that is stopped and resumed gives the weights of one that was not.
+A step draws a batch, edits it (`asymmetric_inputs`), simulates what a matcher would say of it (`simulated_matching`),
+reconstructs, and compares: pixel by pixel at every step (`pixel_losses`), rendered at every `render_every`-th.
 """
 
+import copy
+from dataclasses import replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r.errors import SettingsError
-from edit3r.interfaces import LossInputs, Trainer, TrainingJob
+from edit3r.interfaces import LossInputs, Reconstructor, Trainer, TrainingJob
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import batch_indices, step_generator
 from edit3r.types import Cameras, Gaussians
+from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, make_batch
-from edit3r_training.edit_regimes import RegimeShares
-from edit3r_training.geometric_reference import GeometricReference
-from edit3r_training.supervision import colour_error, depth_error, opacity_error, pixel_maps
+from edit3r_training.pixel_losses import colour_error, depth_error, opacity_error, pixel_maps
 from edit3r_training.validation import held_out_measures, reconstruct
 
 
@@ -94,18 +95,22 @@ class RecolorRecipe(Recipe):
         return terms
 
     def _rendered_terms(self, batch: TrainingBatch, gaussians: Gaussians, step: int) -> dict[str, Tensor]:
+        """The job's losses of rendered views.
+
+        First-view drop (section 3.3): now and then without the reference's Gaussians, so that the others have to show
+        the edit; the reference's own view cannot be asked for then.
+        """
         dropped = step_generator(self.settings.seed, step, 1_000_000).random() < self.settings.drop_first
         shown = gaussians.without_view(0) if dropped else gaussians
-        first = batch.source.count if not self.settings.render_context else int(dropped)
-        cameras, pictures = _seen(batch, first)
+        first = int(dropped) if self.settings.render_context else batch.source.count
+        cameras, wished = _supervised_views(batch, first)
         rendered = self.job.rasterizer.render(shown, cameras).images
-        inputs = LossInputs(rendered, pictures, gaussians, self._reference(batch, gaussians))
+        inputs = LossInputs(rendered, wished, gaussians, self._reference(batch, gaussians))
         return {name: weight * loss(inputs) for name, (weight, loss) in self.job.losses.items()}
 
 
-def _seen(batch: TrainingBatch, first: int) -> tuple[Cameras, Tensor]:
-    """Input views from `first` on and target views; 1 where the reference's Gaussians are left out, whose own picture
-    cannot be asked for then."""
+def _supervised_views(batch: TrainingBatch, first: int) -> tuple[Cameras, Float[Tensor, "batch view 3 height width"]]:
+    """Cameras and wished images of the context views from `first` on and of the target views."""
     context, target = batch.context_cameras, batch.target_cameras
     cameras = Cameras(
         torch.cat((context.c2w[:, first:], target.c2w), 1),
@@ -113,3 +118,32 @@ def _seen(batch: TrainingBatch, first: int) -> tuple[Cameras, Tensor]:
         context.image_size,
     )
     return cameras, torch.cat((batch.truth[:, first:], batch.target), 1)
+
+
+class GeometricReference:
+    """What the 3D losses hold the edited Gaussians to (section 3.3): G_ref, the geometry of the unedited photos.
+
+    It is the true surface where the data has depths, else what the frozen first-stage model makes of the photos.
+    """
+
+    def __init__(self, frozen: Reconstructor | None = None) -> None:
+        self.frozen = frozen
+
+    @staticmethod
+    def of_start(job: TrainingJob) -> "GeometricReference":
+        """Freeze a copy of the job's network as it is now, if its data has no depths and a loss may ask for it."""
+        if not job.losses or job.train_data[0].context_depths is not None:
+            return GeometricReference()
+        frozen = copy.deepcopy(job.reconstructor)
+        frozen.network.eval().requires_grad_(False)
+        return GeometricReference(frozen)
+
+    @torch.no_grad()
+    def __call__(self, batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
+        """Reference Gaussians, one for each predicted; None when there are none."""
+        centres = batch.true_centres()
+        if centres is None and self.frozen is not None:
+            centres = self.frozen(batch.source, batch.source).gaussians.means
+        if centres is None or centres.shape != gaussians.means.shape:
+            return None
+        return replace(gaussians, means=centres)

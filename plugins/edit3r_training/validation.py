@@ -1,4 +1,4 @@
-"""Held-out scenes while training: averaged weights measured, a sheet of pictures, the best weights kept."""
+"""What a network does with held-out scenes, measured, and shown on a sheet of images."""
 
 import contextlib
 from collections.abc import Sequence
@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
 
 from edit3r import reporting
 from edit3r.errors import MatchingError
@@ -13,10 +16,9 @@ from edit3r.interfaces import Dataset, MatchedGeometry, TrainingJob
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
 from edit3r.types import Reconstruction, Views
+from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, make_batch
-from edit3r_training.edit_regimes import RegimeShares
-from edit3r_training.sample_sheet import save_sample_sheet
-from edit3r_training.supervision import PixelMaps, colour_error, depth_error, measure_edit, pixel_maps
+from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
 
 MOST_SCENES = 64
 SEED = 987_654_321
@@ -30,7 +32,7 @@ class GeometryConditioned(Protocol):
 
 
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
-    """With the batch's simulated matching where the reconstructor takes geometry, else from the pictures alone."""
+    """With the batch's simulated matching where the reconstructor takes geometry, else from the images alone."""
     reconstructor = job.reconstructor
     if batch.geometry is not None and isinstance(reconstructor, GeometryConditioned):
         return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
@@ -52,7 +54,7 @@ def held_out_measures(
     if not values:
         reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
     if sheet is not None and maps:
-        save_sample_sheet(sheet, *maps[0])
+        _save_sheet(sheet, *maps[0])
     return values
 
 
@@ -78,8 +80,40 @@ def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[Train
 
 
 def _measured(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
-    measures = measure_edit(maps, batch)
     colour = float(colour_error(maps, batch))
-    values = {"colour": colour, **vars(measures)}
-    values["score"] = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
-    return values
+    score = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
+    return {"colour": colour, **edit_measures(maps, batch), "score": score}
+
+
+def _save_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6) -> None:
+    """Write a row a scene: reference and its edit; the last view, its own edit, the truth and the predicted colours.
+
+    Where the data has depths, the last view's inverse depth follows: true, matched and predicted.
+    """
+    lines = []
+    for scene in range(min(rows, len(batch.truth))):
+        last = batch.truth.shape[1] - 1
+        images = [
+            batch.source.images[scene, 0],
+            batch.edited.images[scene, 0],
+            batch.source.images[scene, last],
+            batch.edited.images[scene, last],
+            batch.truth[scene, last],
+            maps.colours[scene, last],
+        ]
+        if batch.depths is not None and batch.geometry is not None:
+            shown = (batch.depths, batch.geometry.depths, maps.depths)
+            images += [_inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown]
+        lines.append(torch.cat(images, -1))
+    sheet = torch.cat(lines, -2).clamp(0, 1).permute(1, 2, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray((sheet.cpu().numpy() * 255).round().astype("uint8")).save(path)
+
+
+def _inverse_depth(
+    depths: Float[Tensor, "height width"], truth: Float[Tensor, "height width"]
+) -> Float[Tensor, "3 height width"]:
+    """Inverse depth as grey, white where the true depth is smallest."""
+    inverse = 1 / depths.clamp(min=1e-6)
+    top = (1 / truth).max()
+    return (inverse / top).clamp(0, 1).expand(3, -1, -1)

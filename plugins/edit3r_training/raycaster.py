@@ -9,14 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from edit3r_training.procedural.scene import CYLINDER, ELLIPSOID, ROOM, Scene
-from edit3r_training.procedural.textures import LEVELS, TILE
+from edit3r_training.procedural_scenes import CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene
 
 _OFFSETS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class CastPicture:
+class CastImage:
     """What one camera sees."""
 
     image: NDArray[np.float32]  # [height, width, 3] sRGB in [0, 1]
@@ -34,8 +33,8 @@ def cast(
     c2w: NDArray[np.float64],
     intrinsics: NDArray[np.float64],
     image_size: tuple[int, int],
-) -> CastPicture:
-    """Ray-cast one picture; `c2w` 4x4 with OpenCV axes, `intrinsics` normalised 3x3."""
+) -> CastImage:
+    """Ray-cast one image; `c2w` 4x4 with OpenCV axes, `intrinsics` normalised 3x3."""
     height, width = image_size
     image = np.empty((height, width, 3), np.float32)
     depth = np.empty((height, width), np.float32)
@@ -56,7 +55,7 @@ def cast(
         depth,
         objects,
     )
-    return CastPicture(image, depth, objects)
+    return CastImage(image, depth, objects)
 
 
 @njit(cache=True, nogil=True)
