@@ -49,7 +49,7 @@ class PhotoDataset(Dataset):
         """All scenes under the root; raises InputError when there are none."""
 
     @abstractmethod
-    def _sample(self, scene: Any, index: int) -> SceneSample:
+    def _draw(self, scene: Any, rng: np.random.Generator) -> "DrawnPhotos":
         """Draw views of one scene; raises InputError when it cannot be used."""
 
     @abstractmethod
@@ -64,10 +64,13 @@ class PhotoDataset(Dataset):
             raise IndexError(index)
         for attempt in range(len(self.scenes)):
             scene = self.scenes[(index + attempt) % len(self.scenes)]
+            rng = np.random.default_rng((self.settings.seed, index))
             try:
-                return self._sample(scene, index)
+                drawn = self._draw(scene, rng)
             except InputError as error:
                 self._skip(self._label(scene), str(error))
+            else:
+                return drawn.sample(self.settings.context, f"{drawn.scene}-{index}", self.settings.mirror, rng)
         raise InputError(f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used.")
 
     def _skip(self, label: str, reason: str) -> None:
@@ -77,19 +80,50 @@ class PhotoDataset(Dataset):
 
 
 @dataclass(frozen=True)
-class ViewChoice:
-    """Indices into a sequence of photos."""
+class DrawnPhotos:
+    """Photos of one scene, the context views first, as the dataset's files have them."""
 
-    context: tuple[int, ...]
-    target: tuple[int, ...]
+    scene: str
+    images: Float[Tensor, "view 3 height width"]
+    c2w: Float[Tensor, "view 4 4"]  # in any frame and unit
+    intrinsics: Float[Tensor, "view 3 3"]  # normalised
+    masks: Float[Tensor, "object view height width"] | None = None
+
+    def sample(self, context: int, name: str, mirror: float, rng: np.random.Generator) -> SceneSample:
+        """Make a sample of the views, the first `context` of which are context and the rest targets.
+
+        Poses are relative to the first view. Lengths are divided by the distance between the first and the last
+        context camera. With probability `mirror`, images, masks and poses are mirrored left to right.
+        """
+        images, intrinsics, masks = self.images, self.intrinsics, self.masks
+        poses = relative_to_first(self.c2w[None].double())[0]
+        baseline = poses[context - 1, :3, 3].norm()
+        poses[:, :3, 3] /= baseline.clamp(min=1e-9)
+        poses = poses.float()
+        if rng.random() < mirror:
+            images = images.flip(-1)
+            masks = None if masks is None else masks.flip(-1)
+            poses = MIRROR @ poses @ MIRROR
+            intrinsics = intrinsics.clone()
+            intrinsics[:, 0, 2] = 1 - intrinsics[:, 0, 2]
+        size = (images.shape[-2], images.shape[-1])
+        return SceneSample(
+            context=images[:context],
+            target=images[context:],
+            context_cameras=Cameras(poses[None, :context], intrinsics[None, :context], size),
+            target_cameras=Cameras(poses[None, context:], intrinsics[None, context:], size),
+            context_masks=None if masks is None else masks[:, :context],
+            target_masks=None if masks is None else masks[:, context:],
+            name=name,
+        )
 
 
 def choose_by_gap(
     rng: np.random.Generator, count: int, context: int, targets: int, gap: tuple[int, int]
-) -> ViewChoice | None:
-    """Choose context views spread evenly over `gap` frames, targets uniform in between (ends included).
+) -> list[int] | None:
+    """Indices of context views spread evenly over `gap` frames, then of targets uniform in between (ends included).
 
-    Returns None when the sequence of `count` frames is too short.
+    None when the sequence of `count` frames is too short.
     """
     most = min(gap[1], count - 1)
     least = max(min(gap[0], most), context - 1)
@@ -98,7 +132,7 @@ def choose_by_gap(
     width = int(rng.integers(least, most + 1))
     first = int(rng.integers(count - width))
     chosen = np.linspace(first, first + width, context).round().astype(int)
-    return ViewChoice(tuple(map(int, chosen)), tuple(map(int, rng.integers(first, first + width + 1, targets))))
+    return [*map(int, chosen), *map(int, rng.integers(first, first + width + 1, targets))]
 
 
 def choose_by_angle(
@@ -107,8 +141,8 @@ def choose_by_angle(
     context: int,
     targets: int,
     angles: tuple[float, float],
-) -> ViewChoice | None:
-    """Choose context views whose neighbours look `angles` [degrees] apart, targets near their middle.
+) -> list[int] | None:
+    """Indices of context views whose neighbours look `angles` [degrees] apart, then of targets near their middle.
 
     For unordered photos; None when no photos are that far apart.
     """
@@ -123,52 +157,15 @@ def choose_by_angle(
                 break
             chosen.append(int(rng.choice(np.flatnonzero(fit))))
         if len(chosen) == context:
-            return ViewChoice(tuple(chosen), _near_middle(rng, c2w, chosen, targets))
+            return chosen + _near_middle(rng, c2w, chosen, targets)
     return None
 
 
 def _near_middle(
     rng: np.random.Generator, c2w: Float[np.ndarray, "photo 4 4"], context: list[int], targets: int
-) -> tuple[int, ...]:
+) -> list[int]:
     """Draw from the photos nearest to the middle of the context cameras, twice as many as needed."""
     middle = c2w[context, :3, 3].mean(0)
     order = np.argsort(np.linalg.norm(c2w[:, :3, 3] - middle, axis=1), kind="stable")
     near = [int(i) for i in order if i not in context][: 2 * targets] or context
-    return tuple(int(i) for i in rng.choice(near, targets, replace=len(near) < targets))
-
-
-def make_sample(
-    images: Float[Tensor, "view 3 height width"],
-    c2w: Float[Tensor, "view 4 4"],
-    intrinsics: Float[Tensor, "view 3 3"],
-    context: int,
-    name: str,
-    rng: np.random.Generator,
-    mirror: float,
-    masks: Float[Tensor, "object view height width"] | None = None,
-) -> SceneSample:
-    """Make a sample of views, the first `context` of which are context and the rest targets.
-
-    Poses are relative to the first view. Lengths are divided by the distance between the first and the last context
-    camera. With probability `mirror`, images, masks and poses are mirrored left to right.
-    """
-    poses = relative_to_first(c2w[None].double())[0]
-    baseline = poses[context - 1, :3, 3].norm()
-    poses[:, :3, 3] /= baseline.clamp(min=1e-9)
-    poses = poses.float()
-    if rng.random() < mirror:
-        images = images.flip(-1)
-        masks = None if masks is None else masks.flip(-1)
-        poses = MIRROR @ poses @ MIRROR
-        intrinsics = intrinsics.clone()
-        intrinsics[:, 0, 2] = 1 - intrinsics[:, 0, 2]
-    size = (images.shape[-2], images.shape[-1])
-    return SceneSample(
-        context=images[:context],
-        target=images[context:],
-        context_cameras=Cameras(poses[None, :context], intrinsics[None, :context], size),
-        target_cameras=Cameras(poses[None, context:], intrinsics[None, context:], size),
-        context_masks=None if masks is None else masks[:, :context],
-        target_masks=None if masks is None else masks[:, context:],
-        name=name,
-    )
+    return [int(i) for i in rng.choice(near, targets, replace=len(near) < targets)]

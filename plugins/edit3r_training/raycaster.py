@@ -39,22 +39,10 @@ def cast(
     image = np.empty((height, width, 3), np.float32)
     depth = np.empty((height, width), np.float32)
     objects = np.empty((4, height, width), np.int32)
-    _cast(
-        scene.kinds,
-        scene.centres,
-        np.ascontiguousarray(scene.world_to_local),
-        scene.textures,
-        scene.repeats,
-        scene.tints,
-        scene.light,
-        scene.ambient,
-        bank,
-        np.ascontiguousarray(c2w, np.float64),
-        np.linalg.inv(intrinsics),
-        image,
-        depth,
-        objects,
-    )
+    surfaces = (scene.kinds, scene.centres, np.ascontiguousarray(scene.world_to_local))
+    looks = (scene.textures, scene.repeats, scene.tints, scene.light, scene.ambient, bank)
+    camera = (np.ascontiguousarray(c2w, np.float64), np.linalg.inv(intrinsics))
+    _cast(surfaces, looks, camera, image, depth, objects)
     return CastImage(image, depth, objects)
 
 
@@ -146,9 +134,11 @@ def _texel(bank, texture, level, u, v, out):
 
 
 @njit(cache=True, nogil=True)
-def _cast(
-    kinds, centres, matrices, textures, repeats, tints, light, ambient, bank, c2w, inverse, image, depth, objects
-):
+def _cast(surfaces, looks, camera, image, depth, objects):
+    """Fill `image`, `depth` and `objects` pixel by pixel, by the nearest hit of five rays each."""
+    kinds, centres, matrices = surfaces
+    textures, repeats, tints, light, ambient, bank = looks
+    c2w, inverse = camera
     height, width = depth.shape
     count = len(kinds)
     local_origins = np.empty((count, 3))

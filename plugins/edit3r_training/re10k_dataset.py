@@ -17,9 +17,8 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
-from edit3r.interfaces import SceneSample
 from edit3r.io.framing import frame_for
-from edit3r_training.photo_dataset import PhotoDataset, PhotoSettings, choose_by_gap, make_sample
+from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_gap
 
 
 class Re10kDataset(PhotoDataset):
@@ -46,24 +45,14 @@ class Re10kDataset(PhotoDataset):
     def _label(self, scene: tuple[Path, int]) -> str:
         return f"{scene[0].name}[{scene[1]}]"
 
-    def _sample(self, scene: tuple[Path, int], index: int) -> SceneSample:
+    def _draw(self, scene: tuple[Path, int], rng: np.random.Generator) -> DrawnPhotos:
         chosen = self.settings
         cameras, files, key = _checked(_read_chunk(scene[0])[scene[1]])
-        rng = np.random.default_rng((chosen.seed, index))
-        choice = choose_by_gap(rng, len(files), chosen.context, chosen.targets, chosen.gap)
-        if choice is None:
+        views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, chosen.gap)
+        if views is None:
             raise InputError(f"scene {key} has {len(files)} frames, too few for {chosen.context} context views.")
-        views = [*choice.context, *choice.target]
         images, intrinsics = zip(*(_square(files[view], cameras[view], chosen.image_size, key) for view in views))
-        return make_sample(
-            torch.stack(images),
-            _c2w(cameras[views]),
-            torch.stack(intrinsics),
-            chosen.context,
-            f"{key}-{index}",
-            rng,
-            chosen.mirror,
-        )
+        return DrawnPhotos(key, torch.stack(images), _c2w(cameras[views]), torch.stack(intrinsics))
 
 
 @lru_cache(maxsize=2)

@@ -16,19 +16,11 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
 from edit3r.io.posed_folder import PosedFolder, read_posed_folder, undistorted
-from edit3r_training.photo_dataset import (
-    PhotoDataset,
-    PhotoSettings,
-    ViewChoice,
-    choose_by_angle,
-    choose_by_gap,
-    make_sample,
-)
+from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_angle, choose_by_gap
 
 
 class TransformsDataset(PhotoDataset):
@@ -60,30 +52,24 @@ class TransformsDataset(PhotoDataset):
     def _label(self, scene: Path) -> str:
         return f"scene {scene.name}"
 
-    def _sample(self, scene: Path, index: int) -> SceneSample:
+    def _draw(self, scene: Path, rng: np.random.Generator) -> DrawnPhotos:
         chosen, folder, regions = self.settings, read_posed_folder(scene), None
         if chosen.masks:
             regions = SceneRegions.read(Path(chosen.masks) / folder.name)
             folder = regions.photos_with_masks(folder)
-        rng = np.random.default_rng((chosen.seed, index))
-        choice = self._choose(folder, rng)
-        if choice is None:
+        views = self._choose(folder, rng)
+        if views is None:
             raise InputError(f"{scene}: no {chosen.context} photos fit the {chosen.select} asked for.")
-        views = (*choice.context, *choice.target)
-        photos = [folder.load(view, chosen.image_size) for view in views]
-        cameras = [folder.cameras[view] for view in views]
-        return make_sample(
+        photos, cameras = zip(*((folder.load(view, chosen.image_size), folder.cameras[view]) for view in views))
+        return DrawnPhotos(
+            folder.name,
             torch.from_numpy(np.stack([p.image for p in photos])).permute(0, 3, 1, 2).contiguous(),
             torch.from_numpy(np.stack([p.c2w for p in photos])),
             torch.from_numpy(np.stack([p.intrinsics for p in photos])).float(),
-            chosen.context,
-            f"{folder.name}-{index}",
-            rng,
-            chosen.mirror,
             None if regions is None else regions.masks(cameras, chosen.image_size),
         )
 
-    def _choose(self, folder: PosedFolder, rng: np.random.Generator) -> ViewChoice | None:
+    def _choose(self, folder: PosedFolder, rng: np.random.Generator) -> list[int] | None:
         chosen = self.settings
         if chosen.select == "gap":
             return choose_by_gap(rng, len(folder.cameras), chosen.context, chosen.targets, chosen.gap)
