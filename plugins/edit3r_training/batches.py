@@ -1,7 +1,7 @@
 """One training step's data: samples, their edits and their (simulated) matched geometry, stacked."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 from edit3r.geometry.cameras import unproject
 from edit3r.interfaces import MatchedGeometry, SceneSample
 from edit3r.types import Cameras, Views
-from edit3r_training.edit_regimes import EditedSample, RegimeShares, apply_regime
+from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
 from edit3r_training.simulated_matching import simulate_match
 
 
@@ -28,12 +28,10 @@ class TrainingBatch:
     target_cameras: Cameras
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
     geometry: MatchedGeometry | None  # as a matcher would give it; None when the data has no depths
-    regimes: tuple[str, ...]
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
-        geometry = None if self.geometry is None else replace(self.geometry, **_moved(self.geometry, device))
-        return replace(self, **(_moved(self, device) | {"geometry": geometry}))
+        return _with_tensors(lambda tensor: tensor.to(device), self)
 
     def true_centres(self) -> Float[Tensor, "batch gaussian 3"] | None:
         """Surface points of all context pixels, view-major, row-major."""
@@ -43,68 +41,46 @@ class TrainingBatch:
         return points.reshape(len(points), -1, 3)
 
 
-def _moved(data: TrainingBatch | MatchedGeometry, device: torch.device) -> dict[str, Any]:
-    """The fields that live on a device, there."""
-    values = {field.name: getattr(data, field.name) for field in fields(data)}
-    return {name: value.to(device) for name, value in values.items() if hasattr(value, "to")}
-
-
 def make_batch(
     samples: Sequence[SceneSample], shares: RegimeShares, generators: Sequence[np.random.Generator]
 ) -> TrainingBatch:
     """Edit every sample and corrupt its geometry, each with its own random numbers."""
-    items = [_Item.made(sample, shares, rng) for sample, rng in zip(samples, generators)]
-    size = items[0].sample.context_cameras.image_size
-    intrinsics = torch.cat([item.sample.context_cameras.intrinsics for item in items])
-    has_depths = items[0].sample.context_depths is not None
-    return TrainingBatch(
-        source=Views(torch.stack([item.sample.context for item in items]), intrinsics),
-        edited=Views(torch.stack([item.edit.edited for item in items]), intrinsics),
-        truth=torch.stack([item.edit.truth for item in items]),
-        target=torch.stack([item.edit.target for item in items]),
-        context_cameras=_joined([item.sample.context_cameras for item in items], size),
-        target_cameras=_joined([item.sample.target_cameras for item in items], size),
-        depths=torch.stack([item.sample.context_depths for item in items]) if has_depths else None,
-        geometry=_joined_geometry([item.geometry for item in items]) if has_depths else None,
-        regimes=tuple(item.edit.regime for item in items),
-    )
+    batches = [_batch_of_one(sample, shares, rng) for sample, rng in zip(samples, generators)]
+    return _with_tensors(lambda *tensors: torch.cat(tensors), *batches)
 
 
-@dataclass(frozen=True)
-class _Item:
-    sample: SceneSample
-    edit: EditedSample
-    geometry: MatchedGeometry | None
-
-    @staticmethod
-    def made(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> "_Item":
-        edit = apply_regime(sample, shares, rng)
-        if sample.context_depths is None:
-            return _Item(sample, edit, None)
+def _batch_of_one(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> TrainingBatch:
+    """The batch of one scene; with depths, all lengths are in the unit of the simulated matching."""
+    edit, match, unit = edit_sample(sample, shares, rng), None, 1.0
+    if sample.context_depths is not None:
         match = simulate_match(sample, rng)
-        return _Item(_in_unit(sample, match.unit), edit, match.geometry)
-
-
-def _in_unit(sample: SceneSample, unit: float) -> SceneSample:
-    """All lengths times `unit`, as the matcher cannot know the scene's own."""
-    return replace(
-        sample,
-        context_depths=sample.context_depths * unit,
+        unit = match.unit  # the matcher cannot know the scene's own
+    intrinsics = sample.context_cameras.intrinsics
+    return TrainingBatch(
+        source=Views(sample.context[None], intrinsics),
+        edited=Views(edit.edited[None], intrinsics),
+        truth=edit.truth[None],
+        target=edit.target[None],
         context_cameras=_scaled(sample.context_cameras, unit),
         target_cameras=_scaled(sample.target_cameras, unit),
+        depths=None if match is None else sample.context_depths[None] * unit,
+        geometry=None if match is None else match.geometry,
     )
 
 
 def _scaled(cameras: Cameras, unit: float) -> Cameras:
+    """The cameras with all lengths times `unit`."""
     c2w = cameras.c2w.clone()
     c2w[..., :3, 3] *= unit
     return replace(cameras, c2w=c2w)
 
 
-def _joined(cameras: Sequence[Cameras], size: tuple[int, int]) -> Cameras:
-    return Cameras(torch.cat([c.c2w for c in cameras]), torch.cat([c.intrinsics for c in cameras]), size)
-
-
-def _joined_geometry(parts: Sequence[MatchedGeometry]) -> MatchedGeometry:
-    names = ("c2w", "depths", "confidence", "registered")
-    return MatchedGeometry(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
+def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
+    """Like the first of some equal data classes, with `function` of all their tensors, field by field and inside."""
+    first = values[0]
+    if isinstance(first, Tensor):
+        return function(*values)
+    if not is_dataclass(first):
+        return first
+    names = [field.name for field in fields(first)]
+    return replace(first, **{n: _with_tensors(function, *(getattr(value, n) for value in values)) for n in names})

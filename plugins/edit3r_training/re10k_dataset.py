@@ -10,42 +10,30 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import config, reporting
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
-from edit3r.interfaces import Dataset, SceneSample
 from edit3r.io.framing import frame_for
-from edit3r_training.photo_samples import make_sample
-from edit3r_training.view_sampling import by_gap
+from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_gap
 
 
-class Re10kDataset(Dataset):
-    """One sample is one draw of views from one scene; a scene that cannot be used is skipped and named once."""
+class Re10kDataset(PhotoDataset):
+    """Scenes of `.torch` chunks."""
 
-    class Settings(config.Settings):
+    name = "re10k"
+
+    class Settings(PhotoSettings):
         root: str = Field(description="folder with .torch chunks")
-        samples: int = Field(1, ge=1, description="draws per scene")
-        seed: int = Field(0, ge=0, description="of view choice and mirroring")
-        image_size: int = Field(256, ge=16, le=1024, description="side of the centred square [pixels]")
-        context: int = Field(2, ge=2, le=16, description="input views")
-        targets: int = Field(4, ge=0, le=16, description="novel views")
-        gap: tuple[int, int] = Field((45, 90), description="from first to last context view [frames]")
-        mirror: float = Field(0.5, ge=0, le=1, description="share of samples mirrored left to right")
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self._broken: set[str] = set()
 
     @cached_property
     def scenes(self) -> list[tuple[Path, int]]:
-        """(chunk, place in it) of every scene; reading all chunks once is the price of knowing."""
-        chunks = sorted(Path(self.settings.root).glob("*.torch"))
+        """(chunk, index in it) of every scene; reading all chunks once is the price of knowing."""
         found = []
-        for chunk in chunks:
+        for chunk in sorted(Path(self.settings.root).glob("*.torch")):
             try:
                 found += [(chunk, place) for place in range(len(_read_chunk(chunk)))]
             except InputError as error:
@@ -54,42 +42,17 @@ class Re10kDataset(Dataset):
             raise InputError(f"{self.settings.root}: no readable .torch chunk with scenes in it.")
         return found
 
-    def __len__(self) -> int:
-        return len(self.scenes) * self.settings.samples
+    def _label(self, scene: tuple[Path, int]) -> str:
+        return f"{scene[0].name}[{scene[1]}]"
 
-    def __getitem__(self, index: int) -> SceneSample:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        for attempt in range(len(self.scenes)):
-            chunk, place = self.scenes[(index + attempt) % len(self.scenes)]
-            try:
-                return self._sample(_read_chunk(chunk)[place], index)
-            except InputError as error:
-                self._skip(f"{chunk.name}[{place}]", str(error))
-        raise InputError(f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used.")
-
-    def _skip(self, name: str, reason: str) -> None:
-        if name not in self._broken:
-            self._broken.add(name)
-            reporting.warn(f"dataset re10k: {name} is skipped ({len(self._broken)} so far): {reason}")
-
-    def _sample(self, scene: dict, index: int) -> SceneSample:
-        cameras, files, key = _checked(scene)
-        rng = np.random.default_rng((self.settings.seed, index))
-        choice = by_gap(rng, len(files), self.settings.context, self.settings.targets, self.settings.gap)
-        if choice is None:
-            raise InputError(f"scene {key} has {len(files)} frames, too few for {self.settings.context} context views.")
-        views = [*choice.context, *choice.target]
-        pictures, intrinsics = zip(*(_square(files[v], cameras[v], self.settings.image_size, key) for v in views))
-        return make_sample(
-            torch.stack(pictures),
-            _c2w(cameras[views]),
-            torch.stack(intrinsics),
-            self.settings.context,
-            f"{key}-{index}",
-            rng,
-            self.settings.mirror,
-        )
+    def _draw(self, scene: tuple[Path, int], rng: np.random.Generator) -> DrawnPhotos:
+        chosen = self.settings
+        cameras, files, key = _checked(_read_chunk(scene[0])[scene[1]])
+        views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, chosen.gap)
+        if views is None:
+            raise InputError(f"scene {key} has {len(files)} frames, too few for {chosen.context} context views.")
+        images, intrinsics = zip(*(_square(files[view], cameras[view], chosen.image_size, key) for view in views))
+        return DrawnPhotos(key, torch.stack(images), _c2w(cameras[views]), torch.stack(intrinsics))
 
 
 @lru_cache(maxsize=2)
@@ -103,7 +66,7 @@ def _read_chunk(path: Path) -> list:
     return content
 
 
-def _checked(scene: dict) -> tuple[Tensor, list, str]:
+def _checked(scene: dict) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor, " byte"]], str]:
     """Cameras, JPEG files and key; InputError when they are not what the layout promises."""
     missing = [name for name in ("key", "cameras", "images") if name not in scene]
     if missing:
@@ -118,19 +81,21 @@ def _checked(scene: dict) -> tuple[Tensor, list, str]:
     return cameras, files, key
 
 
-def _c2w(cameras: Tensor) -> Tensor:
+def _c2w(cameras: Float[Tensor, "view 18"]) -> Float[Tensor, "view 4 4"]:
     w2c = torch.eye(4, dtype=torch.float64).repeat(len(cameras), 1, 1)
     w2c[:, :3] = cameras[:, 6:].double().reshape(-1, 3, 4)
     return invert_rigid(w2c)
 
 
-def _square(file: Tensor, camera: Tensor, size: int, key: str) -> tuple[Tensor, Tensor]:
-    """The centred square of one frame and its intrinsics."""
+def _square(
+    file: UInt8[Tensor, " byte"], camera: Float[Tensor, "18"], size: int, key: str
+) -> tuple[Float[Tensor, "3 size size"], Float[Tensor, "3 3"]]:
+    """The centred square of one frame in [0, 1], and its normalised intrinsics."""
     try:
-        picture = Image.open(io.BytesIO(file.numpy().tobytes())).convert("RGB")
+        image = Image.open(io.BytesIO(file.numpy().tobytes())).convert("RGB")
     except (UnidentifiedImageError, OSError) as error:
-        raise InputError(f"scene {key}: a frame is no picture ({error}).") from None
-    frame = frame_for((picture.height, picture.width), (size, size))
+        raise InputError(f"scene {key}: a frame is no image ({error}).") from None
+    frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
     intrinsics = frame.follow(torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)).float()
-    return torch.from_numpy(np.asarray(frame.cut(picture), np.float32) / 255).permute(2, 0, 1), intrinsics
+    return torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255).permute(2, 0, 1), intrinsics

@@ -1,26 +1,24 @@
-"""Held-out scenes while training: averaged weights measured, a sheet of pictures, the best weights kept."""
+"""What a network does with held-out scenes, measured, and shown on a sheet of images."""
 
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-import safetensors.torch
 import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
 
 from edit3r import reporting
-from edit3r.errors import MatchingError, RunError
+from edit3r.errors import MatchingError
 from edit3r.interfaces import Dataset, MatchedGeometry, TrainingJob
-from edit3r.training.checkpoint import TrainingState, copied_weights
-from edit3r.training.journal import Journal
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
 from edit3r.types import Reconstruction, Views
+from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, make_batch
-from edit3r_training.edit_regimes import RegimeShares
-from edit3r_training.sample_sheet import save_sample_sheet
-from edit3r_training.supervision import PixelMaps, colour_error, depth_error, measure_edit, pixel_maps
+from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
 
 MOST_SCENES = 64
 SEED = 987_654_321
@@ -34,7 +32,7 @@ class GeometryConditioned(Protocol):
 
 
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
-    """With the batch's simulated matching where the reconstructor takes geometry, else from the pictures alone."""
+    """With the batch's simulated matching where the reconstructor takes geometry, else from the images alone."""
     reconstructor = job.reconstructor
     if batch.geometry is not None and isinstance(reconstructor, GeometryConditioned):
         return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
@@ -42,43 +40,22 @@ def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
 
 
 @torch.no_grad()
-def validate(
-    job: TrainingJob,
-    state: TrainingState,
-    journal: Journal | None,
-    processes: Processes,
-    shares: RegimeShares,
-    batch_size: int,
-) -> None:
-    """Measure the averaged weights on held-out scenes, each process on its share of them; keep the best.
+def held_out_measures(
+    job: TrainingJob, processes: Processes, shares: RegimeShares, batch_size: int, sheet: Path | None
+) -> dict[str, float]:
+    """Measure the network on held-out scenes, each process on its share of them; empty when none could be matched.
 
-    `journal` is None on processes that do not write.
+    `sheet` is where to write images of the first scenes; None on processes that do not write.
     """
-    if job.validation_data is None:
-        if processes.writes:
-            keep_best(job.out, state)
-        return
     batches = _batches(job.validation_data, shares, batch_size)[processes.rank :: processes.count]
-    with averaged_weights(state):
-        maps = _maps(job, [batch.to(_device_of(state)) for batch in batches])
-    values = means(processes.gathered([_measured(m, b) for m, b in maps]))
+    device = next(job.reconstructor.network.parameters()).device
+    maps = _maps(job, [batch.to(device) for batch in batches])
+    values = processes.means([_measured(m, b) for m, b in maps])
     if not values:
         reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
-        return
-    improved = values["score"] < state.best
-    state.best = min(state.best, values["score"])
-    if journal is not None:
-        journal.write(state.step, values, kind="validation")
-        if maps:
-            save_sample_sheet(job.out / "sheets" / f"{state.step:07d}.png", *maps[0])
-        if improved:
-            keep_best(job.out, state)
-
-
-def means(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Mean of each value over the rows that have any, which have the same names."""
-    full = [row for row in rows if row]
-    return {name: float(np.mean([row[name] for row in full])) for name in (full[0] if full else ())}
+    if sheet is not None and maps:
+        _save_sheet(sheet, *maps[0])
+    return values
 
 
 def _maps(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[PixelMaps, TrainingBatch]]:
@@ -89,26 +66,6 @@ def _maps(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[Pixe
             reconstruction = reconstruct(job, batch)
             found.append((pixel_maps(reconstruction, batch.source.count, batch.source.image_size), batch))
     return found
-
-
-class averaged_weights:
-    """Context manager: the network carries its averaged weights inside."""
-
-    def __init__(self, state: TrainingState) -> None:
-        self.state = state
-
-    def __enter__(self) -> None:
-        self._own = copied_weights(self.state.network)
-        self.state.network.load_state_dict(self.state.average)
-        self.state.network.eval()
-
-    def __exit__(self, *error: object) -> None:
-        self.state.network.load_state_dict(self._own)
-        self.state.network.train()
-
-
-def _device_of(state: TrainingState) -> torch.device:
-    return next(iter(state.average.values())).device
 
 
 def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[TrainingBatch]:
@@ -123,21 +80,40 @@ def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[Train
 
 
 def _measured(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
-    measures = measure_edit(maps, batch)
     colour = float(colour_error(maps, batch))
-    values = {"colour": colour, **vars(measures)}
-    values["score"] = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
-    return values
+    score = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
+    return {"colour": colour, **edit_measures(maps, batch), "score": score}
 
 
-def keep_best(out: Path, state: TrainingState) -> None:
-    """Write the averaged weights to `best/`, whole or not at all."""
-    folder = out / "best"
-    partial = folder / "weights.partial"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        safetensors.torch.save_file({k: v.contiguous() for k, v in state.average.items()}, partial)
-        partial.replace(folder / "weights.safetensors")
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise RunError(f"{folder}: the best weights could not be written ({error}); free some disk space.") from error
+def _save_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6) -> None:
+    """Write a row a scene: reference and its edit; the last view, its own edit, the truth and the predicted colours.
+
+    Where the data has depths, the last view's inverse depth follows: true, matched and predicted.
+    """
+    lines = []
+    for scene in range(min(rows, len(batch.truth))):
+        last = batch.truth.shape[1] - 1
+        images = [
+            batch.source.images[scene, 0],
+            batch.edited.images[scene, 0],
+            batch.source.images[scene, last],
+            batch.edited.images[scene, last],
+            batch.truth[scene, last],
+            maps.colours[scene, last],
+        ]
+        if batch.depths is not None and batch.geometry is not None:
+            shown = (batch.depths, batch.geometry.depths, maps.depths)
+            images += [_inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown]
+        lines.append(torch.cat(images, -1))
+    sheet = torch.cat(lines, -2).clamp(0, 1).permute(1, 2, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray((sheet.cpu().numpy() * 255).round().astype("uint8")).save(path)
+
+
+def _inverse_depth(
+    depths: Float[Tensor, "height width"], truth: Float[Tensor, "height width"]
+) -> Float[Tensor, "3 height width"]:
+    """Inverse depth as grey, white where the true depth is smallest."""
+    inverse = 1 / depths.clamp(min=1e-6)
+    top = (1 / truth).max()
+    return (inverse / top).clamp(0, 1).expand(3, -1, -1)

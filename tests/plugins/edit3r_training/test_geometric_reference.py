@@ -1,10 +1,9 @@
 from dataclasses import replace
 
 import torch
+from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
-from edit3r_training.edit_regimes import RegimeShares
-from edit3r_training.geometric_reference import GeometricReference
-from edit3r_training.recolor_trainer import RecolorTrainer
+from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
 
 from edit3r.registry import build
 from edit3r.testing.trainer import _tiny_job as tiny_job

@@ -8,7 +8,7 @@ import torch
 from edit3r_recolor.mask_folder import write_masks
 from edit3r_recolor.parameters import RecolorParameters
 from edit3r_recolor.recipe import RegionRecipe, SceneRecipe, ViewRecipe
-from edit3r_training.photo_samples import make_sample
+from edit3r_training.photo_dataset import DrawnPhotos
 from edit3r_training.procedural_dataset import ProceduralDataset
 from edit3r_training.re10k_dataset import Re10kDataset
 from edit3r_training.transforms_dataset import TransformsDataset
@@ -161,15 +161,9 @@ def test_the_same_index_gives_the_same_sample(tmp_path):
 @pytest.mark.parametrize("mirror", [0, 1])
 def test_pictures_and_poses_fit_each_other_mirrored_or_not(mirror):
     """A surface point of view 0 projects into view 1 to where the same colour is seen."""
-    sample = make_sample(
-        SCENE.context[:2],
-        SCENE.context_cameras.c2w[0, :2],
-        SCENE.context_cameras.intrinsics[0, :2],
-        2,
-        "scene",
-        np.random.default_rng(0),
-        mirror,
-    )
+    cameras = SCENE.context_cameras
+    drawn = DrawnPhotos("scene", SCENE.context[:2], cameras.c2w[0, :2], cameras.intrinsics[0, :2])
+    sample = drawn.sample(2, "scene-0", mirror, np.random.default_rng(0))
     unit = 1 / SCENE.context_cameras.c2w[0, 1, :3, 3].norm()
     depth = SCENE.context_depths[:1] * unit
     depth = depth.flip(-1) if mirror else depth

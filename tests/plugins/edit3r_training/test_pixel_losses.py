@@ -1,6 +1,6 @@
 import pytest
 import torch
-from edit3r_training.supervision import pixel_maps
+from edit3r_training.pixel_losses import pixel_maps
 
 from edit3r.errors import SettingsError
 from edit3r.geometry.harmonics import colour_to_dc

@@ -1,16 +1,17 @@
-"""Direct supervision of pixel-aligned Gaussians, without rendering: cheap, dense, and blind to what hides what."""
+"""Losses and measures of pixel-aligned Gaussians without rendering: cheap and dense, but blind to what hides what."""
 
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.changes import change_error, change_uptake, mean_change
 from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import invert_rigid, transform_points
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.types import Gaussians, Reconstruction
+from edit3r.types import Reconstruction
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
@@ -19,7 +20,7 @@ CHANGED = 0.02
 
 @dataclass(frozen=True)
 class PixelMaps:
-    """The Gaussians of every view as pictures: each at the pixel it came from."""
+    """The Gaussians of every view as images: each at the pixel it came from."""
 
     colours: Float[Tensor, "batch view 3 height width"]
     depths: Float[Tensor, "batch view height width"]  # camera z in its own (predicted) view
@@ -39,14 +40,13 @@ def pixel_maps(reconstruction: Reconstruction, views: int, image_size: tuple[int
     shape = (gaussians.means.shape[0], views, *image_size)
     colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3).permute(0, 1, 4, 2, 3)
     points = gaussians.means.reshape(*shape, 3)
-    camera = (
-        points if reconstruction.cameras is None else transform_points(invert_rigid(reconstruction.cameras.c2w), points)
-    )
-    return PixelMaps(colours, camera[..., 2], gaussians.opacities.reshape(shape))
+    if reconstruction.cameras is not None:
+        points = transform_points(invert_rigid(reconstruction.cameras.c2w), points)
+    return PixelMaps(colours, points[..., 2], gaussians.opacities.reshape(shape))
 
 
 def colour_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
-    """Robust colour error of the other views: over the whole picture plus over the edited part alone.
+    """Robust colour error of the other views: over the whole image plus over the edited part alone.
 
     The second term gives a small object the weight of a large one.
     """
@@ -68,41 +68,31 @@ def depth_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
 
 
 def opacity_error(maps: PixelMaps, batch: TrainingBatch, tolerance: float = 0.08) -> Float[Tensor, ""]:
-    """Cross-entropy to 0.95 where the depth is right within `tolerance` (in log), to 0.3 where it is not."""
+    """Cross-entropy to an opacity of 0.95 where the log depth is right within `tolerance`, to 0.3 where it is not."""
     gap = (torch.log(maps.depths.detach().clamp(min=1e-4)) - torch.log(batch.depths)).abs()
-    wish = torch.where(gap < tolerance, 0.95, 0.3)
-    return F.binary_cross_entropy(maps.opacities.clamp(1e-4, 1 - 1e-4), wish)
+    wished = torch.where(gap < tolerance, 0.95, 0.3)
+    return F.binary_cross_entropy(maps.opacities.clamp(1e-4, 1 - 1e-4), wished)
 
 
-@dataclass(frozen=True)
-class EditMeasures:
-    """How the last view's own Gaussians take up the reference's edit, over the scenes of a batch that have one."""
+def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
+    """How the own Gaussians of all views but the reference take up its edit, over the scenes of a batch that have one.
 
-    uptake: float  # projection of the change shown on the true change inside the edit; 1 is all of it
-    error: float  # mean absolute error over mean absolute true change, inside
-    leak: float  # mean absolute change outside the edit [sRGB]
-    depth: float  # mean absolute log-depth error
-
-
-def measure_edit(maps: PixelMaps, batch: TrainingBatch) -> EditMeasures:
-    """Measured on the colours of all views but the reference."""
-    predicted, truth, source = maps.colours[:, 1:], batch.truth[:, 1:], batch.source.images[:, 1:]
+    uptake and error of the change inside the edit, leak [sRGB] outside, and the mean absolute error of log depth.
+    """
+    truth, source = batch.truth[:, 1:], batch.source.images[:, 1:]
     inside = _changed(truth, batch)[:, :, None].to(truth.dtype)
-    shown, true = predicted - source, truth - source
-    total = (true.square() * inside).sum().clamp(min=1e-9)
-    gap = torch.log(maps.depths / batch.depths).abs().mean() if batch.depths is not None else torch.tensor(0.0)
-    return EditMeasures(
-        uptake=float((shown * true * inside).sum() / total),
-        error=float(((shown - true).abs() * inside).sum() / (true.abs() * inside).sum().clamp(min=1e-9)),
-        leak=float((shown.abs() * (1 - inside)).sum() / (3 * (1 - inside).sum()).clamp(min=1)),
-        depth=float(gap),
-    )
+    shown, wished = maps.colours[:, 1:] - source, truth - source
+    known = batch.depths is not None
+    return {
+        "uptake": change_uptake(shown, wished, inside),
+        "error": change_error(shown, wished, inside),
+        "leak": mean_change(shown, (1 - inside).expand_as(shown)),
+        "depth": float(torch.log(maps.depths / batch.depths).abs().mean()) if known else 0.0,
+    }
 
 
-def drop_view(gaussians: Gaussians, view: int) -> Gaussians:
-    """First-view drop (section 3.3): without them only the other views can show the edit."""
-    return gaussians.without_view(view)
-
-
-def _changed(truth: Tensor, batch: TrainingBatch) -> Tensor:
+def _changed(
+    truth: Float[Tensor, "batch other 3 height width"], batch: TrainingBatch
+) -> Bool[Tensor, "batch other height width"]:
+    """Which pixels of all views but the reference the true edit changes."""
     return (truth - batch.source.images[:, 1:]).abs().mean(2) > CHANGED

@@ -1,7 +1,7 @@
-"""What a training step edits: which regions, in which views, and what every view should then show.
+"""Which views a training step edits, and what every view should then show: the paper's asymmetric inputs.
 
-The truth is always the reference view's edit applied to all views (paper, section 3.3: "one recolored image and
-another original image"); the issue of editors that disagree adds views with an edit of their own.
+The truth is always the reference view's edit applied to all views (section 3.3: "one recolored image and another
+original image"). Other regimes give the other views an edit of their own, as editors do that disagree with themselves.
 """
 
 from dataclasses import dataclass
@@ -27,11 +27,11 @@ class RegimeShares(Settings):
     agreeing: float = Field(0.15, ge=0, description="all views are recoloured alike")
     unedited: float = Field(0.15, ge=0, description="nothing is recoloured")
     viewwise: float = Field(
-        0.0, ge=0, description="no recoloring: every picture edited on its own by mock-diffusion and asked for as such"
+        0.0, ge=0, description="no recoloring: every image edited on its own by mock-diffusion and asked for as such"
     )
-    whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole picture")
+    whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole image")
     mask_jitter: float = Field(0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little")
-    palette_jitter: float = Field(0.0, ge=0, le=1, description="share of edited pictures with colours a bit off")
+    palette_jitter: float = Field(0.0, ge=0, le=1, description="share of edited images with colours a bit off")
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class EditedSample:
     regime: str
 
 
-def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> EditedSample:
-    """Draw a regime and edit the sample; without masks only the whole picture can be edited."""
+def edit_sample(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> EditedSample:
+    """Draw a regime and edit the sample; without masks only the whole image can be edited."""
     names = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
     weights = np.array([getattr(shares, name) for name in names])
     regime = str(rng.choice(names, p=weights / weights.sum()))
@@ -54,8 +54,8 @@ def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Gener
     if regime == "unedited":
         return EditedSample(sample.context, sample.context, sample.target, regime)
     if regime == "viewwise":
-        pictures = _edited_one_by_one(everything, rng)
-        return EditedSample(pictures[:views], pictures[:views], pictures[views:], regime)
+        images = _edited_one_by_one(everything, rng)
+        return EditedSample(images[:views], images[:views], images[views:], regime)
     masks = _regions(sample, shares, rng)
     chosen = [visible_parameters(rng, everything, mask) for mask in masks]
     truth = recolored(everything, masks, chosen)
@@ -71,16 +71,20 @@ def apply_regime(sample: SceneSample, shares: RegimeShares, rng: np.random.Gener
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
 
 
-def _edited_one_by_one(images: Tensor, rng: np.random.Generator, disagreement: float = 0.5) -> Tensor:
-    """What training without recoloring has: pictures of one scene that a 2D editor edited independently."""
+def _edited_one_by_one(
+    images: Float[Tensor, "view 3 height width"], rng: np.random.Generator, disagreement: float = 0.5
+) -> Float[Tensor, "view 3 height width"]:
+    """What training without recoloring has: images of one scene that a 2D editor edited independently."""
     seeds = rng.integers(2**31, size=len(images) + 1)
     shared, *own = (sample_look(torch.Generator().manual_seed(int(seed))) for seed in seeds)
     looks = [disagreeing(shared, look, disagreement) for look in own]
     return torch.cat([apply_look(image[None], look) for image, look in zip(images, looks)])
 
 
-def _regions(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> Tensor:
-    """`[region, view, height, width]` soft masks of the regions to edit, over context and target views."""
+def _regions(
+    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
+) -> Float[Tensor, "region view height width"]:
+    """Soft masks of one to three regions to edit, over context and target views."""
     shape = (len(sample.context) + len(sample.target), *sample.context.shape[-2:])
     if sample.context_masks is None or rng.random() < shares.whole_picture:
         return torch.ones(1, *shape)
@@ -95,8 +99,13 @@ def _regions(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
 
 
 def _edited_view(
-    images: Tensor, masks: Tensor, parameters: list, view: int, shares: RegimeShares, rng: np.random.Generator
-) -> Tensor:
+    images: Float[Tensor, "view 3 height width"],
+    masks: Float[Tensor, "region view height width"],
+    parameters: list,
+    view: int,
+    shares: RegimeShares,
+    rng: np.random.Generator,
+) -> Float[Tensor, "3 height width"]:
     """One view as a 2D editor would return it: the region's border, and its colours, are never quite right."""
     own = masks[:, view : view + 1]
     if rng.random() < shares.mask_jitter:

@@ -9,14 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from edit3r_training.procedural.scene import CYLINDER, ELLIPSOID, ROOM, Scene
-from edit3r_training.procedural.textures import LEVELS, TILE
+from edit3r_training.procedural_scenes import CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene
 
 _OFFSETS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class CastPicture:
+class CastImage:
     """What one camera sees."""
 
     image: NDArray[np.float32]  # [height, width, 3] sRGB in [0, 1]
@@ -34,29 +33,17 @@ def cast(
     c2w: NDArray[np.float64],
     intrinsics: NDArray[np.float64],
     image_size: tuple[int, int],
-) -> CastPicture:
-    """Ray-cast one picture; `c2w` 4x4 with OpenCV axes, `intrinsics` normalised 3x3."""
+) -> CastImage:
+    """Ray-cast one image; `c2w` 4x4 with OpenCV axes, `intrinsics` normalised 3x3."""
     height, width = image_size
     image = np.empty((height, width, 3), np.float32)
     depth = np.empty((height, width), np.float32)
     objects = np.empty((4, height, width), np.int32)
-    _cast(
-        scene.kinds,
-        scene.centres,
-        np.ascontiguousarray(scene.world_to_local),
-        scene.textures,
-        scene.repeats,
-        scene.tints,
-        scene.light,
-        scene.ambient,
-        bank,
-        np.ascontiguousarray(c2w, np.float64),
-        np.linalg.inv(intrinsics),
-        image,
-        depth,
-        objects,
-    )
-    return CastPicture(image, depth, objects)
+    surfaces = (scene.kinds, scene.centres, np.ascontiguousarray(scene.world_to_local))
+    looks = (scene.textures, scene.repeats, scene.tints, scene.light, scene.ambient, bank)
+    camera = (np.ascontiguousarray(c2w, np.float64), np.linalg.inv(intrinsics))
+    _cast(surfaces, looks, camera, image, depth, objects)
+    return CastImage(image, depth, objects)
 
 
 @njit(cache=True, nogil=True)
@@ -147,9 +134,11 @@ def _texel(bank, texture, level, u, v, out):
 
 
 @njit(cache=True, nogil=True)
-def _cast(
-    kinds, centres, matrices, textures, repeats, tints, light, ambient, bank, c2w, inverse, image, depth, objects
-):
+def _cast(surfaces, looks, camera, image, depth, objects):
+    """Fill `image`, `depth` and `objects` pixel by pixel, by the nearest hit of five rays each."""
+    kinds, centres, matrices = surfaces
+    textures, repeats, tints, light, ambient, bank = looks
+    c2w, inverse = camera
     height, width = depth.shape
     count = len(kinds)
     local_origins = np.empty((count, 3))

@@ -1,8 +1,6 @@
 import numpy as np
-from edit3r_training.procedural.raycaster import cast
-from edit3r_training.procedural.scene import BOX, CYLINDER, ELLIPSOID, ROOM, Scene
-from edit3r_training.procedural.textures import LEVELS, TILE
-from edit3r_training.procedural.trajectory import look_at
+from edit3r_training.procedural_scenes import BOX, CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene, look_at
+from edit3r_training.raycaster import cast
 
 K = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
 
@@ -29,9 +27,9 @@ def _cast(scene: Scene, size: int = 33):
 
 
 def test_depth_is_camera_z_of_the_nearest_surface():
-    picture = _cast(_scene((ELLIPSOID, (0, 0, 0), (1, 1, 1))))
-    assert abs(picture.depth[16, 16] - 2) < 1e-5
-    assert abs(picture.depth[0, 0] - 13) < 1e-5  # the far wall, z and not the length of the ray
+    image = _cast(_scene((ELLIPSOID, (0, 0, 0), (1, 1, 1))))
+    assert abs(image.depth[16, 16] - 2) < 1e-5
+    assert abs(image.depth[0, 0] - 13) < 1e-5  # the far wall, z and not the length of the ray
 
 
 def test_box_and_cylinder_fronts_are_where_they_should_be():
@@ -40,8 +38,8 @@ def test_box_and_cylinder_fronts_are_where_they_should_be():
 
 
 def test_nearer_objects_hide_farther_ones():
-    picture = _cast(_scene((BOX, (0, 0, 0), (1, 1, 1)), (ELLIPSOID, (0, 0, -1.5), (0.2, 0.2, 0.2))))
-    assert (picture.objects[:, 16, 16] == 2).all()
+    image = _cast(_scene((BOX, (0, 0, 0), (1, 1, 1)), (ELLIPSOID, (0, 0, -1.5), (0.2, 0.2, 0.2))))
+    assert (image.objects[:, 16, 16] == 2).all()
 
 
 def test_coverage_is_the_share_of_each_pixel():

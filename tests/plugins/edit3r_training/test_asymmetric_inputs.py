@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r_training.edit_regimes import RegimeShares, apply_regime
+from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
 from edit3r_training.procedural_dataset import ProceduralDataset
 
 SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[1]
@@ -11,7 +11,7 @@ SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[
 
 def _edit(regime: str, seed: int = 0, **more):
     shares = {name: float(name == regime) for name in ("reference", "disagreeing", "agreeing", "unedited", "viewwise")}
-    return apply_regime(SAMPLE, RegimeShares(**shares, **{"mask_jitter": 0, **more}), np.random.default_rng(seed))
+    return edit_sample(SAMPLE, RegimeShares(**shares, **{"mask_jitter": 0, **more}), np.random.default_rng(seed))
 
 
 def test_reference_regime_recolours_view_0_only_and_asks_for_the_edit_everywhere():
@@ -54,14 +54,12 @@ def test_jittered_masks_spoil_the_input_but_not_the_truth():
 
 def test_data_without_masks_is_edited_as_a_whole():
     bare = replace(SAMPLE, context_masks=None, target_masks=None)
-    edit = apply_regime(
-        bare, RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0), np.random.default_rng(0)
-    )
+    edit = edit_sample(bare, RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0), np.random.default_rng(0))
     assert ((edit.truth - SAMPLE.context).abs().amax(1) > 0.01).float().mean() > 0.5
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_regimes_are_drawn_from_the_seed(seed):
     shares = RegimeShares()
-    first, second = (apply_regime(SAMPLE, shares, np.random.default_rng(seed)) for _ in range(2))
+    first, second = (edit_sample(SAMPLE, shares, np.random.default_rng(seed)) for _ in range(2))
     assert first.regime == second.regime and torch.equal(first.edited, second.edited)
