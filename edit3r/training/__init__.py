@@ -1,1 +1,1 @@
-"""What every training recipe needs and none should write again: checkpoints, stop signals, schedules, logs, jobs."""
+"""What every training shares: the loop, its schedule, checkpoints, several processes, and jobs from a YAML file."""

@@ -1,19 +1,27 @@
-"""Checkpoints that bring training back exactly: weights, averaged weights, optimiser, random states, step."""
+"""Checkpoints that bring training back exactly: weights, averaged weights, optimiser, random states, step.
 
-import os
+They hold tensors and plain values only and are read as such, so that no code of a stranger's file can run.
+"""
+
+import json
 import random
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import safetensors
+import safetensors.torch
 import torch
 from torch import Tensor, nn
 
 from edit3r.errors import InputError, RunError
+from edit3r.io.run_folder import atomic_write
 
 LAST = "last.pt"
-BEST = "best.pt"
+_PARTS = {"network", "optimizer", "average", "step", "skipped", "best", "config", "random"}
 
 
 @dataclass
@@ -37,35 +45,29 @@ class TrainingState:
             "step": self.step,
             "skipped": self.skipped,
             "best": self.best,
-            "config": self.config,
+            "config": json.dumps(self.config, default=str),
             "random": _random_states(),
         }
-        partial = path.with_suffix(".partial")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+        what, then = f"the checkpoint of step {self.step}", " and continue with --resume from the one before"
+        with _written(path, what, then) as partial:
             torch.save(content, partial)
-            os.replace(partial, path)
-        except (OSError, RuntimeError) as error:
-            partial.unlink(missing_ok=True)
-            raise RunError(
-                f"{path}: the checkpoint of step {self.step} could not be written ({error}); free some disk space and "
-                "continue with --resume from the one before."
-            ) from error
 
     def load(self, path: Path) -> None:
-        """Continue from a checkpoint of the same network and optimiser."""
-        if not path.is_file():
-            raise InputError(f"{path}: no checkpoint to resume from; start without --resume.")
-        # Our own file: it holds random states and the configuration besides tensors.
-        content = torch.load(path, map_location="cpu", weights_only=False)
+        """Continue from a checkpoint of the same network and optimiser; raises InputError for any other file."""
+        content = _read(path)
         try:
             self.network.load_state_dict(content["network"])
             self.optimizer.load_state_dict(content["optimizer"])
-        except (KeyError, RuntimeError, ValueError) as error:
-            raise InputError(f"{path}: made for another network or optimiser ({str(error).splitlines()[0]}).") from None
-        self.average = {name: tensor.to(self.average[name].device) for name, tensor in content["average"].items()}
-        self.step, self.skipped, self.best = content["step"], content["skipped"], content["best"]
-        _restore_random_states(content["random"])
+            self.average = {name: content["average"][name].to(old.device) for name, old in self.average.items()}
+            self.step, self.skipped = int(content["step"]), int(content["skipped"])
+            self.best = float(content["best"])
+            _restore_random_states(content["random"])
+        except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(
+                f"{path}: made for another network or optimiser ({reason}); resume with the configuration that it was "
+                "trained with, or start again with --overwrite instead of --resume."
+            ) from None
 
     def update_average(self, decay: float) -> None:
         """One step of the moving average, warmed up so that early steps do not linger."""
@@ -82,11 +84,50 @@ def copied_weights(network: nn.Module) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in network.state_dict().items()}
 
 
+def save_weights(path: Path, weights: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None) -> None:
+    """Write weights as safetensors, whole or not at all; raises RunError when the disk is full."""
+    content = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
+    with _written(path, "the weights") as partial:
+        safetensors.torch.save_file(content, partial, metadata=None if metadata is None else dict(metadata))
+
+
+@contextmanager
+def _written(path: Path, what: str, then: str = "") -> Iterator[Path]:
+    """A temporary path that becomes `path`; a failure to write is a RunError that says `what` and what to do."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as partial:
+            yield partial
+    except (OSError, RuntimeError, safetensors.SafetensorError) as error:
+        raise RunError(f"{path}: {what} could not be written ({error}); free some disk space{then}.") from error
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The content of a checkpoint, read without running any code that the file may hold."""
+    if not path.is_file():
+        raise InputError(f"{path}: no checkpoint to resume from; start without --resume.")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged file raises whatever the reader stumbles over
+        content, reason = None, type(error).__name__
+    else:
+        reason = "other content"
+    if not isinstance(content, dict) or not _PARTS.issubset(content):
+        raise InputError(
+            f"{path}: not a whole checkpoint of this version of `edit3r train` ({reason}), and nothing but such a file "
+            "is read; put it back from a copy, or start again with --overwrite instead of --resume."
+        )
+    return content
+
+
 def _random_states() -> dict[str, Any]:
-    return {"python": random.getstate(), "numpy": np.random.get_state(), "torch": torch.get_rng_state()}
+    kind, keys, *rest = np.random.get_state()
+    numpy_state = (kind, torch.from_numpy(keys.astype(np.int64)), *rest)
+    return {"python": random.getstate(), "numpy": numpy_state, "torch": torch.get_rng_state()}
 
 
 def _restore_random_states(states: dict[str, Any]) -> None:
+    kind, keys, *rest = states["numpy"]
     random.setstate(states["python"])
-    np.random.set_state(states["numpy"])
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
     torch.set_rng_state(states["torch"])

@@ -17,9 +17,10 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.config import PartChoice, Settings, make_settings
-from edit3r.errors import SettingsError
+from edit3r.errors import InputError, SettingsError
 from edit3r.interfaces import Trainer, TrainingJob
 from edit3r.registry import Registry
+from edit3r.training.checkpoint import LAST
 
 
 class TrainingConfig(Settings):
@@ -42,9 +43,15 @@ class PreparedTraining:
     job: TrainingJob
 
 
-def prepare(values: Mapping[str, Any], registry: Registry, resume: bool = False) -> PreparedTraining:
-    """Build every component that a configuration names."""
+def prepare(
+    values: Mapping[str, Any], registry: Registry, resume: bool = False, overwrite: bool = False
+) -> PreparedTraining:
+    """Build every component that a configuration names.
+
+    Raises InputError when the output folder holds another training and neither `resume` nor `overwrite` is set.
+    """
     config = make_settings(TrainingConfig, values, where="training")
+    _check_free(Path(config.out), resume or overwrite)
 
     def build(kind: str, choice: PartChoice) -> Any:
         return registry.build(kind, choice.name, **choice.settings)
@@ -61,6 +68,16 @@ def prepare(values: Mapping[str, Any], registry: Registry, resume: bool = False)
         config=config.model_dump(mode="json"),
     )
     return PreparedTraining(build("trainer", config.trainer), job)
+
+
+def _check_free(out: Path, may_hold_training: bool) -> None:
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: --out must be a folder, but a file of that name exists.")
+    if (out / LAST).exists() and not may_hold_training:
+        raise InputError(
+            f"{out}: holds a training already ({LAST}); give --resume to go on with it, another --out to keep it, or "
+            "--overwrite to begin anew in its place."
+        )
 
 
 def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[float, Any]:

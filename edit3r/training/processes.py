@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
@@ -28,7 +29,7 @@ class Processes:
 
     @property
     def writes(self) -> bool:
-        """Whether this one writes checkpoints, logs and pictures."""
+        """Whether this one writes checkpoints, logs and images."""
         return self.rank == 0
 
     def share_weights(self, network: nn.Module) -> None:
@@ -68,6 +69,11 @@ class Processes:
         lists: list[list[Any]] = [[] for _ in range(self.count)]
         dist.all_gather_object(lists, rows)
         return [row for own in lists for row in own]
+
+    def means(self, rows: list[dict[str, float]]) -> dict[str, float]:
+        """Mean of each value over the rows of all processes that have any; these have the same names."""
+        full = [row for row in self.gathered(rows) if row]
+        return {name: float(np.mean([row[name] for row in full])) for name in (full[0] if full else ())}
 
     def any(self, asked: bool) -> bool:
         """Whether any process says so; all must ask at the same place."""

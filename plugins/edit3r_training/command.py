@@ -10,8 +10,12 @@ class TrainCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("config", help="a YAML file, or the name of a shipped one such as training/edit3r-small")
-        parser.add_argument(
-            "--resume", action="store_true", help="continue from the last checkpoint in the output folder"
+        earlier = parser.add_mutually_exclusive_group()
+        earlier.add_argument(
+            "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
+        )
+        earlier.add_argument(
+            "--overwrite", action="store_true", help="begin anew although the output folder holds another training"
         )
         parser.add_argument("--out", help="output folder, instead of the configuration's")
         parser.add_argument(
@@ -33,7 +37,7 @@ class TrainCommand(Command):
         with StageConsole(quiet=not first) as console:
             report = Report(on_event=console)
             with collecting(report), report.stage("train"):
-                prepared = prepare(values, default_registry(), resume=args.resume)
+                prepared = prepare(values, default_registry(), resume=args.resume, overwrite=args.overwrite)
                 best = prepared.trainer.train(prepared.job)
         if first:
             print(f"best checkpoint: {best}")

@@ -10,7 +10,7 @@ from torch import Tensor
 from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import invert_rigid, transform_points
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.types import Gaussians, Reconstruction
+from edit3r.types import Reconstruction
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
@@ -97,11 +97,6 @@ def measure_edit(maps: PixelMaps, batch: TrainingBatch) -> EditMeasures:
         leak=float((shown.abs() * (1 - inside)).sum() / (3 * (1 - inside).sum()).clamp(min=1)),
         depth=float(gap),
     )
-
-
-def drop_view(gaussians: Gaussians, view: int) -> Gaussians:
-    """First-view drop (section 3.3): without them only the other views can show the edit."""
-    return gaussians.without_view(view)
 
 
 def _changed(truth: Tensor, batch: TrainingBatch) -> Tensor:

@@ -1,3 +1,5 @@
+import io
+import os
 import random
 
 import numpy as np
@@ -57,6 +59,59 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path):
 
 def test_resuming_without_a_checkpoint_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match="without --resume"):
+        _state().load(tmp_path / "last.pt")
+
+
+class _Planted:
+    """Creates a file when it is unpickled, as a stranger's checkpoint could do worse things."""
+
+    def __init__(self, trace) -> None:
+        self.trace = trace
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.trace),)
+
+
+def test_no_code_of_a_checkpoint_runs(tmp_path):
+    _state().save(tmp_path / "last.pt")
+    content = torch.load(tmp_path / "last.pt", weights_only=True)
+    torch.save(content | {"config": _Planted(tmp_path / "trace")}, tmp_path / "last.pt")
+    with pytest.raises(InputError, match="not a whole checkpoint"):
+        _state().load(tmp_path / "last.pt")
+    assert not (tmp_path / "trace").exists()
+
+
+def _torch_file(content) -> bytes:
+    file = io.BytesIO()
+    torch.save(content, file)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"hello", _torch_file([1]), _torch_file({"step": 3}), _torch_file(torch.zeros(4))],
+    ids=["empty", "text", "list", "few keys", "tensor"],
+)
+def test_a_file_that_is_no_checkpoint_is_named_and_left(tmp_path, content):
+    (tmp_path / "last.pt").write_bytes(content)
+    with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
+        _state().load(tmp_path / "last.pt")
+
+
+def test_a_cut_checkpoint_is_named(tmp_path):
+    _state().save(tmp_path / "last.pt")
+    whole = (tmp_path / "last.pt").read_bytes()
+    (tmp_path / "last.pt").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
+        _state().load(tmp_path / "last.pt")
+
+
+@pytest.mark.parametrize("part", ["network", "optimizer", "average", "step", "best", "random"])
+def test_a_checkpoint_with_a_part_of_another_kind_is_refused(tmp_path, part):
+    _state().save(tmp_path / "last.pt")
+    content = torch.load(tmp_path / "last.pt", weights_only=True)
+    torch.save(content | {part: [None]}, tmp_path / "last.pt")
+    with pytest.raises(InputError, match="another network or optimiser"):
         _state().load(tmp_path / "last.pt")
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from edit3r.errors import SettingsError, UnknownComponentError
+from edit3r.errors import InputError, SettingsError, UnknownComponentError
 from edit3r.registry import default_registry
 from edit3r.training.job import prepare
 
@@ -37,3 +37,18 @@ def test_an_unknown_dataset_lists_those_there_are():
 def test_a_weight_that_is_no_number_is_refused():
     with pytest.raises(SettingsError, match=r"losses\.mse\.weight"):
         prepare(SMALL | {"losses": {"mse": {"weight": "much"}}}, default_registry())
+
+
+def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
+    (tmp_path / "last.pt").touch()
+    values = SMALL | {"out": str(tmp_path)}
+    with pytest.raises(InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"):
+        prepare(values, default_registry())
+    assert prepare(values, default_registry(), overwrite=True).job.resume is False
+    assert prepare(values, default_registry(), resume=True).job.resume is True
+
+
+def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="--out must be a folder"):
+        prepare(SMALL | {"out": str(tmp_path / "file")}, default_registry())

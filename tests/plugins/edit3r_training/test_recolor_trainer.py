@@ -63,7 +63,7 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(tmp_path, numb
     stopped = _job(tmp_path / "stopped")
     data = _StopAt(stopped.train_data, at=4, number=number)  # the first is looked at before the first step
     _trainer(steps=4).train(replace(stopped, train_data=data))
-    assert torch.load(tmp_path / "stopped" / LAST, weights_only=False)["step"] == 2
+    assert torch.load(tmp_path / "stopped" / LAST, weights_only=True)["step"] == 2
     resumed = _job(tmp_path / "stopped", resume=True)
     _trainer(steps=4).train(resumed)
     expected = _weights(straight)

@@ -59,7 +59,7 @@ def test_one_process_writes(run):
     steps = [line["step"] for line in _lines(straight) if line["kind"] == "train"]
     assert steps == list(range(1, STEPS + 1))
     assert (straight / "best" / "weights.safetensors").is_file()
-    assert torch.load(straight / LAST, weights_only=False)["step"] == STEPS
+    assert torch.load(straight / LAST, weights_only=True)["step"] == STEPS
 
 
 def test_a_signal_to_one_process_stops_all_and_resuming_gives_the_straight_run_s_weights(run):
