@@ -10,13 +10,13 @@ def register_matchers():
     return [
         Component(
             "classical",
-            "edit3r_matching.matcher:ClassicalMatcher",
+            "edit3r_matching.matchers:ClassicalMatcher",
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and semi-global aggregation",
             min_views=2,
         ),
         Component(
             "posed",
-            "edit3r_matching.posed_matcher:PosedMatcher",
+            "edit3r_matching.matchers:PosedMatcher",
             "depth by plane sweep from the poses that the views carry; without poses, what its matcher says",
             parts=("matcher",),
             min_views=2,

@@ -1,4 +1,4 @@
-"""Reads the field of view from the photos themselves where nobody knows it.
+"""Reads the field of view from the images themselves where nobody knows it.
 
 A wrong focal length bends the epipolar geometry, and fewer matches agree with any camera motion. So the focal length
 is looked for with which most matches agree: a scan over plausible fields of view, then between the best neighbours.
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from edit3r_matching.camera import Picture, Pose
+from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.relative_pose import Matches, refine, rough_pose, signed_support
 
 __all__ = ["Calibration", "PointPairs", "calibrate"]
@@ -22,7 +22,7 @@ FIELDS_OF_VIEW = (28.0, 36.0, 46.0, 57.0, 68.0, 80.0, 94.0)
 """Across the longer side [degrees], from a short telephoto lens to an action camera."""
 
 PointPairs = Mapping[tuple[int, int], Matches]
-"""Matches of two photos, their rays made with the intrinsics that the photos have now."""
+"""Matches of two images, their rays made with the intrinsics that the images have now."""
 
 _MOST_PAIRS = 2
 _FEWEST_MATCHES = 40
@@ -35,15 +35,15 @@ _LOG_FOCAL_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was read from the photos."""
+    """What was read from the images."""
 
     fov: float  # across the longer side [degrees]
     support: float  # score of the best camera motion with this field of view
     assumed_support: float  # and with the one that was assumed
 
 
-def calibrate(photos: Sequence[Picture], found: PointPairs, threshold: float, seed: int) -> Calibration | None:
-    """The field of view that `photos`, all taken to have the same one, agree on best; None with too few matches.
+def calibrate(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> Calibration | None:
+    """The field of view that `images`, all taken to have the same one, agree on best; None with too few matches.
 
     `threshold` is in pixels at a long side of 256.
     """
@@ -51,7 +51,7 @@ def calibrate(photos: Sequence[Picture], found: PointPairs, threshold: float, se
     pairs = [matches for _, matches in richest if len(matches) >= _FEWEST_MATCHES]
     if not pairs:
         return None
-    longest = max(max(photo.size) for photo in photos)
+    longest = max(max(image.size) for image in images)
     trials = _Trials(pairs, longest, threshold * longest / 256, seed)
     assumed = trials.scan(trials.assumed)
     scanned = [assumed, *(trials.scan(trials.log_focal(fov)) for fov in FIELDS_OF_VIEW)]

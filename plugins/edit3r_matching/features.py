@@ -4,31 +4,32 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from jaxtyping import Float, Int
 
 __all__ = ["Keypoints", "detect", "match"]
 
 _LARGEST_ENLARGEMENT = 4.0
 _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both ways agree
 _EDGE = 15.0
-_DOUBLING_SHIFT = 0.25  # OpenCV's SIFT doubles the picture first and forgets that this moves pixel centres
+_DOUBLING_SHIFT = 0.25  # OpenCV's SIFT doubles the image first and forgets that this moves pixel centres
 
 
 @dataclass(frozen=True)
 class Keypoints:
     """Where the features are and what they look like."""
 
-    points: np.ndarray  # [N, 2] x, y [pixels of the photo, pixel centres at +0.5], float64
-    descriptors: np.ndarray  # [N, 128] unit length, float32
+    points: Float[np.ndarray, "point 2"]  # x, y [pixels of the image, pixel centres at +0.5], float64
+    descriptors: Float[np.ndarray, "point 128"]  # unit length, float32
 
     def __len__(self) -> int:
         return len(self.points)
 
 
-def detect(image: np.ndarray, limit: int, detection_size: int) -> Keypoints:
-    """At most about `limit` of the strongest features of `image` `[height, width, 3]` in [0, 1].
+def detect(image: Float[np.ndarray, "height width 3"], limit: int, detection_size: int) -> Keypoints:
+    """At most about `limit` of the strongest features of `image` in [0, 1].
 
-    SIFT looks at the photo at a long side of `detection_size` [pixels]; a small one is enlarged, at most fourfold,
-    which doubles the matches of photos of 256 pixels.
+    SIFT looks at the image at a long side of `detection_size` [pixels]; a small one is enlarged, at most fourfold,
+    which doubles the matches of images of 256 pixels.
     """
     grey = cv2.cvtColor((np.clip(image, 0, 1) * 255).round().astype(np.uint8), cv2.COLOR_RGB2GRAY)
     scale = min(detection_size / max(grey.shape), _LARGEST_ENLARGEMENT)
@@ -39,19 +40,19 @@ def detect(image: np.ndarray, limit: int, detection_size: int) -> Keypoints:
     if not found:
         return Keypoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     # SIFT counts from pixel centres, we from the corner; the two axes were scaled by slightly different whole sizes.
-    places = np.array([point.pt for point in found]) + 0.5 - _DOUBLING_SHIFT
-    points = places * np.array(grey.shape[::-1]) / np.array(size)
+    pixels = np.array([point.pt for point in found]) + 0.5 - _DOUBLING_SHIFT
+    points = pixels * np.array(grey.shape[::-1]) / np.array(size)
     return Keypoints(points, _square_root(descriptors))
 
 
-def _square_root(descriptors: np.ndarray) -> np.ndarray:
-    """Hellinger kernel: L1-normalise, then take the root; the result has unit length."""
+def _square_root(descriptors: Float[np.ndarray, "point 128"]) -> Float[np.ndarray, "point 128"]:
+    """The Hellinger kernel: normalise by the sum, then take the root; the result has unit length."""
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
     return np.sqrt(descriptors / total).astype(np.float32)
 
 
-def match(a: Keypoints, b: Keypoints, ratio: float) -> np.ndarray:
-    """Pairs of indices `[M, 2]` that choose each other and whose second choice is clearly worse.
+def match(a: Keypoints, b: Keypoints, ratio: float) -> Int[np.ndarray, "match 2"]:
+    """Pairs of indices that choose each other and whose second choice is clearly worse.
 
     A match stays when its descriptor distance is below `ratio` times that to the second-best in `b` (Lowe's test).
     """
@@ -69,13 +70,13 @@ def match(a: Keypoints, b: Keypoints, ratio: float) -> np.ndarray:
     return _without_duplicates(a, b, pairs)
 
 
-def _distance(similarity: np.ndarray) -> np.ndarray:
-    """Between unit vectors; never quite 0, so that of two perfect matches neither is the better one."""
+def _distance(similarity: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Distance of unit vectors; never quite 0, so that of two perfect matches neither is the better one."""
     return np.sqrt(np.maximum(2 - 2 * similarity, 1e-6))
 
 
-def _without_duplicates(a: Keypoints, b: Keypoints, pairs: np.ndarray) -> np.ndarray:
-    """One match a place: SIFT reports a point once per dominant orientation."""
-    places = np.round(np.concatenate([a.points[pairs[:, 0]], b.points[pairs[:, 1]]], axis=1), 1)
-    _, kept = np.unique(places, axis=0, return_index=True)
+def _without_duplicates(a: Keypoints, b: Keypoints, pairs: Int[np.ndarray, "match 2"]) -> Int[np.ndarray, "distinct 2"]:
+    """One match for each position: SIFT reports a point once per dominant orientation."""
+    positions = np.round(np.concatenate([a.points[pairs[:, 0]], b.points[pairs[:, 1]]], axis=1), 1)
+    _, kept = np.unique(positions, axis=0, return_index=True)
     return pairs[np.sort(kept)]

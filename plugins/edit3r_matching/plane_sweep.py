@@ -9,48 +9,60 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from jaxtyping import Float, UInt8
 from numba import njit
 
-from edit3r_matching.camera import Picture, Pose, pixel_rays, project
+from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
 
-__all__ = ["Neighbour", "matching_cost", "plane_inverse_depths"]
+__all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
 
-_SMALL, _LARGE = 1, 3  # radii of the correlation windows [pixels]
-_SMALL_WEIGHT, _LARGE_WEIGHT, _COLOUR_WEIGHT = 0.25, 0.45, 0.3
-_COLOUR_LIMIT = 0.15  # colour differences above it cost no more: they are occlusions or highlights
-_UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's picture is neither good nor bad
-_BLOCK = 16  # planes written to the volume together: one cache line
+SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
+SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
+COLOUR_LIMIT = 0.15  # colour differences above it cost no more: they are occlusions or highlights
+UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's picture is neither good nor bad
+BLOCK = 16  # planes written to the volume together: one cache line
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Another picture of the scene and where it was taken."""
+    """Another image of the scene and where it was taken."""
 
-    picture: Picture
+    image: CalibratedImage
     pose: Pose  # reference frame to the neighbour's
 
 
-def plane_inverse_depths(
-    reference: Picture, neighbours: Sequence[Neighbour], inverse_range: tuple[float, float], limit: int
-) -> np.ndarray:
-    """Inverse depths `[D]` spread evenly over `inverse_range`, about one pixel of motion apart.
+@dataclass(frozen=True)
+class RawDepth:
+    """Inverse depth of every pixel as the sweep found it, before anything is checked."""
 
-    At most `limit`; the motion is the median over the picture of the neighbour that moves most.
+    inverse: Float[np.ndarray, "height width"]  # 1 / camera z, float32
+    farthest: float  # inverse depth of the farthest plane of the sweep
+    step: float  # inverse depth between two planes
+
+
+def plane_inverse_depths(
+    reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_range: tuple[float, float], limit: int
+) -> Float[np.ndarray, "plane"]:
+    """Inverse depths spread evenly over `inverse_range`, about one pixel of motion apart.
+
+    At most `limit`; the motion is the median over the image of the neighbour that moves most.
     """
     far, near = inverse_range
     rays = pixel_rays(reference.intrinsics, reference.size)[::16, ::16].reshape(-1, 3)
     motions = []
     for neighbour in neighbours:
-        intrinsics = neighbour.picture.intrinsics
+        intrinsics = neighbour.image.intrinsics
         start, end = (project(neighbour.pose.apply(rays / inverse), intrinsics) for inverse in (far, near))
         motions.append(np.median(np.linalg.norm(end - start, axis=1)))
     return np.linspace(far, near, int(np.clip(max(motions), 24, limit)))
 
 
-def matching_cost(reference: Picture, neighbours: Sequence[Neighbour], inverse_depths: np.ndarray) -> np.ndarray:
-    """Cost volume `[height, width, D]` float32, the mean over `neighbours`."""
+def matching_cost(
+    reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_depths: Float[np.ndarray, "plane"]
+) -> Float[np.ndarray, "height width plane"]:
+    """Cost of every plane at every pixel, float32, the mean over `neighbours`."""
     height, width = reference.size
-    planes = -(-len(inverse_depths) // _BLOCK) * _BLOCK
+    planes = -(-len(inverse_depths) // BLOCK) * BLOCK
     volume = np.zeros((height, width, planes), np.float32)
     for neighbour in neighbours:
         _add_costs(volume, reference, neighbour, inverse_depths, 1 / len(neighbours))
@@ -58,26 +70,35 @@ def matching_cost(reference: Picture, neighbours: Sequence[Neighbour], inverse_d
 
 
 def _add_costs(
-    volume: np.ndarray, reference: Picture, neighbour: Neighbour, inverse_depths: np.ndarray, weight: float
+    volume: Float[np.ndarray, "height width planes"],
+    reference: CalibratedImage,
+    neighbour: Neighbour,
+    inverse_depths: Float[np.ndarray, "plane"],
+    weight: float,
 ) -> None:
+    """Add `weight` times the neighbour's costs to the volume, whose planes are a multiple of BLOCK."""
     grey = np.ascontiguousarray(reference.grey)
-    statistics = [_statistics(grey, radius) for radius in (_SMALL, _LARGE)]
-    block = np.empty((_BLOCK, *reference.size), np.float32)
-    for start in range(0, len(inverse_depths), _BLOCK):
-        for slot, inverse_depth in enumerate(inverse_depths[start : start + _BLOCK]):
+    statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
+    block = np.empty((BLOCK, *reference.size), np.float32)
+    for start in range(0, len(inverse_depths), BLOCK):
+        for slot, inverse_depth in enumerate(inverse_depths[start : start + BLOCK]):
             warped, seen = _warp(reference, neighbour, inverse_depth)
-            _plane_cost(reference.image, grey, statistics, warped, seen, block[slot])
+            moments, difference = _moments(reference.image, grey, warped)
+            small, large = _box(moments, SMALL), _box(moments, LARGE)
+            _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, block[slot])
         _write_block(volume, block, start, np.float32(weight))
 
 
-def _warp(reference: Picture, neighbour: Neighbour, inverse_depth: float) -> tuple[np.ndarray, np.ndarray]:
+def _warp(
+    reference: CalibratedImage, neighbour: Neighbour, inverse_depth: float
+) -> tuple[Float[np.ndarray, "height width 3"], UInt8[np.ndarray, "height width"]]:
     """The neighbour as the reference would see it if everything were at one depth, and where it has pixels."""
     motion = neighbour.pose.rotation + np.outer(neighbour.pose.translation, (0, 0, inverse_depth))
-    homography = neighbour.picture.intrinsics @ motion @ np.linalg.inv(reference.intrinsics)
+    homography = neighbour.image.intrinsics @ motion @ np.linalg.inv(reference.intrinsics)
     centred = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])  # OpenCV counts from pixel centres
     homography = np.linalg.inv(centred) @ homography @ centred
     size, inverse = reference.size[::-1], cv2.WARP_INVERSE_MAP
-    image = neighbour.picture.image
+    image = neighbour.image.image
     warped = cv2.warpPerspective(
         image, homography, size, flags=cv2.INTER_LINEAR | inverse, borderMode=cv2.BORDER_REPLICATE
     )
@@ -85,22 +106,15 @@ def _warp(reference: Picture, neighbour: Neighbour, inverse_depth: float) -> tup
     return warped, seen
 
 
-def _statistics(grey: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Local mean and variance."""
+def _statistics(grey: Float[np.ndarray, "h w"], radius: int) -> list[Float[np.ndarray, "h w"]]:
+    """Mean and variance over the window around each pixel."""
     mean = _box(grey, radius)
-    return mean, np.maximum(_box(grey * grey, radius) - mean * mean, 0)
+    return [mean, np.maximum(_box(grey * grey, radius) - mean * mean, 0)]
 
 
-def _box(image: np.ndarray, radius: int) -> np.ndarray:
+def _box(image: Float[np.ndarray, "h w *channel"], radius: int) -> Float[np.ndarray, "h w *channel"]:
+    """Mean over the window around each pixel."""
     return cv2.blur(image, (2 * radius + 1, 2 * radius + 1), borderType=cv2.BORDER_REFLECT)
-
-
-def _plane_cost(
-    image: np.ndarray, grey: np.ndarray, statistics: list, warped: np.ndarray, seen: np.ndarray, out: np.ndarray
-) -> None:
-    moments, difference = _moments(image, grey, warped)
-    small, large = _box(moments, _SMALL), _box(moments, _LARGE)
-    _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, out)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -109,7 +123,7 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
     height, width = grey.shape
     moments = np.empty((height, width, 3), np.float32)
     difference = np.empty((height, width), np.float32)
-    third, limit = np.float32(1 / 3), np.float32(_COLOUR_LIMIT)
+    third, limit = np.float32(1 / 3), np.float32(COLOUR_LIMIT)
     for y in range(height):
         for x in range(width):
             r, g, b = warped[y, x, 0], warped[y, x, 1], warped[y, x, 2]
@@ -134,8 +148,8 @@ def _correlation_cost(value, square, product, mean, variance):  # pragma: no cov
 @njit(cache=True, fastmath=True, nogil=True)
 def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen, out):  # pragma: no cover - compiled
     height, width = out.shape
-    weight_s, weight_l = np.float32(_SMALL_WEIGHT), np.float32(_LARGE_WEIGHT)
-    weight_c, unseen = np.float32(_COLOUR_WEIGHT), np.float32(_UNSEEN_COST)
+    weight_s, weight_l = np.float32(SMALL_WEIGHT), np.float32(LARGE_WEIGHT)
+    weight_c, unseen = np.float32(COLOUR_WEIGHT), np.float32(UNSEEN_COST)
     for y in range(height):
         for x in range(width):
             near = _correlation_cost(small[y, x, 0], small[y, x, 1], small[y, x, 2], mean_s[y, x], variance_s[y, x])
@@ -146,7 +160,7 @@ def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen,
 
 @njit(cache=True, nogil=True)
 def _write_block(volume, block, start, weight):  # pragma: no cover - compiled
-    """Add planes `[_BLOCK, height, width]` to the volume from plane `start` on, pixel by pixel."""
+    """Add planes `[BLOCK, height, width]` to the volume from plane `start` on, pixel by pixel."""
     planes, height, width = block.shape
     for y in range(height):
         for x in range(width):

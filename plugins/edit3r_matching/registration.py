@@ -1,6 +1,6 @@
-"""Places every photo of a scene relative to view 0.
+"""Registration: where every image of a scene was taken, relative to view 0.
 
-Two photos: one essential matrix. More: the best partner of view 0 sets the scale, points are triangulated, and each
+Two images: one essential matrix. More: the best partner of view 0 sets the scale, points are triangulated, and each
 further view is placed on the points it shares with the views already there (PnP), the best connected first.
 """
 
@@ -10,21 +10,24 @@ from itertools import combinations
 
 import cv2
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from pydantic import Field
 
+from edit3r import config
 from edit3r.errors import MatchingError
-from edit3r_matching.camera import Picture, Pose, rays_through
+from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, rays_through, triangulate
 from edit3r_matching.features import Keypoints, detect, match
-from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose
-from edit3r_matching.triangulation import parallax_degrees, triangulate
+from edit3r_matching.relative_pose import MIN_INLIERS, Matches, estimate_pose
 
-__all__ = ["FoundFeatures", "PairView", "Registration", "RegistrationOptions", "find_features", "register"]
+__all__ = ["FeatureSettings", "FoundFeatures", "PairView", "Registration", "find_features", "register"]
 
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4
 """Median angle between rays to the same point below which depth cannot be read [degrees]."""
-
-_ENOUGH_PARALLAX = 5.0  # degrees beyond which more does not make a better first pair
+ENOUGH_PARALLAX = 5.0
+"""Angle beyond which more does not make a better first pair [degrees]."""
+ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,22 @@ class PairView:
     """Matches of two views that agree on one epipolar geometry, with which feature of each view they are."""
 
     matches: Matches
-    indices: np.ndarray  # [N, 2] keypoints of the first and second view
-    pose: Pose  # first view's frame to the second's, translation of length 1
-    parallax: np.ndarray  # [N] degrees
+    indices: Int[np.ndarray, "match 2"]  # keypoints of the first and second view
+    pose: Pose  # first view's frame to the second's
+    parallax: Float[np.ndarray, "match"]  # [degrees]
+
+    @staticmethod
+    def of(
+        matches: Matches, indices: Int[np.ndarray, "all 2"], kept: Bool[np.ndarray, "all"], pose: Pose
+    ) -> "PairView":
+        """What remains of all matches of two views when only those that agree with `pose` are `kept`."""
+        agreeing = matches.select(kept)
+        return PairView(agreeing, indices[kept], pose, parallax_degrees(agreeing.rays_a, agreeing.rays_b, pose))
+
+    @property
+    def usefulness(self) -> float:
+        """Number of matches, each counted by how well its depth can be read."""
+        return float(np.minimum(self.parallax / ENOUGH_PARALLAX, 1).sum())
 
 
 @dataclass(frozen=True)
@@ -42,14 +58,14 @@ class Registration:
     """Where the views are, in the frame of view 0 and an arbitrary unit of length."""
 
     poses: tuple[Pose, ...]  # world to camera; identity for a view that was not placed
-    registered: np.ndarray  # [V] bool
+    registered: Bool[np.ndarray, "view"]
     pairs: dict[tuple[int, int], PairView]  # (a, b) with a < b
 
     def relative(self, a: int, b: int) -> Pose:
         """From view a's frame to view b's."""
         return self.poses[b].after(self.poses[a].inverse())
 
-    def shared_depths(self, a: int, b: int) -> np.ndarray:
+    def shared_depths(self, a: int, b: int) -> Float[np.ndarray, "match"]:
         """Camera z in view a of the points matched with view b; [] when the two share none."""
         pair = self.pairs.get((min(a, b), max(a, b)))
         if pair is None:
@@ -58,53 +74,63 @@ class Registration:
         depth, other = triangulate(*rays, self.relative(a, b))
         return depth[(depth > 0) & (other > 0)]
 
-    def partners(self, view: int) -> list[int]:
+    def neighbours_of(self, view: int) -> list[int]:
         """Registered views that share points with `view`, most useful first: many points, seen from different sides."""
         found = [(a + b - view, pair) for (a, b), pair in self.pairs.items() if view in (a, b)]
         usable = [(other, pair) for other, pair in found if self.registered[other]]
-        return [other for other, _ in sorted(usable, key=lambda item: -_usefulness(item[1]))]
+        return [other for other, _ in sorted(usable, key=lambda item: -item[1].usefulness)]
 
 
-@dataclass(frozen=True)
-class RegistrationOptions:
-    """See the matcher's settings of the same names; `threshold` in pixels at a long side of 256."""
+class FeatureSettings(config.Settings):
+    """How features are found and matched."""
 
-    keypoints: int
-    detection_size: int
-    ratio: float
-    threshold: float
-    seed: int
+    keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
+    detection_size: int = Field(
+        640, ge=128, le=4096, description="long side at which features are looked for [pixels]; larger finds more"
+    )
+    ratio: float = Field(
+        0.85, gt=0, le=1, description="a match must be this much nearer than its second choice (Lowe's test)"
+    )
 
 
 @dataclass(frozen=True)
 class FoundFeatures:
-    """Features of every photo, and which of them look alike."""
+    """Features of every image, and which of them look alike."""
 
     keypoints: tuple[Keypoints, ...]
-    indices: dict[tuple[int, int], np.ndarray]  # (a, b) with a < b: [N, 2] keypoints of the first and second photo
+    indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]  # (a, b) with a < b: keypoints of images a and b
 
-    def matches(self, photos: Sequence[Picture], a: int, b: int) -> Matches:
-        """What photos a and b have in common, as rays of their cameras."""
-        indices = self.indices[a, b]
+    def matches(self, images: Sequence[CalibratedImage], a: int, b: int) -> Matches:
+        """What images a and b have in common, as rays of their cameras."""
+        pair, indices = (images[a], images[b]), self.indices[a, b]
         points = (self.keypoints[view].points[indices[:, side]] for side, view in enumerate((a, b)))
-        return _as_matches(photos[a], photos[b], *points)
+        rays = (rays_through(own, image.intrinsics) for own, image in zip(points, pair))
+        focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
+        height, width = images[b].size
+        # A band of two pixels along the longest possible line, over the image's area.
+        chance = 2 * np.hypot(height, width) / (height * width)
+        return Matches(*rays, float(np.mean(focals)), chance)
 
 
-def find_features(photos: Sequence[Picture], options: RegistrationOptions) -> FoundFeatures:
-    """Detect features and match every two photos; needs no intrinsics."""
-    keypoints = tuple(detect(photo.image, options.keypoints, options.detection_size) for photo in photos)
-    every = combinations(range(len(photos)), 2)
-    return FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], options.ratio) for a, b in every})
+def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) -> FoundFeatures:
+    """Detect features and match every two images; needs no intrinsics."""
+    keypoints = tuple(detect(image.image, settings.keypoints, settings.detection_size) for image in images)
+    every = combinations(range(len(images)), 2)
+    return FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
 
 
 def register(
-    photos: Sequence[Picture], names: Sequence[str], features: FoundFeatures, options: RegistrationOptions
+    images: Sequence[CalibratedImage], names: Sequence[str], features: FoundFeatures, threshold: float, seed: int
 ) -> Registration:
-    """Place the photos. Raises MatchingError with the reason when view 0 cannot be placed with any other."""
+    """Place the images; `threshold` is what agrees with an epipolar line [pixels at a long side of 256].
+
+    `names` are for messages. Raises MatchingError with the reason when view 0 cannot be placed with any other.
+    """
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
     for (a, b), indices in features.indices.items():
-        found = _pair(features.matches(photos, a, b), indices, max(*photos[a].size, *photos[b].size), options)
+        limit = threshold * max(*images[a].size, *images[b].size) / 256
+        found = _pair(features.matches(images, a, b), indices, limit, seed)
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
@@ -112,71 +138,48 @@ def register(
     first = [(pair, key) for key, pair in pairs.items() if key[0] == 0]
     if not first:
         reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
-        raise MatchingError(f"the photos could not be placed relative to each other ({reasons}). {_ADVICE}")
-    pair, (_, partner) = max(first, key=lambda item: _usefulness(item[0]))
-    placing = _Placing(photos, features.keypoints, pairs, options)
-    placing.start(partner, pair)
-    placing.place_the_rest()
-    return placing.result()
+        raise MatchingError(f"the photos could not be placed relative to each other ({reasons}). {ADVICE}")
+    pair, (_, partner) = max(first, key=lambda item: item[0].usefulness)
+    growing = _IncrementalRegistration(images, features.keypoints, pairs, threshold, seed)
+    growing.start(partner, pair)
+    growing.place_the_rest()
+    return growing.result()
 
 
-_ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
-
-
-def _pair(matches: Matches, indices: np.ndarray, longest: int, options: RegistrationOptions) -> PairView | str:
-    """The pair's epipolar geometry, or the reason why there is none; `longest` is the photos' longest side [pixels]."""
-    threshold = options.threshold * longest / 256
-    found = estimate_pose(matches, threshold, options.seed)
+def _pair(matches: Matches, indices: Int[np.ndarray, "match 2"], threshold: float, seed: int) -> PairView | str:
+    """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
+    found = estimate_pose(matches, threshold, seed)
     if found is None or found.log_false_alarms > -MIN_LOG_EVIDENCE or found.inliers.sum() < MIN_INLIERS:
         agreeing = 0 if found is None else int(found.inliers.sum())
         return f"{agreeing} of {len(matches)} matched points agree on a camera motion, too few to be sure"
-    return _with_parallax(matches, indices, found)
-
-
-def _with_parallax(matches: Matches, indices: np.ndarray, found: TwoViewPose) -> PairView | str:
-    kept = Matches(matches.rays_a[found.inliers], matches.rays_b[found.inliers], matches.focal, matches.chance)
-    parallax = parallax_degrees(kept.rays_a, kept.rays_b, found.pose)
-    if np.median(parallax) < MIN_PARALLAX:
-        return (
-            f"taken from nearly the same place ({np.median(parallax):.2f} degrees of parallax), so depth cannot be read"
-        )
-    return PairView(kept, indices[found.inliers], found.pose, parallax)
-
-
-def _as_matches(a: Picture, b: Picture, points_a: np.ndarray, points_b: np.ndarray) -> Matches:
-    focals = [picture.intrinsics[axis, axis] for picture in (a, b) for axis in (0, 1)]
-    height, width = b.size
-    # A band of two pixels along the longest possible line, over the picture's area.
-    chance = 2 * np.hypot(height, width) / (height * width)
-    return Matches(
-        rays_through(points_a, a.intrinsics), rays_through(points_b, b.intrinsics), float(np.mean(focals)), chance
-    )
-
-
-def _usefulness(pair: PairView) -> float:
-    """Number of matches, each counted by how well its depth can be read."""
-    return float(np.minimum(pair.parallax / _ENOUGH_PARALLAX, 1).sum())
+    pair = PairView.of(matches, indices, found.inliers, found.pose)
+    parallax = np.median(pair.parallax)
+    if parallax < MIN_PARALLAX:
+        return f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so depth cannot be read"
+    return pair
 
 
 @dataclass
-class _Placing:
+class _IncrementalRegistration:
     """The growing reconstruction: poses, and the 3D point of each keypoint that has one (NaN: none yet)."""
 
-    photos: Sequence[Picture]
+    images: Sequence[CalibratedImage]
     keypoints: Sequence[Keypoints]
     pairs: dict[tuple[int, int], PairView]
-    options: RegistrationOptions
+    threshold: float  # [pixels at a long side of 256]
+    seed: int
     poses: dict[int, Pose] = field(default_factory=dict)
-    points: list[np.ndarray] = field(default_factory=list)
+    points: list[Float[np.ndarray, "keypoint 3"]] = field(default_factory=list)
 
     def start(self, partner: int, pair: PairView) -> None:
+        """Place view 0 and its best partner."""
         self.points = [np.full((len(keys), 3), np.nan) for keys in self.keypoints]
         self.poses = {0: Pose.identity(), partner: pair.pose}
         self._triangulate_with(partner)
 
     def place_the_rest(self) -> None:
         """Add the view with most known points until none is left that can be placed."""
-        waiting = set(range(len(self.photos))) - set(self.poses)
+        waiting = set(range(len(self.images))) - set(self.poses)
         while waiting:
             known = {view: self._known_points(view) for view in waiting}
             view = max(sorted(waiting), key=lambda v: len(known[v][0]))
@@ -187,11 +190,12 @@ class _Placing:
                 self._triangulate_with(view)
 
     def result(self) -> Registration:
-        views = range(len(self.photos))
+        """What was placed."""
+        views = range(len(self.images))
         poses = tuple(self.poses.get(view, Pose.identity()) for view in views)
         return Registration(poses, np.array([view in self.poses for view in views]), self.pairs)
 
-    def _known_points(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+    def _known_points(self, view: int) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
         """Keypoint indices of `view` whose match in a placed view has a 3D point, and those points."""
         own, points = [], []
         for (a, b), pair in self.pairs.items():
@@ -205,18 +209,17 @@ class _Placing:
             return np.zeros(0, int), np.zeros((0, 3))
         return np.concatenate(own), np.concatenate(points)
 
-    def _place(self, view: int, indices: np.ndarray, points: np.ndarray) -> Pose | None:
+    def _place(self, view: int, indices: Int[np.ndarray, "point"], points: Float[np.ndarray, "point 3"]) -> Pose | None:
         """PnP with RANSAC, refined on its inliers; None when too few points agree."""
         if len(indices) < MIN_INLIERS:
             return None
-        photo = self.photos[view]
-        image = self.keypoints[view].points[indices]
-        threshold = 2 * self.options.threshold * max(photo.size) / 256
-        cv2.setRNGSeed(self.options.seed)
+        intrinsics, pixels = self.images[view].intrinsics, self.keypoints[view].points[indices]
+        threshold = 2 * self.threshold * max(self.images[view].size) / 256
+        cv2.setRNGSeed(self.seed)
         found, turn, shift, inliers = cv2.solvePnPRansac(
             points,
-            image,
-            photo.intrinsics,
+            pixels,
+            intrinsics,
             None,
             iterationsCount=1000,
             reprojectionError=threshold,
@@ -226,7 +229,7 @@ class _Placing:
         if not found or inliers is None or len(inliers) < MIN_INLIERS:
             return None
         kept = inliers[:, 0]
-        turn, shift = cv2.solvePnPRefineLM(points[kept], image[kept], photo.intrinsics, None, turn, shift)
+        turn, shift = cv2.solvePnPRefineLM(points[kept], pixels[kept], intrinsics, None, turn, shift)
         return Pose(cv2.Rodrigues(turn)[0], shift[:, 0])
 
     def _triangulate_with(self, view: int) -> None:

@@ -5,16 +5,16 @@ explains most matches with points in front of both cameras wins. Whether that co
 (Moisan and Stival 2004): how many such agreements would matches thrown at random give?
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.special import gammaln
 
-from edit3r_matching.camera import Pose, cross_matrix
-from edit3r_matching.triangulation import triangulate
+from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 
 __all__ = ["Matches", "TwoViewPose", "estimate_pose", "refine", "rough_pose", "signed_support"]
 
@@ -27,15 +27,19 @@ _REFINEMENT_ROUNDS = 3
 
 @dataclass(frozen=True)
 class Matches:
-    """Points that look alike in two pictures, as camera-frame rays with z = 1."""
+    """Points that look alike in two images, as camera-frame rays with z = 1."""
 
-    rays_a: np.ndarray  # [N, 3]
-    rays_b: np.ndarray  # [N, 3]
+    rays_a: Float[np.ndarray, "match 3"]
+    rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
 
     def __len__(self) -> int:
         return len(self.rays_a)
+
+    def select(self, index: Bool[np.ndarray, "match"]) -> "Matches":
+        """The matches at `index`."""
+        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index])
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class TwoViewPose:
     """The relative pose that matches agree on."""
 
     pose: Pose  # A's frame to B's, translation of length 1
-    inliers: np.ndarray  # [N] bool
+    inliers: Bool[np.ndarray, "match"]
     log_false_alarms: float  # log10 of how many equally good agreements random matches would give
 
 
@@ -104,7 +108,7 @@ def _essential_candidates(
     return poses
 
 
-def sampson_errors(matches: Matches, pose: Pose) -> np.ndarray:
+def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     """Signed first-order distance of each match to the epipolar geometry [pixels]."""
     essential = cross_matrix(pose.translation) @ pose.rotation
     lines_b, lines_a = matches.rays_a @ essential.T, matches.rays_b @ essential
@@ -112,7 +116,9 @@ def sampson_errors(matches: Matches, pose: Pose) -> np.ndarray:
     return matches.focal * (matches.rays_b * lines_b).sum(1) / np.sqrt(gradient + 1e-18)
 
 
-def _support(matches: Matches, pose: Pose, threshold: float, in_front: bool = False) -> tuple[float, np.ndarray]:
+def _support(
+    matches: Matches, pose: Pose, threshold: float, in_front: bool = False
+) -> tuple[float, Bool[np.ndarray, "match"]]:
     """Truncated quadratic score (MSAC, higher is better) and the matches within `threshold`."""
     errors = sampson_errors(matches, pose)
     inliers = np.abs(errors) < threshold
@@ -128,7 +134,7 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
         near = np.abs(sampson_errors(matches, pose)) < 2 * threshold
         if near.sum() < MIN_INLIERS:
             return pose
-        kept = Matches(matches.rays_a[near], matches.rays_b[near], matches.focal, matches.chance)
+        kept = matches.select(near)
         moved = _tangent_step(pose)
         solution = least_squares(
             lambda step, kept=kept, moved=moved: sampson_errors(kept, moved(step)),
@@ -140,11 +146,11 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
     return pose
 
 
-def _tangent_step(pose: Pose):
+def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:
     """Function from 5 numbers (rotation vector, two slides of the unit translation) to a pose near `pose`."""
     slides = np.linalg.svd(pose.translation[None])[2][1:]
 
-    def moved(step: np.ndarray) -> Pose:
+    def moved(step: Float[np.ndarray, "5"]) -> Pose:
         translation = pose.translation + step[3:] @ slides
         rotation = cv2.Rodrigues(step[:3])[0] @ pose.rotation
         return Pose(rotation, translation / np.linalg.norm(translation))
@@ -161,4 +167,5 @@ def _log_false_alarms(matches: int, inliers: int, chance: float) -> float:
 
 
 def _log_binomial(n: int, k: int) -> float:
+    """Natural logarithm of the binomial coefficient."""
     return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))

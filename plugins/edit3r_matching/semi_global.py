@@ -1,24 +1,27 @@
 """Semi-global matching (Hirschmueller 2008): costs are aggregated along eight paths that end at each pixel.
 
-Changing depth by one plane between neighbours costs `SMALL_STEP`, by more a jump cost that falls where the picture has
+Changing depth by one plane between neighbours costs `SMALL_STEP`, by more a jump cost that falls where the image has
 an edge, since depth edges are usually seen.
 """
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
 __all__ = ["aggregate", "best_plane"]
 
 SMALL_STEP = 0.08
-_LEAST_JUMP = 1.5 * SMALL_STEP
-_JUMP = 0.6  # more than the least, in flat regions
-_EDGE = 0.08  # grey-value gradient at which the jump cost has fallen to 1/e
-_BIG = 1e9
+LEAST_JUMP = 1.5 * SMALL_STEP
+JUMP = 0.6  # more than the least, in flat regions
+EDGE = 0.08  # grey-value gradient at which the jump cost has fallen to 1/e
+BIG = 1e9
 
 
-def aggregate(cost: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """Sum of the eight path costs, `[height, width, D]` float32, for costs of about [0, 1]."""
+def aggregate(
+    cost: Float[np.ndarray, "height width plane"], grey: Float[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width plane"]:
+    """Sum of the eight path costs, float32, for costs of about [0, 1]."""
     cost = np.ascontiguousarray(cost, np.float32)
     jump = _jump_costs(np.ascontiguousarray(grey, np.float32))
     total = np.zeros_like(cost)
@@ -27,9 +30,10 @@ def aggregate(cost: np.ndarray, grey: np.ndarray) -> np.ndarray:
     return total
 
 
-def _jump_costs(grey: np.ndarray) -> np.ndarray:
+def _jump_costs(grey: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """What a change by more than one plane costs at each pixel."""
     gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 4
-    return (_LEAST_JUMP + _JUMP * np.exp(-gradient / _EDGE)).astype(np.float32)
+    return (LEAST_JUMP + JUMP * np.exp(-gradient / EDGE)).astype(np.float32)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -37,11 +41,11 @@ def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover -
     """Paths from the previous pixel of the row and from three pixels of the previous row, in scan order."""
     height, width, planes = cost.shape
     # Row buffers are padded by one plane and one pixel on either side, so that no border needs a test.
-    above = np.full((3, width + 2, planes + 2), np.float32(_BIG))
+    above = np.full((3, width + 2, planes + 2), np.float32(BIG))
     above_least = np.zeros((3, width + 2), np.float32)
-    below = np.full((3, width + 2, planes + 2), np.float32(_BIG))
+    below = np.full((3, width + 2, planes + 2), np.float32(BIG))
     below_least = np.zeros((3, width + 2), np.float32)
-    beside = np.full((2, planes + 2), np.float32(_BIG))
+    beside = np.full((2, planes + 2), np.float32(BIG))
     for row in range(height):
         y = height - 1 - row if backwards else row
         previous_y = y + 1 if backwards else y - 1
@@ -77,7 +81,7 @@ def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover -
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _start_path(cost, path, total):  # pragma: no cover - compiled
-    least = np.float32(_BIG)
+    least = np.float32(BIG)
     for d in range(cost.shape[0]):
         value = cost[d]
         path[d + 1] = value
@@ -89,7 +93,7 @@ def _start_path(cost, path, total):  # pragma: no cover - compiled
 @njit(cache=True, fastmath=True, nogil=True)
 def _extend(cost, previous, previous_least, small_step, jump, path, total):  # pragma: no cover - compiled
     """One step of Hirschmueller's equation 13; returns the least value of the new path costs."""
-    least = np.float32(_BIG)
+    least = np.float32(BIG)
     limit = previous_least + jump
     for d in range(cost.shape[0]):
         step = min(previous[d], previous[d + 2]) + small_step

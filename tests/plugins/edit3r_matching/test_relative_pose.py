@@ -1,9 +1,8 @@
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching.camera import Pose, cross_matrix
+from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
 from edit3r_matching.relative_pose import Matches, estimate_pose, sampson_errors
-from edit3r_matching.triangulation import parallax_degrees, triangulate
 from edit3r_measure.evaluation.pairs import rotation_degrees
 
 FOCAL = 250.0

@@ -1,11 +1,11 @@
 import pytest
 import torch
-from edit3r_matching_network.adjustment import evidence_of
 from edit3r_matching_network.matcher import NetworkMatcher, network_size
-from edit3r_matching_network.network import CorrelationNetwork, PairPrediction
+from edit3r_matching_network.network import MatchingNetwork, PairPrediction
 from edit3r_matching_network.pair_geometry import FARTHEST, _completed, pair_geometry
-from edit3r_matching_network.scene_memory import GeometryBatch
 from edit3r_matching_network.supervision import true_pairs
+from edit3r_matching_network.training_pairs import TrainingPairs
+from edit3r_matching_network.two_view_adjustment import evidence_of
 from edit3r_measure.measure_network import KnownGeometry, Renderer, measure_scene, true_geometry
 from torch import nn
 
@@ -32,13 +32,13 @@ class _Oracle(nn.Module):
         self.calls += 1
         views = [0, self.calls]
         c2w = SCENE.cameras.c2w[:, views]
-        truth = true_pairs(GeometryBatch(images, intrinsics, c2w, SCENE.depths[:, views]))
+        truth = true_pairs(TrainingPairs(images, intrinsics, c2w, SCENE.depths[:, views]))
         unit = 0.5 * self.calls
         return PairPrediction(
             None,
             None,
             None,
-            truth.places,
+            truth.coordinates,
             torch.where(truth.visible, 6.0, -6.0),
             truth.log_depths + unit,
             torch.full_like(truth.log_depths, -2.0),
@@ -48,7 +48,7 @@ class _Oracle(nn.Module):
 @pytest.fixture
 def matcher() -> NetworkMatcher:
     made = NetworkMatcher(NetworkMatcher.Settings(weights="untrained"))
-    made.network = _Oracle()
+    made.matching_network = _Oracle()
     return made
 
 
@@ -112,7 +112,7 @@ def test_a_network_that_knows_nothing_still_gives_finite_geometry(kind):
 
 def test_without_adjustment_the_pose_is_procrustes_and_depths_are_as_predicted(matcher):
     small = SCENE.views.select([0, 1])
-    prediction = matcher.network(small.images, small.intrinsics)
+    prediction = matcher.matching_network(small.images, small.intrinsics)
     plain = pair_geometry(prediction, small.intrinsics, small.images, adjusting=False)
     assert torch.allclose(plain.depths[:, 0], prediction.log_depths[:, 0].exp(), rtol=1e-5)
     assert rotation_angle(plain.c2w[0, :3, :3], SCENE.cameras.c2w[0, 1, :3, :3]) < 0.02
@@ -158,4 +158,4 @@ def test_the_measure_gives_a_perfect_matcher_no_error():
 
 
 def test_default_network_has_less_than_a_million_parameters():
-    assert sum(p.numel() for p in CorrelationNetwork().parameters()) < 1_000_000
+    assert sum(p.numel() for p in MatchingNetwork().parameters()) < 1_000_000

@@ -1,17 +1,17 @@
 import pytest
 import torch
-from edit3r_matching_network.front import Front, imagenet_front
-from edit3r_matching_network.network import CorrelationNetwork
+from edit3r_matching_network.encoder import Front, imagenet_front
+from edit3r_matching_network.network import MatchingNetwork
 
 from edit3r.testing import photograph
 
-OUTPUTS = ("places", "confidence_logits", "log_depths", "log_spread", "corrected")
+OUTPUTS = ("coordinates", "confidence_logits", "log_depths", "log_spread", "corrected")
 
 
 @pytest.fixture(scope="module")
-def network() -> CorrelationNetwork:
+def network() -> MatchingNetwork:
     torch.manual_seed(0)
-    made = CorrelationNetwork(width=32, fine_width=16, heads=2, before=1, after=1)
+    made = MatchingNetwork(width=32, fine_width=16, heads=2, before=1, after=1)
     for parameter in made.decoder.out.parameters():
         torch.nn.init.normal_(parameter, std=0.1)
     return made
@@ -28,7 +28,7 @@ def test_maps_have_half_the_pictures_size_whatever_their_shape(network):
     for size in ((32, 64), (64, 32), (48, 48)):
         views = photograph(2, size).views
         prediction = network(views.images, views.intrinsics)
-        assert prediction.places.shape == (1, 2, size[0] // 2, size[1] // 2, 2)
+        assert prediction.coordinates.shape == (1, 2, size[0] // 2, size[1] // 2, 2)
         assert prediction.corrected.shape == (1, 2, size[0] // 4, size[1] // 4, 2)
 
 
@@ -45,7 +45,7 @@ def test_exposure_does_not_matter(network):
     views = photograph(2, (32, 48)).views
     darker = network(0.5 * views.images + 0.1, views.intrinsics)
     plain = network(views.images, views.intrinsics)
-    assert (darker.places - plain.places).abs().mean() < 0.03
+    assert (darker.coordinates - plain.coordinates).abs().mean() < 0.03
 
 
 def test_the_front_is_not_trained(network):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_matching_network.network import CorrelationNetwork
-from edit3r_matching_network.scene_memory import Augmentation, GeometryBatch, SceneMemory, augmented
+from edit3r_matching_network.network import MatchingNetwork
 from edit3r_matching_network.supervision import coarser, geometry_terms, match_error, rotation_errors, true_pairs
+from edit3r_matching_network.training_pairs import Augmentation, PairMemory, TrainingPairs, augmented
 
 from edit3r.errors import InputError
 from edit3r.interfaces import Dataset
@@ -15,29 +15,29 @@ from edit3r.testing import photograph
 
 
 @pytest.fixture(scope="module")
-def batch() -> GeometryBatch:
+def batch() -> TrainingPairs:
     scene = photograph(2, (32, 48), batch=2)
-    return GeometryBatch(scene.views.images, scene.views.intrinsics, scene.cameras.c2w, scene.depths)
+    return TrainingPairs(scene.views.images, scene.views.intrinsics, scene.cameras.c2w, scene.depths)
 
 
 @pytest.fixture(scope="module")
 def prediction(batch):
     torch.manual_seed(0)
-    return CorrelationNetwork(width=32, fine_width=16, heads=2)(batch.images, batch.intrinsics)
+    return MatchingNetwork(width=32, fine_width=16, heads=2)(batch.images, batch.intrinsics)
 
 
-def _colour_error(batch: GeometryBatch) -> tuple[float, float]:
-    """Median difference of colours between true matches, and between the same places."""
+def _colour_error(batch: TrainingPairs) -> tuple[float, float]:
+    """Median difference of colours between true matches, and between the same coordinates."""
     truth = true_pairs(batch)
     small = F.avg_pool2d(batch.images.flatten(0, 1), 2).unflatten(0, batch.images.shape[:2])
-    there = F.grid_sample(small.flip(1).flatten(0, 1), truth.places.flatten(0, 1) * 2 - 1, align_corners=False)
+    there = F.grid_sample(small.flip(1).flatten(0, 1), truth.coordinates.flatten(0, 1) * 2 - 1, align_corners=False)
     matched = (there.unflatten(0, small.shape[:2]) - small).abs().mean(2)[truth.visible].median()
     return float(matched), float((small - small.flip(1)).abs().mean(2)[truth.visible].median())
 
 
 def test_true_matches_show_the_same_colour():
     scene = photograph(2, (96, 128))
-    large = GeometryBatch(scene.views.images, scene.views.intrinsics, scene.cameras.c2w, scene.depths)
+    large = TrainingPairs(scene.views.images, scene.views.intrinsics, scene.cameras.c2w, scene.depths)
     matched, same_place = _colour_error(large)
     assert matched < 0.3 * same_place
     assert true_pairs(large).visible.float().mean() > 0.5
@@ -47,7 +47,7 @@ def test_the_true_answer_has_no_error(batch, prediction):
     truth = true_pairs(batch)
     right = replace(
         prediction,
-        places=truth.places,
+        coordinates=truth.coordinates,
         log_depths=truth.log_depths + 0.3,
         confidence_logits=torch.where(truth.visible, 20.0, -20.0),
     )
@@ -60,7 +60,7 @@ def test_the_true_answer_has_no_error(batch, prediction):
 
 def test_every_term_is_finite_and_reaches_the_network(batch):
     torch.manual_seed(0)
-    network = CorrelationNetwork(width=32, fine_width=16, heads=2)
+    network = MatchingNetwork(width=32, fine_width=16, heads=2)
     torch.nn.init.normal_(network.decoder.out.weight, std=0.1)
     terms = geometry_terms(network(batch.images, batch.intrinsics), batch)
     del terms["translation"]  # at its ceiling for a random network, where it does not pull
@@ -74,10 +74,12 @@ def test_every_term_is_finite_and_reaches_the_network(batch):
 def test_coarse_places_are_those_of_the_cells_they_hold(batch):
     fine = true_pairs(batch)
     coarse = coarser(fine)
-    assert coarse.places.shape[2:4] == (8, 12)
-    mean = F.avg_pool2d(fine.places.movedim(-1, 2).flatten(0, 1), 2).unflatten(0, (2, 2))
+    assert coarse.coordinates.shape[2:4] == (8, 12)
+    mean = F.avg_pool2d(fine.coordinates.movedim(-1, 2).flatten(0, 1), 2).unflatten(0, (2, 2))
     every = F.avg_pool2d(fine.visible.float(), 2) == 1
-    assert torch.allclose(coarse.places[coarse.visible & every], mean.movedim(2, -1)[coarse.visible & every], atol=1e-5)
+    assert torch.allclose(
+        coarse.coordinates[coarse.visible & every], mean.movedim(2, -1)[coarse.visible & every], atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -92,13 +94,13 @@ def test_augmented_scenes_stay_true(batch, seed):
 
 def test_matches_far_off_are_measured_in_cells(batch):
     truth = true_pairs(batch)
-    moved = truth.places + torch.tensor([2 / 24, 0.0])
+    moved = truth.coordinates + torch.tensor([2 / 24, 0.0])
     assert torch.allclose(match_error(moved, truth), torch.full(truth.visible.shape, 2.0), atol=1e-3)
 
 
 def test_scenes_are_kept_within_eight_bits_and_half_precision():
     data = build("dataset", "procedural", image_size=32, textures=8, scenes=3, targets=0)
-    memory = SceneMemory(data)
+    memory = PairMemory(data)
     first, again = memory.batch([1]), memory.batch([1])
     assert torch.equal(first.images, again.images)
     assert (first.images - data[1].context).abs().max() <= 0.5 / 255 + 1e-6
@@ -115,4 +117,4 @@ def test_data_without_depths_is_refused_by_name():
             return replace(sample, context_depths=None, name="blind-0")
 
     with pytest.raises(InputError, match=r"'blind-0'.*with depths"):
-        SceneMemory(Blind()).batch([0])
+        PairMemory(Blind()).batch([0])

@@ -4,9 +4,8 @@ from dataclasses import replace
 import pytest
 import safetensors.torch
 import torch
-from edit3r_matching_network.network import CorrelationNetwork
-from edit3r_matching_network.trainer import GeometryTrainer
-from edit3r_matching_network.weights import load_network, save_weights
+from edit3r_matching_network.network import MatchingNetwork, load_network, save_network
+from edit3r_matching_network.trainer import GeometryRecipe, GeometryTrainer
 
 from edit3r.errors import InputError, SettingsError
 from edit3r.interfaces import TrainingJob
@@ -21,7 +20,7 @@ def job(tmp_path) -> TrainingJob:
     torch.manual_seed(1)
     reconstructor = build("reconstructor", "classical", matcher={"name": "network", "weights": "untrained"})
     torch.manual_seed(1)
-    reconstructor.parts["matcher"].network = CorrelationNetwork(width=32, fine_width=16, heads=2, after=1)
+    reconstructor.parts["matcher"].matching_network = MatchingNetwork(width=32, fine_width=16, heads=2, after=1)
     data = build("dataset", "procedural", **DATA)
     return TrainingJob(reconstructor, build("rasterizer", "torch"), data, data, {}, tmp_path)
 
@@ -37,48 +36,34 @@ def test_training_lowers_the_error_and_leaves_weights_that_load(job):
     assert sum(errors[-4:]) < 0.95 * sum(errors[:4])
     assert {"rotation_median", "match_median"} <= set(next(line for line in lines if line["kind"] == "validation"))
     network = load_network(str(best / "weights.safetensors"))
-    assert network.sizes == job.reconstructor.parts["matcher"].network.sizes
+    assert network.sizes == job.reconstructor.parts["matcher"].matching_network.sizes
 
 
-def test_a_resumed_training_gives_the_weights_of_a_straight_one(job, tmp_path):
+def test_a_resumed_training_gives_the_weights_of_a_straight_one(job, tmp_path, monkeypatch):
     straight = replace(job, out=tmp_path / "straight")
-    network = job.reconstructor.parts["matcher"].network
+    network = job.reconstructor.parts["matcher"].matching_network
     start = {name: tensor.clone() for name, tensor in network.state_dict().items()}
     _trainer(steps=4, checkpoint_every=2).train(straight)
     expected = {name: tensor.clone() for name, tensor in network.state_dict().items()}
     network.load_state_dict(start)
     halves = replace(job, out=tmp_path / "halves")
-    trainer = _trainer(steps=4, checkpoint_every=2)
-    with pytest.raises(KeyboardInterrupt):
-        _Interrupted(trainer, after=2).train(halves)
+    trainer, loss = _trainer(steps=4, checkpoint_every=2), GeometryRecipe.loss
+
+    def interrupted(recipe, step, processes):
+        if step == 2:
+            raise KeyboardInterrupt
+        return loss(recipe, step, processes)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(GeometryRecipe, "loss", interrupted)
+        trainer.train(halves)
     network.load_state_dict(start)
     trainer.train(replace(halves, resume=True))
     assert all(torch.equal(tensor, expected[name]) for name, tensor in network.state_dict().items())
 
 
-class _Interrupted:
-    """The trainer, ended without warning after some steps."""
-
-    def __init__(self, trainer: GeometryTrainer, after: int) -> None:
-        self.trainer, self.after = trainer, after
-
-    def train(self, job: TrainingJob) -> None:
-        step = self.trainer._step
-
-        def counted(scenes, state, journal):
-            if state.step == self.after:
-                raise KeyboardInterrupt
-            step(scenes, state, journal)
-
-        self.trainer._step = counted
-        try:
-            self.trainer.train(job)
-        finally:
-            self.trainer._step = step
-
-
 def test_steps_that_are_not_finite_are_skipped_and_counted(job):
-    network = job.reconstructor.parts["matcher"].network
+    network = job.reconstructor.parts["matcher"].matching_network
     with torch.no_grad():
         network.combine.weight.fill_(float("nan"))
     before = network.correct[1].weight.clone()
@@ -104,8 +89,9 @@ def test_the_shipped_recipe_can_be_built(tmp_path):
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
 def test_weights_survive_saving_in_half_precision(tmp_path, dtype):
-    network = CorrelationNetwork(width=32, fine_width=16, heads=2)
-    save_weights(tmp_path / "own.safetensors", network.state_dict(), network.sizes, dtype)
+    network = MatchingNetwork(width=32, fine_width=16, heads=2)
+    weights = {name: tensor.to(dtype) for name, tensor in network.state_dict().items()}
+    save_network(tmp_path / "own.safetensors", weights, network.sizes)
     for name, tensor in load_network(str(tmp_path / "own.safetensors")).state_dict().items():
         assert torch.allclose(tensor, network.state_dict()[name], rtol=1e-2, atol=1e-4), name
 

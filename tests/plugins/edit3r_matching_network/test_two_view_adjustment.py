@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import torch
-from edit3r_matching_network.adjustment import Evidence, adjust, best_of, evidence_of, start_at
+from edit3r_matching_network.two_view_adjustment import Evidence, adjust, best_of, evidence_of, start_at
 
 from edit3r.geometry.cameras import intrinsics_from_fov, project, unproject
 from edit3r.geometry.rotations import cross_matrix, rotation_angle
@@ -18,13 +18,13 @@ def _scene(seed=0):
     c2w[0, 1, :3, 3] = torch.tensor([0.6, 0.1, 0.05])
     depths = 2 + torch.rand(1, 2, *GRID, generator=random) * 2
     points = unproject(depths, INTRINSICS, c2w).flatten(2, 3)
-    places, _ = project(points, INTRINSICS.flip(1), c2w.flip(1))
-    return c2w, depths, places.reshape(1, 2, *GRID, 2)
+    coordinates, _ = project(points, INTRINSICS.flip(1), c2w.flip(1))
+    return c2w, depths, coordinates.reshape(1, 2, *GRID, 2)
 
 
-def _evidence(places, depths, weight=1.0, spread=0.3) -> Evidence:
+def _evidence(coordinates, depths, weight=1.0, spread=0.3) -> Evidence:
     ones = torch.ones(1, 2, *GRID)
-    return evidence_of(places, weight * ones, depths.log(), spread * ones, INTRINSICS)
+    return evidence_of(coordinates, weight * ones, depths.log(), spread * ones, INTRINSICS)
 
 
 def _wrong_start(evidence: Evidence, c2w, angle=0.15):
@@ -33,26 +33,26 @@ def _wrong_start(evidence: Evidence, c2w, angle=0.15):
 
 
 def test_true_matches_and_depths_give_the_true_pose():
-    c2w, depths, places = _scene()
-    evidence = _evidence(places, depths)
+    c2w, depths, coordinates = _scene()
+    evidence = _evidence(coordinates, depths)
     found = adjust(evidence, _wrong_start(evidence, c2w)).estimate
     assert rotation_angle(found.rotation, c2w[:, 1, :3, :3].double()) < 1e-4
     assert torch.allclose(found.translation, c2w[:, 1, :3, 3].double(), atol=1e-3)
 
 
 def test_a_view_whose_depths_are_too_large_is_brought_to_scale():
-    c2w, depths, places = _scene()
+    c2w, depths, coordinates = _scene()
     larger = depths * torch.tensor([1.0, 1.6])[:, None, None]
-    evidence = _evidence(places, larger)
+    evidence = _evidence(coordinates, larger)
     found = adjust(evidence, _wrong_start(evidence, c2w)).estimate
     assert torch.allclose(found.log_scale.exp(), torch.tensor([1 / 1.6]).double(), atol=0.02)
     assert torch.allclose(found.log_depths[:, 1].exp().float(), depths[:, 1].flatten(1), rtol=0.02)
 
 
 def test_wrong_depths_are_mended_by_matches_and_the_pose_hardly_suffers():
-    c2w, depths, places = _scene()
+    c2w, depths, coordinates = _scene()
     noise = 0.2 * torch.randn(depths.shape, generator=torch.Generator().manual_seed(1))
-    evidence = _evidence(places, depths * noise.exp())
+    evidence = _evidence(coordinates, depths * noise.exp())
     found = adjust(evidence, _wrong_start(evidence, c2w)).estimate
     error = (found.log_depths.float() - depths.log().flatten(2)).flatten(1)
     error = error - error.median()
@@ -61,10 +61,10 @@ def test_wrong_depths_are_mended_by_matches_and_the_pose_hardly_suffers():
 
 
 def test_a_quarter_of_wrong_matches_is_ignored():
-    c2w, depths, places = _scene()
+    c2w, depths, coordinates = _scene()
     random = torch.Generator().manual_seed(2)
     wrong = torch.rand(1, 2, *GRID, generator=random) < 0.25
-    spoiled = torch.where(wrong[..., None], torch.rand(places.shape, generator=random), places)
+    spoiled = torch.where(wrong[..., None], torch.rand(coordinates.shape, generator=random), coordinates)
     evidence = _evidence(spoiled, depths, spread=0.1)
     adjusted = adjust(evidence, _wrong_start(evidence, c2w))
     assert rotation_angle(adjusted.estimate.rotation, c2w[:, 1, :3, :3].double()) < 0.01
@@ -76,8 +76,8 @@ def test_a_quarter_of_wrong_matches_is_ignored():
 
 
 def test_without_matches_everything_stays_where_it_was():
-    c2w, depths, places = _scene()
-    evidence = _evidence(places, depths, weight=0.0)
+    c2w, depths, coordinates = _scene()
+    evidence = _evidence(coordinates, depths, weight=0.0)
     start = _wrong_start(evidence, c2w)
     found = adjust(evidence, start).estimate
     assert torch.allclose(found.rotation, start.rotation, atol=1e-6)
@@ -85,8 +85,8 @@ def test_without_matches_everything_stays_where_it_was():
 
 
 def test_scenes_of_a_batch_do_not_disturb_each_other():
-    c2w, depths, places = _scene()
-    evidence = _evidence(places, depths)
+    c2w, depths, coordinates = _scene()
+    evidence = _evidence(coordinates, depths)
     start = _wrong_start(evidence, c2w)
     hopeless = replace(
         evidence, seen=torch.rand(evidence.seen.shape, generator=torch.Generator().manual_seed(3)).double()
@@ -100,10 +100,10 @@ def test_scenes_of_a_batch_do_not_disturb_each_other():
 
 def test_the_pose_step_is_downhill_along_the_derivative():
     """The linear model's prediction of a tiny turn's effect on the residuals, against the residuals after it."""
-    from edit3r_matching_network.adjustment import _linearise
+    from edit3r_matching_network.two_view_adjustment import _linearise
 
-    c2w, depths, places = _scene()
-    evidence = _evidence(places, depths)
+    c2w, depths, coordinates = _scene()
+    evidence = _evidence(coordinates, depths)
     start = _wrong_start(evidence, c2w, angle=0.02)
     before = _linearise(evidence, start, 0.25)
     step = 1e-5
@@ -115,8 +115,8 @@ def test_the_pose_step_is_downhill_along_the_derivative():
 
 
 def test_the_cheapest_of_several_starts_is_kept_for_each_scene():
-    c2w, depths, places = _scene()
-    evidence = _evidence(places, depths)
+    c2w, depths, coordinates = _scene()
+    evidence = _evidence(coordinates, depths)
     good, bad = _wrong_start(evidence, c2w, angle=0.05), _wrong_start(evidence, c2w, angle=3.0)
     both = Evidence(*(value.repeat_interleave(2, 0) for value in vars(evidence).values()))
     starts = type(good)(*(torch.cat(pair) for pair in zip(vars(bad).values(), vars(good).values())))

@@ -1,4 +1,4 @@
-"""Training scenes kept small in memory once made, and the changes that make each of them many."""
+"""Pairs of views to learn from: kept small in memory once made, and augmented each time they are drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,13 +14,17 @@ from edit3r.interfaces import Dataset, SceneSample
 
 
 @dataclass(frozen=True)
-class GeometryBatch:
-    """B pairs of photos with all that is true about them; view 0 at the origin."""
+class TrainingPairs:
+    """B pairs of images with all that is true about them; view 0 at the origin."""
 
     images: Float[Tensor, "batch 2 3 height width"]
     intrinsics: Float[Tensor, "batch 2 3 3"]
     c2w: Float[Tensor, "batch 2 4 4"]
     depths: Float[Tensor, "batch 2 height width"]
+
+    def to(self, device: torch.device) -> "TrainingPairs":
+        """Everything on another device."""
+        return TrainingPairs(*(value.to(device) for value in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -29,42 +33,43 @@ class Augmentation:
 
     exposure: float = 0.25  # gain, bias and gamma of each view
     noise: float = 0.03  # most [sRGB]
-    narrow: float = 0.3  # how often the pictures lose rows
+    narrow: float = 0.3  # how often the images lose rows
     flips: bool = True  # mirror, swap the views, swap colour channels
 
 
-class SceneMemory:
-    """Pairs of a dataset by index: 8-bit pictures, half-precision depths (41 kB a pair of 64 x 64 pixels)."""
+class PairMemory:
+    """Pairs of a dataset by index: 8-bit images, half-precision depths (41 kB a pair of 64 x 64 pixels)."""
 
     def __init__(self, data: Dataset) -> None:
         self._data = data
-        self._kept: dict[int, GeometryBatch] = {}
+        self._kept: dict[int, TrainingPairs] = {}
 
     def __len__(self) -> int:
         return len(self._data)
 
-    def batch(self, indices: Sequence[int]) -> GeometryBatch:
-        """The scenes as they are. Raises InputError for data without depths or with fewer than two views."""
+    def batch(self, indices: Sequence[int]) -> TrainingPairs:
+        """The pairs, not augmented. Raises InputError for data without depths or with fewer than two views."""
         return joined([self._pair(index) for index in indices])
 
-    def _pair(self, index: int) -> GeometryBatch:
+    def _pair(self, index: int) -> TrainingPairs:
         if index not in self._kept:
             self._kept[index] = _packed(self._data[index])
         return _unpacked(self._kept[index])
 
 
-def joined(pairs: Sequence[GeometryBatch]) -> GeometryBatch:
+def joined(pairs: Sequence[TrainingPairs]) -> TrainingPairs:
+    """One batch of all pairs."""
     names = ("images", "intrinsics", "c2w", "depths")
-    return GeometryBatch(*(torch.cat([getattr(pair, name) for pair in pairs]) for name in names))
+    return TrainingPairs(*(torch.cat([getattr(pair, name) for pair in pairs]) for name in names))
 
 
-def augmented(batch: GeometryBatch, how: Augmentation, rng: np.random.Generator) -> GeometryBatch:
+def augmented(batch: TrainingPairs, how: Augmentation, rng: np.random.Generator) -> TrainingPairs:
     """Each scene changed in its own way; all lose the same rows, so that they still fit together."""
     changed = joined([_augmented(_one(batch, index), how, rng) for index in range(len(batch.images))])
     return _fewer_rows(changed, rng) if rng.random() < how.narrow else changed
 
 
-def _augmented(pair: GeometryBatch, how: Augmentation, rng: np.random.Generator) -> GeometryBatch:
+def _augmented(pair: TrainingPairs, how: Augmentation, rng: np.random.Generator) -> TrainingPairs:
     images = pair.images
     if how.flips:
         if rng.random() < 0.5:
@@ -80,22 +85,22 @@ def _augmented(pair: GeometryBatch, how: Augmentation, rng: np.random.Generator)
     return replace(pair, images=images.clamp(0, 1))
 
 
-def _swapped(pair: GeometryBatch) -> GeometryBatch:
+def _swapped(pair: TrainingPairs) -> TrainingPairs:
     """View 1 becomes the reference."""
     c2w = relative_to_first(pair.c2w.flip(1))
-    return GeometryBatch(pair.images.flip(1), pair.intrinsics.flip(1), c2w, pair.depths.flip(1))
+    return TrainingPairs(pair.images.flip(1), pair.intrinsics.flip(1), c2w, pair.depths.flip(1))
 
 
-def _mirrored(pair: GeometryBatch) -> GeometryBatch:
+def _mirrored(pair: TrainingPairs) -> TrainingPairs:
     """The scene in a mirror: x changes its sign in every camera."""
     sign = torch.diag(torch.tensor([-1.0, 1, 1, 1]))
     intrinsics = pair.intrinsics.clone()
     intrinsics[..., 0, 2] = 1 - intrinsics[..., 0, 2]
-    return GeometryBatch(pair.images.flip(-1), intrinsics, sign @ pair.c2w @ sign, pair.depths.flip(-1))
+    return TrainingPairs(pair.images.flip(-1), intrinsics, sign @ pair.c2w @ sign, pair.depths.flip(-1))
 
 
-def _fewer_rows(batch: GeometryBatch, rng: np.random.Generator) -> GeometryBatch:
-    """A wide picture: the middle five to seven eighths of the rows, in multiples of 8 pixels."""
+def _fewer_rows(batch: TrainingPairs, rng: np.random.Generator) -> TrainingPairs:
+    """Wider images: the middle five to seven eighths of the rows, in multiples of 8 pixels."""
     height = batch.images.shape[-2]
     kept = max(16, 8 * round(height * float(rng.uniform(0.6, 0.9)) / 8))
     top = (height - kept) // 2
@@ -103,22 +108,22 @@ def _fewer_rows(batch: GeometryBatch, rng: np.random.Generator) -> GeometryBatch
     intrinsics[..., 1, 1] *= height / kept
     intrinsics[..., 1, 2] = (intrinsics[..., 1, 2] * height - top) / kept
     rows = slice(top, top + kept)
-    return GeometryBatch(batch.images[..., rows, :], intrinsics, batch.c2w, batch.depths[..., rows, :])
+    return TrainingPairs(batch.images[..., rows, :], intrinsics, batch.c2w, batch.depths[..., rows, :])
 
 
-def _one(batch: GeometryBatch, index: int) -> GeometryBatch:
+def _one(batch: TrainingPairs, index: int) -> TrainingPairs:
     part = slice(index, index + 1)
-    return GeometryBatch(batch.images[part], batch.intrinsics[part], batch.c2w[part], batch.depths[part])
+    return TrainingPairs(batch.images[part], batch.intrinsics[part], batch.c2w[part], batch.depths[part])
 
 
-def _packed(sample: SceneSample) -> GeometryBatch:
+def _packed(sample: SceneSample) -> TrainingPairs:
     if sample.context_depths is None or len(sample.context) < 2:
         raise InputError(
             f"scene {sample.name!r}: learning geometry takes two views with depths; use data that has them, "
             "such as procedural."
         )
     cameras = sample.context_cameras.select([0, 1])
-    return GeometryBatch(
+    return TrainingPairs(
         (sample.context[None, :2] * 255).round().to(torch.uint8),
         cameras.intrinsics,
         cameras.c2w,
@@ -126,5 +131,5 @@ def _packed(sample: SceneSample) -> GeometryBatch:
     )
 
 
-def _unpacked(pair: GeometryBatch) -> GeometryBatch:
+def _unpacked(pair: TrainingPairs) -> TrainingPairs:
     return replace(pair, images=pair.images.float() / 255, depths=pair.depths.float())

@@ -2,22 +2,22 @@
 
 Levenberg-Marquardt on view 1's pose (6), the scale between the two views' depth predictions (1) and every cell's log
 depth, which is eliminated first (Schur complement; Triggs et al. 2000, "Bundle adjustment - a modern synthesis").
-Matches pull robustly (Cauchy) in the plane of the picture, so an error of predicted depth hurts the pose far less than
+Matches pull robustly (Cauchy) in the image plane, so an error of predicted depth hurts the pose far less than
 in a fit of 3D points; predicted depths hold what matches cannot tell. Not differentiable.
 """
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.geometry.cameras import pixel_rays
 from edit3r.geometry.rotations import cross_matrix
-from edit3r_matching_network.point_pairs import rays_at
 
 SPREADS = (1.0, 0.25)
-"""Standard error of a good match [cells]: first a generous one, which sees further, then that of what is left."""
+"""Standard error of a good match [cells]: first a generous one, which reaches further, then a tight one."""
 DOUBTFUL = 2.0
 """Error at which the weight of a match or of a predicted depth falls to a half [its own spread]."""
 HOPELESS = 40.0
@@ -25,6 +25,7 @@ HOPELESS = 40.0
 LEAST_SPREAD = 0.04
 """A depth prediction is never trusted to be nearer than this [log]."""
 POSE, SCALE = slice(0, 6), 6
+Fields = TypeVar("Fields", "Estimate", "_Linearised")
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,8 @@ def adjust(evidence: Evidence, start: Estimate, rounds: int = 8) -> Adjusted:
     return Adjusted(found, at.cost, at.residuals, at.information)
 
 
-def _descend(evidence: Evidence, start: Estimate, match_spread: float, rounds: int) -> "tuple[Estimate, _Linearised]":
-    """A round that makes the cost higher is taken back and tried again with shorter steps."""
+def _descend(evidence: Evidence, start: Estimate, match_spread: float, rounds: int) -> tuple[Estimate, _Linearised]:
+    """Levenberg-Marquardt: a step that raises the cost is taken back and tried again with more damping."""
     current, best = start, _linearise(evidence, start, match_spread)
     damping = torch.full_like(start.log_scale, 1e-3)
     for _ in range(rounds):
@@ -96,16 +97,16 @@ def _descend(evidence: Evidence, start: Estimate, match_spread: float, rounds: i
 
 
 def evidence_of(
-    places: Float[Tensor, "batch 2 height width 2"],
+    coordinates: Float[Tensor, "batch 2 height width 2"],
     weights: Float[Tensor, "batch 2 height width"],
     log_depths: Float[Tensor, "batch 2 height width"],
     spread: Float[Tensor, "batch 2 height width"],
     intrinsics: Float[Tensor, "batch 2 3 3"],
 ) -> Evidence:
-    """In double precision, from maps of matches (normalised places in the other view) and depth predictions."""
+    """In double precision, from maps of matches (normalised coordinates in the other view) and depth predictions."""
     grid = weights.shape[-2:]
     other = intrinsics.flip(1).double()
-    seen = torch.stack([rays_at(places[:, view].double(), other[:, view])[..., :2] for view in range(2)], 1)
+    seen = torch.stack([rays_through(coordinates[:, view].double(), other[:, view])[..., :2] for view in range(2)], 1)
     focal = other.diagonal(dim1=-2, dim2=-1)[:, :, None, :2] * other.new_tensor((grid[1], grid[0]))
     return Evidence(
         pixel_rays(intrinsics.double(), grid).flatten(2, 3),
@@ -117,8 +118,19 @@ def evidence_of(
     )
 
 
+def rays_through(
+    coordinates: Float[Tensor, "batch height width 2"], intrinsics: Float[Tensor, "batch 3 3"]
+) -> Float[Tensor, "batch height width 3"]:
+    """Camera-frame vectors with z = 1 through normalised image coordinates (x, y)."""
+    homogeneous = torch.cat((coordinates, torch.ones_like(coordinates[..., :1])), -1)
+    return torch.einsum("bij,bhwj->bhwi", torch.linalg.inv(intrinsics), homogeneous)
+
+
 def start_at(
-    evidence: Evidence, rotation: Float[Tensor, "batch 3 3"], translation: Float[Tensor, "batch 3"], scale: Tensor
+    evidence: Evidence,
+    rotation: Float[Tensor, "batch 3 3"],
+    translation: Float[Tensor, "batch 3"],
+    scale: Float[Tensor, "batch"],
 ) -> Estimate:
     """Begin with a pose and the predicted depths."""
     log_scale = scale.double().clamp(min=1e-6).log()
@@ -171,13 +183,15 @@ def _linearise(evidence: Evidence, at: Estimate, match_spread: float) -> _Linear
     )
 
 
-def _robust(squared: Tensor) -> Tensor:
+def _robust(squared: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Cauchy's loss of a squared error [spreads]."""
     return DOUBTFUL**2 * torch.log1p(squared / DOUBTFUL**2)
 
 
-def _projection_derivative(points: Tensor, z: Tensor, focal: Tensor) -> Float[Tensor, "batch 2 cell 2 3"]:
-    """Of (x/z, y/z) times `focal` by the point."""
+def _projection_derivative(
+    points: Float[Tensor, "batch 2 cell 3"], z: Float[Tensor, "batch 2 cell"], focal: Float[Tensor, "batch 2 1 2"]
+) -> Float[Tensor, "batch 2 cell 2 3"]:
+    """Derivative of (x/z, y/z) times `focal` by the point."""
     zero = torch.zeros_like(z)
     rows = torch.stack(
         (
@@ -189,15 +203,17 @@ def _projection_derivative(points: Tensor, z: Tensor, focal: Tensor) -> Float[Te
     return rows * focal[..., None]
 
 
-def _pose_derivative(at: Estimate, points: Tensor, there: Tensor) -> Float[Tensor, "batch 2 cell 3 6"]:
-    """Of points in the other camera's frame by (w, v), which move view 1's pose T to T exp(w, v)."""
+def _pose_derivative(
+    at: Estimate, points: Float[Tensor, "batch 2 cell 3"], there: Float[Tensor, "batch 2 cell 3"]
+) -> Float[Tensor, "batch 2 cell 3 6"]:
+    """Derivative of points in the other camera's frame by (w, v), which move view 1's pose T to T exp(w, v)."""
     eye = torch.eye(3, dtype=points.dtype, device=points.device).expand(*points.shape[:1], points.shape[2], 3, 3)
     first = torch.cat((cross_matrix(there[:, 0]), -eye), -1)
     second = at.rotation[:, None] @ torch.cat((-cross_matrix(points[:, 1]), eye), -1)
     return torch.stack((first, second), 1)
 
 
-def _moved(at: Estimate, system: _Linearised, damping: Tensor) -> Estimate:
+def _moved(at: Estimate, system: _Linearised, damping: Float[Tensor, "batch"]) -> Estimate:
     """One damped step; log depths move by at most 0.5, the pose by at most 0.3."""
     depth_matrix = system.depth_matrix * (1 + damping[:, None, None])
     ratio = system.mixed / depth_matrix[..., None]
@@ -223,8 +239,8 @@ def best_of(candidates: Adjusted, count: int) -> Adjusted:
     return Adjusted(found, candidates.cost[index], candidates.residuals[index], candidates.information[index])
 
 
-def _where(chosen: Tensor, new, old):
-    """Field by field, scene by scene."""
+def _where(chosen: Bool[Tensor, "batch"], new: Fields, old: Fields) -> Fields:
+    """`new` for the chosen scenes, else `old`, field by field."""
     values = {
         name: torch.where(chosen.reshape(-1, *(1,) * (getattr(new, name).dim() - 1)), getattr(new, name), value)
         for name, value in vars(old).items()

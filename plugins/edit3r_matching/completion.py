@@ -1,0 +1,161 @@
+"""From raw depth to a complete map: keep what neighbours confirm, fill in the rest, clear what they saw through."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numba import njit
+from scipy.ndimage import binary_opening
+
+from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
+from edit3r_matching.plane_sweep import Neighbour, RawDepth
+
+__all__ = ["confirmed", "fill", "main_plane", "push_back", "without_speckles"]
+
+AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
+CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surface
+REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
+TOUCH = 15.0  # and for smoothing what was measured
+COLOUR, TOUCH_COLOUR = 6.0, 8.0  # 8-bit colour differences at which the smoothness falls to 1/e
+TRUST_IN_GUESSES = 1e-6  # of unconfirmed depths where confirmed ones are far away
+TRUST_NEARBY = 1e-4
+LEAST_FOR_A_PLANE = 50  # measured pixels
+PLANE_SAMPLES = 4000
+PLANE_ROUNDS = 15
+
+
+def confirmed(
+    inverse: Float[np.ndarray, "height width"], reference: CalibratedImage, neighbour: Neighbour, other: RawDepth
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels of inverse depth `inverse` for which the neighbour, whose depth is `other`, measured the same surface."""
+    points = neighbour.pose.apply(pixel_rays(reference.intrinsics, reference.size) / inverse[..., None])
+    depth = points[..., 2]
+    pixels = project(points, neighbour.image.intrinsics).astype(np.float32) - np.float32(0.5)
+    # -1 is read outside the neighbour's image.
+    seen = cv2.remap(other.inverse, pixels, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
+    inside = (depth > 0) & (seen > 0)
+    difference = 1 / np.where(inside, depth, 1) - seen
+    return inside & (np.abs(difference) < AGREEMENT * other.step)
+
+
+def without_speckles(agrees: Bool[np.ndarray, "height width"], raw: RawDepth) -> Bool[np.ndarray, "height width"]:
+    """`agrees` without lone pixels and small islands of one depth, which agree by chance."""
+    height, width = agrees.shape
+    kept = binary_opening(agrees, np.ones((2, 2)))
+    quarter_planes = np.clip((raw.inverse - raw.inverse.min()) / raw.step * 4 + 16, 1, 32000).astype(np.int16)
+    quarter_planes[~kept] = 0
+    cv2.filterSpeckles(quarter_planes, 0, max(12, height * width // 1200), 6)
+    return kept & (quarter_planes > 0)
+
+
+def fill(
+    inverse: Float[np.ndarray, "height width"],
+    measured: Bool[np.ndarray, "height width"],
+    step: float,
+    image: Float[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "height width"]:
+    """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, spread from there elsewhere.
+
+    Fast global smoothing (Min et al. 2014): flat colour carries depth, edges stop it. `step` is how far apart two
+    hypotheses were: smoothing by more would blur a depth edge.
+    """
+    guide = (np.clip(image, 0, 1) * 255).astype(np.uint8)
+    median = cv2.medianBlur(inverse, 3)
+    weight = measured.astype(np.float32)
+    base, limits = main_plane(median, measured)
+    spread = base + _weighted_smooth(median - base, weight + np.float32(TRUST_IN_GUESSES), guide, REACH, COLOUR)
+    smooth = _weighted_smooth(median, weight + np.float32(TRUST_NEARBY), guide, TOUCH, TOUCH_COLOUR)
+    touched = np.where(np.abs(smooth - median) < step, 0.5 * (smooth + median), median)
+    return np.where(measured, touched, np.clip(spread, *limits)).astype(np.float32)
+
+
+def main_plane(
+    inverse: Float[np.ndarray, "height width"], measured: Bool[np.ndarray, "height width"]
+) -> tuple[Float[np.ndarray, "height width"], tuple[float, float]]:
+    """The plane nearest to most of what was measured, as inverse depth everywhere, and the range that was measured.
+
+    Planes are linear in inverse depth. Far from anything measured the filling returns to this one: often the ground or
+    a wall that goes on outside the overlap of the photos. Iteratively reweighted least squares (Cauchy).
+    """
+    index = np.flatnonzero(measured)
+    if len(index) < LEAST_FOR_A_PLANE:
+        return np.full_like(inverse, np.median(inverse)), (float(inverse.min()), float(inverse.max()))
+    height, width = inverse.shape
+    y, x = np.mgrid[:height, :width]
+    basis = np.stack([x.ravel() / width - 0.5, y.ravel() / height - 0.5, np.ones(x.size)], axis=1)
+    some = index[:: max(1, len(index) // PLANE_SAMPLES)]
+    values, weights = inverse.ravel()[some].astype(float), np.ones(len(some))
+    scale = 0.3 * values.std() + 1e-9
+    for _ in range(PLANE_ROUNDS):
+        solution = np.linalg.lstsq(basis[some] * weights[:, None], values * weights, rcond=None)[0]
+        weights = 1 / (1 + ((values - basis[some] @ solution) / scale) ** 2)
+    low, high = np.percentile(values, [0.5, 99.5])
+    return (basis @ solution).reshape(inverse.shape).astype(np.float32), (low, high)
+
+
+def _weighted_smooth(
+    values: Float[np.ndarray, "height width"],
+    weights: Float[np.ndarray, "height width"],
+    guide: UInt8[np.ndarray, "height width 3"],
+    strength: float,
+    colour: float,
+) -> Float[np.ndarray, "height width"]:
+    """Mean of `values` by `weights` along the guide's edges (fast global smoother)."""
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, strength, colour)
+    total = smoother.filter(weights)
+    return smoother.filter(values * weights) / np.maximum(total, 1e-8)
+
+
+def push_back(
+    inverse: Float[np.ndarray, "height width"],
+    measured: Bool[np.ndarray, "height width"],
+    own: RawDepth,
+    reference: CalibratedImage,
+    neighbour: Neighbour,
+    other: RawDepth,
+    other_measured: Bool[np.ndarray, "height2 width2"],
+) -> Float[np.ndarray, "height width"]:
+    """`inverse` with every guess moved away from the camera until it hides nothing that the neighbour measured.
+
+    What a neighbour saw through must be empty. Next to a depth edge this is what occlusion means: a pixel that only
+    one view shows belongs to the background.
+    """
+    intrinsics, pose = neighbour.image.intrinsics, neighbour.pose
+    matrix = intrinsics @ pose.rotation @ np.linalg.inv(reference.intrinsics)
+    shift = intrinsics @ pose.translation
+    limit = CLEARANCE * other.step
+    return _push_back(inverse, measured, own.farthest, own.step, matrix, shift, other.inverse, other_measured, limit)
+
+
+@njit(cache=True, nogil=True)
+def _push_back(
+    inverse, measured, farthest, step, matrix, shift, other, other_measured, limit
+):  # pragma: no cover - compiled
+    height, width = inverse.shape
+    result = inverse.copy()
+    for y in range(height):
+        for x in range(width):
+            if measured[y, x]:
+                continue
+            ray = matrix @ np.array([x + 0.5, y + 0.5, 1.0])
+            guess = inverse[y, x]
+            while guess > farthest and _hides(ray, guess, shift, other, other_measured, limit):
+                guess -= step
+            result[y, x] = max(guess, farthest)
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _hides(ray, inverse, shift, other, other_measured, limit):  # pragma: no cover - compiled
+    """Whether a point at `inverse` depth along a reference ray stands before the neighbour's measured surface.
+
+    `ray` is the pixel at infinity in the neighbour's homogeneous pixels; the point appears at `ray + inverse * shift`,
+    its inverse depth there is `inverse / z`.
+    """
+    z = ray[2] + inverse * shift[2]
+    if z <= 1e-9:
+        return True  # behind the neighbour's camera
+    column = int(np.floor((ray[0] + inverse * shift[0]) / z))
+    row = int(np.floor((ray[1] + inverse * shift[1]) / z))
+    if column < 0 or row < 0 or column >= other.shape[1] or row >= other.shape[0]:
+        return False
+    return other_measured[row, column] and inverse / z - other[row, column] > limit

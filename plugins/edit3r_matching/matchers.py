@@ -1,0 +1,153 @@
+"""The matchers `classical` and `posed`: where the photos were taken and how far every pixel is, without weights."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r import reporting
+from edit3r.config import PartChoice
+from edit3r.errors import MatchingError
+from edit3r.geometry.cameras import from_pixels, relative_to_first
+from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.stage_checks import require_matchable
+from edit3r.types import Views
+from edit3r_matching.calibration import calibrate
+from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
+from edit3r_matching.depth_maps import DepthSettings, measure_depths
+from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
+from edit3r_matching.relative_pose import Matches
+
+__all__ = ["ClassicalMatcher", "PosedMatcher"]
+
+MIN_SIZE = 32
+"""Images with a shorter side than this show too little to match [pixels]."""
+LEAST_MATCHES = 8
+"""Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
+
+
+class ClassicalMatcher(Matcher):
+    """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and edge-aware filling.
+
+    Confidence is 1 where two views measured the same surface and 0 where the depth was filled in, between the two only
+    along the border of such regions where depth was carried to a larger image.
+
+    Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at 256².
+    """
+
+    class Settings(DepthSettings, FeatureSettings):
+        threshold: float = Field(
+            1.0, gt=0, le=10, description="distance from the epipolar line that agrees [pixels at a long side of 256]"
+        )
+        calibrate: bool = Field(
+            True, description="read the field of view from the photos where neither EXIF nor the user tells it"
+        )
+        seed: int = Field(0, ge=0, description="seed of the robust estimates")
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def match(self, views: Views) -> MatchedGeometry:
+        require_matchable(views, MIN_SIZE)
+        scenes = [self._match_scene(views, scene) for scene in range(views.images.shape[0])]
+        *measured, intrinsics = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        return MatchedGeometry(*measured, intrinsics if self._reads_fov(views) else None)
+
+    def _reads_fov(self, views: Views) -> bool:
+        """Whether the field of view is to be read from the photos: where none of them knows its own."""
+        return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
+
+    def _match_scene(self, views: Views, scene: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags and intrinsics."""
+        chosen = self.settings
+        images = calibrated_images(views, scene)
+        names = views.names or tuple(f"view {index}" for index in range(views.count))
+        features = find_features(images, chosen)
+        if self._reads_fov(views):
+            images = self._calibrated(images, features)
+        registration = register(images, names, features, chosen.threshold, chosen.seed)
+        _report(registration, names)
+        c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
+        maps = (c2w, *measure_depths(images, registration, chosen))
+        c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
+        in_pixels = torch.from_numpy(np.stack([image.intrinsics for image in images]))
+        intrinsics = from_pixels(in_pixels, views.image_size).to(c2w)
+        return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered), intrinsics
+
+    def _calibrated(self, images: Sequence[CalibratedImage], features: FoundFeatures) -> Sequence[CalibratedImage]:
+        """The images with a field of view read from their matches, where they have enough."""
+        pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
+        read = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
+        if read is None:
+            return images
+        reporting.note("matcher.fov", round(read.fov, 1))
+        return [image.with_fov(read.fov) for image in images]
+
+
+class PosedMatcher(Matcher):
+    """Trusts the views' own poses; views without any go to the matcher it was built with.
+
+    Features that agree with the known epipolar geometry tell the range of depths, plane sweep measures it.
+    """
+
+    class Settings(DepthSettings, FeatureSettings):
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
+        threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings, self.matcher = settings, matcher
+
+    def match(self, views: Views) -> MatchedGeometry:
+        if views.c2w is None:
+            return self.matcher.match(views)
+        poses = relative_to_first(views.c2w.detach().double().cpu())
+        scenes = [self._match_scene(views, scene, poses[scene]) for scene in range(len(views.images))]
+        depths, confidence, registered = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        return MatchedGeometry(poses.to(views.images), depths, confidence, registered)
+
+    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Depths, confidence and which views have any, of one scene."""
+        images = calibrated_images(views, scene)
+        poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
+        features, pairs = find_features(images, self.settings), {}
+        for (a, b), indices in features.indices.items():
+            matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
+            kept = self._agreeing(matches, pose)
+            if kept.sum() >= LEAST_MATCHES:
+                pairs[a, b] = PairView.of(matches, indices, kept, pose)
+        placed = np.array([any(view in pair for pair in pairs) for view in range(len(images))])
+        if not placed[0]:
+            raise MatchingError(
+                "view 0 shares too few features with the other photos on the lines that the known poses give; "
+                "look whether poses and photos belong together."
+            )
+        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
+        inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
+        return 1 / inverse, confidence, torch.from_numpy(placed)
+
+    def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
+        """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""
+        near = _epipolar_distance(matches, pose) * matches.focal <= self.settings.threshold
+        depth, other = triangulate(matches.rays_a, matches.rays_b, pose)
+        return near & (depth > 0) & (other > 0)
+
+
+def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
+    """Distance of each second ray's point (z = 1) from the line that the first one and the pose give."""
+    lines = matches.rays_a @ (cross_matrix(pose.translation) @ pose.rotation).T
+    return np.abs((lines * matches.rays_b).sum(-1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=-1), 1e-12)
+
+
+def _report(registration: Registration, names: Sequence[str]) -> None:
+    """Note the inliers of every pair, and warn of views that were left out."""
+    reporting.note(
+        "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}
+    )
+    lost = [name for name, placed in zip(names, registration.registered) if not placed]
+    if lost:
+        reporting.warn(
+            f"{', '.join(lost)}: shares too few points with the other photos to be placed, so it is left out."
+        )
