@@ -27,7 +27,7 @@ def register_backbones():
 def register_heads():
     return Component(
         "dpt-gaussian",
-        "edit3r_model.head:DptGaussianHead",
+        "edit3r_model.dpt_head:DptGaussianHead",
         "dense heads: centres from transformer features alone, attributes with an RGB shortcut",
         parts=("backbone",),
         min_views=2,
@@ -47,7 +47,7 @@ def register_reconstructors():
     )
     noposplat = Component(
         "noposplat",
-        "edit3r_model.reconstructor:NoPoSplatReconstructor",
+        "edit3r_model.full_reconstructor:NoPoSplatReconstructor",
         "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,

@@ -2,8 +2,7 @@
 
 import pytest
 import torch
-from edit3r_model.fit import fit_views
-from edit3r_model.regrid import finer_grid, regrid
+from edit3r_model.view_fitting import finer_grid, fit_views, regrid
 
 from edit3r.geometry.cameras import intrinsics_from_fov, pixel_rays
 from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour

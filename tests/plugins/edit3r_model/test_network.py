@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-from edit3r_model.blocks import NORM_EPS, Mlp, layer_norm
+from edit3r_model.backbone import assign_roles
 from edit3r_model.checkpoints import fill, load_weights
-from edit3r_model.checkpoints.parameters import empty_network
-from edit3r_model.dpt import double
-from edit3r_model.roles import assign_roles
+from edit3r_model.dpt_head import double
+from edit3r_model.full_network import empty_network
+from edit3r_model.transformer import NORM_EPS, Mlp, layer_norm
 from noposplat_reference import Reference, to_gaussians
 
 from edit3r.errors import InputError

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_model.gaussians import assemble
+from edit3r_model.gaussian_adapter import adapt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -85,7 +85,7 @@ def test_lower_precisions_stay_valid_and_near_float32(precision):
 def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(points, attributes, dtype):
     raw = torch.full((1, 2, 3, 2, 2), points, dtype=dtype, requires_grad=True)
     parameters = torch.full((1, 2, 83, 2, 2), attributes, dtype=dtype, requires_grad=True)
-    gaussians = assemble(raw, parameters, 0.001, 0.3, 4)
+    gaussians = adapt(raw, parameters, 0.001, 0.3, 4)
     require_valid(gaussians)
     distance = gaussians.means.norm(dim=-1).log1p()  # a loss that is itself bounded, as float16 gradients must be
     (distance.mean() + gaussians.scales.sum() + gaussians.quats.sum()).backward()
@@ -94,7 +94,7 @@ def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(points, attribu
 
 def test_zero_quaternions_mean_no_rotation_and_have_finite_gradients():
     parameters = torch.zeros(1, 1, 83, 1, 1, requires_grad=True)
-    gaussians = assemble(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 0.3, 4)
+    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 0.3, 4)
     assert torch.equal(quats_to_matrices(gaussians.quats)[0, 0], torch.eye(3))
     covariances(gaussians.scales, gaussians.quats).sum().backward()
     assert parameters.grad.isfinite().all()
@@ -158,7 +158,7 @@ def test_a_finer_grid_gives_one_gaussian_per_photo_pixel():
 )
 @pytest.mark.parametrize("size", [(16, 16), (80, 48)])
 def test_layers_wide_enough_for_every_fast_form_agree_with_plain_ones(precision, most, size, monkeypatch):
-    monkeypatch.setattr("edit3r_model.engine.plan._cpu_info", lambda: "GenuineIntel")  # Winograd; bfloat16 stored
+    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "GenuineIntel")  # Winograd; bfloat16 stored
     wide = {**TINY, "head": {"feature_width": 128, "point_width": 128, "layer_widths": (64, 64, 64, 64)}}
     views = views_of(torch.rand(1, 2, 3, *size))
     plain = build(engine="eager", **wide)(views).gaussians

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from edit3r_model.rotary import adjacent_order, make_rotation, patch_positions
+from edit3r_model.transformer import adjacent_order, make_rotation, patch_positions
 
 
 def test_pairs_are_half_a_half_apart_and_rows_come_first():

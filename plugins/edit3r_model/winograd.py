@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r_model.engine.packed import Activation
+from edit3r_model.fast_layers import Activation
 
 TILE, PATCH = 4, 6
 TILES_AT_ONCE = 64
@@ -55,9 +55,9 @@ class WinogradConv(nn.Module):
         self.register_buffer("bias", None if conv.bias is None else conv.bias.detach().float(), persistent=False)
 
     def forward(self, x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch out h w"]:
-        return torch.cat([self._picture(picture) for picture in x.permute(0, 2, 3, 1)]).permute(0, 3, 1, 2)
+        return torch.cat([self._image(image) for image in x.permute(0, 2, 3, 1)]).permute(0, 3, 1, 2)
 
-    def _picture(self, x: Float[Tensor, "h w channel"]) -> Float[Tensor, "1 h w out"]:
+    def _image(self, x: Float[Tensor, "h w channel"]) -> Float[Tensor, "1 h w out"]:
         above, left = self.padding
         height, width = x.shape[0] + 2 * above - 2, x.shape[1] + 2 * left - 2
         rows, columns = -(-height // TILE), -(-width // TILE)
@@ -75,7 +75,7 @@ class WinogradConv(nn.Module):
         return (result.relu_() if self.relu else result)[None]
 
     def _rows(self, x: Float[Tensor, "h w channel"], rows: int, columns: int) -> Float[Tensor, "h2 w2 out"]:
-        """`rows` rows of tiles from the top of `x`."""
+        """The first `rows` rows of tiles from the top of `x`, which is channels-last."""
         down, right, channel = x.stride()
         shape = (PATCH, PATCH, rows, columns, x.shape[2])
         patches = x.as_strided(shape, (down, right, TILE * down, TILE * right, channel), x.storage_offset())
