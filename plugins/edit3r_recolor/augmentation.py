@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.morphology import largest_around
+from edit3r.geometry.morphology import dilate
 from edit3r_recolor.parameters import RecolorParameters
 
 Outline = Literal["exact", "grown", "shrunk", "leaking"]
@@ -55,9 +55,9 @@ def with_outline(masks: Masks, outline: Outline) -> Masks:
     """The masks grown, shrunk, or with a little of the edit in the background; their soft edges stay soft."""
     reach = max(1, round(REACH * max(masks.shape[-2:])))
     if outline == "grown":
-        return largest_around(masks, reach)
+        return dilate(masks, reach)
     if outline == "shrunk":
-        return -largest_around(-masks, reach)
+        return -dilate(-masks, reach)
     if outline == "leaking":
         return torch.maximum(masks, LEAK * _blurred(masks, 2 * reach))
     return masks
