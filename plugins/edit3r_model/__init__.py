@@ -39,7 +39,7 @@ def register_heads():
 def register_reconstructors():
     edit3r = Component(
         name="edit3r",
-        target="edit3r_model.small.reconstructor:Edit3rReconstructor",
+        target="edit3r_model.small_reconstructor:Edit3rReconstructor",
         summary="matched geometry repaired by a small network that carries and fuses the edits (weights ship)",
         parts=("matcher",),
         min_views=2,

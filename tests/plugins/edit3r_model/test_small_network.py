@@ -1,5 +1,6 @@
 import torch
-from edit3r_model.small.edit_transport import EditTransport
+from edit3r_model.small_encoder import convex_upsample
+from edit3r_model.small_network import EditTransport
 
 from edit3r.geometry.cameras import pixel_grid
 
@@ -62,3 +63,14 @@ def test_places_far_outside_the_reference_find_no_evidence():
     transport.reach.bias.fill_(3.0)
     carried = transport(tokens, reference, places + 2, maps, colours)
     assert carried.evidence.max() < 1e-3 and carried.maps.abs().max() < 1e-2
+
+
+def test_convex_upsampling_stays_between_neighbours_and_picks_the_one_it_is_told():
+    values = torch.rand(1, 2, 5, 5)
+    fine = convex_upsample(values, torch.randn(1, 36, 5, 5))
+    assert fine.shape == (1, 2, 10, 10)
+    assert fine.min() >= values.min() and fine.max() <= values.max()
+    logits = torch.full((1, 36, 5, 5), -50.0)
+    logits[:, 16:20] = 50.0  # the centre neighbour for all four fine pixels
+    nearest = torch.nn.functional.interpolate(values, scale_factor=2, mode="nearest")
+    assert torch.allclose(convex_upsample(values, logits), nearest)

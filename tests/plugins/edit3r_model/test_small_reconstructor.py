@@ -1,16 +1,18 @@
+import hashlib
 from typing import ClassVar
 
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_model.small.network import MatchedEditNetwork, network_grid
-from edit3r_model.small.reconstructor import Edit3rReconstructor
-from edit3r_model.small.weights import load_network, save_network
+from edit3r_model.small_network import SHIPPED, SmallNetwork, load_network, network_grid, read_card
+from edit3r_model.small_reconstructor import Edit3rReconstructor
+from safetensors.torch import save_file
 
 from edit3r.config import make_settings
 from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.io.manifest import WeightsRecord
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract, photograph
@@ -160,19 +162,27 @@ def test_untrained_weights_are_announced():
     with collecting(report):
         load_network("untrained")
     assert any("untrained" in warning for warning in report.warnings)
+    assert "weights.edit3r" not in report.notes
 
 
-def test_weights_survive_saving_in_half_precision(tmp_path):
-    network = MatchedEditNetwork(width=16)
-    save_network(network, tmp_path / "own.safetensors", {"steps": 1})
+def test_shipped_weights_are_recorded_with_hash_and_licence():
+    with collecting(Report()) as report:
+        load_network("shipped")
+    record = WeightsRecord(**report.notes["weights.edit3r"])
+    assert record.file == SHIPPED.name and record.licence == "Apache-2.0"
+    assert record.sha256 == hashlib.sha256(SHIPPED.read_bytes()).hexdigest()
+
+
+def test_weights_in_half_precision_are_read_at_the_width_on_their_card(tmp_path):
+    network = SmallNetwork(width=16)
+    save_file({name: tensor.half() for name, tensor in network.state_dict().items()}, tmp_path / "own.safetensors")
+    (tmp_path / "own.json").write_text('{"width": 16}')
     loaded = load_network(str(tmp_path / "own.safetensors"))
     for name, tensor in network.state_dict().items():
         assert torch.allclose(loaded.state_dict()[name], tensor, rtol=1e-3, atol=1e-6)
 
 
 def test_shipped_weights_are_small_enough():
-    from edit3r_model.small.weights import SHIPPED, read_card
-
     assert SHIPPED.stat().st_size < 16e6
     assert {"data", "steps", "licence"} <= set(read_card(SHIPPED))
 
