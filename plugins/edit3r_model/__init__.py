@@ -27,7 +27,7 @@ def register_backbones():
 def register_heads():
     return Component(
         "dpt-gaussian",
-        "edit3r_model.head:DptGaussianHead",
+        "edit3r_model.dpt_head:DptGaussianHead",
         "dense heads: centres from transformer features alone, attributes with an RGB shortcut",
         parts=("backbone",),
         min_views=2,
@@ -39,7 +39,7 @@ def register_heads():
 def register_reconstructors():
     edit3r = Component(
         name="edit3r",
-        target="edit3r_model.small.reconstructor:Edit3rReconstructor",
+        target="edit3r_model.small_reconstructor:Edit3rReconstructor",
         summary="matched geometry repaired by a small network that carries and fuses the edits (weights ship)",
         parts=("matcher",),
         min_views=2,
@@ -47,7 +47,7 @@ def register_reconstructors():
     )
     noposplat = Component(
         "noposplat",
-        "edit3r_model.reconstructor:NoPoSplatReconstructor",
+        "edit3r_model.full_reconstructor:NoPoSplatReconstructor",
         "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,

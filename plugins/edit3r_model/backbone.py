@@ -1,10 +1,14 @@
-"""Backbone `asymmetric-vit`: one encoder for all views, one decoder for view 0 and one for all other views."""
+"""Backbone `asymmetric-vit`: one encoder for all views, one decoder for view 0 and one for all other views.
 
+Ye et al., No Pose, No Problem (ICLR 2025); architecture and default sizes are those of MASt3R.
+"""
+
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
@@ -14,13 +18,22 @@ from edit3r.geometry.cameras import pixel_rays
 from edit3r.geometry.harmonics import basis
 from edit3r.interfaces import Backbone
 from edit3r.types import Features
-from edit3r_model.blocks import DecoderBlock, EncoderBlock, layer_norm
-from edit3r_model.initialise import construct
-from edit3r_model.roles import ROLES, assign_roles
-from edit3r_model.rotary import Rotation, make_rotation, patch_positions
+from edit3r_model.memory import construct
+from edit3r_model.transformer import (
+    DecoderBlock,
+    EncoderBlock,
+    Rotation,
+    XavierConv2d,
+    XavierLinear,
+    layer_norm,
+    make_rotation,
+    patch_positions,
+)
 
 HEAD_WIDTH = 64
 """Channels per attention head of every published model; the number of heads follows unless a setting says otherwise."""
+ROLES = 2
+"""Number of weight sets: one for the reference view 0, one for all other views."""
 
 
 class AsymmetricViT(Backbone):
@@ -60,20 +73,20 @@ class AsymmetricViT(Backbone):
         super().__init__()
         self.settings = settings
         self.patch_size = settings.patch_size
-        self.heads = _heads(settings.heads, settings.width, "heads")
-        self.decoder_heads = _heads(settings.decoder_heads, settings.decoder_width, "decoder_heads")
+        self.heads = _heads(settings, "heads", "width")
+        self.decoder_heads = _heads(settings, "decoder_heads", "decoder_width")
         self.hooks = hook_levels(settings.decoder_depth)
         self.feature_widths = tuple(settings.decoder_width if hook else settings.width for hook in self.hooks)
         construct(self, self._build, settings.seed)
 
     def _build(self) -> None:
         s = self.settings
-        self.patch_embed = nn.Conv2d(3 + self._ray_channels, s.width, s.patch_size, s.patch_size)
+        self.patch_embed = XavierConv2d(3 + self._ray_channels, s.width, s.patch_size, s.patch_size)
         self.intrinsics_embed = nn.Linear(9, s.width) if s.intrinsics in ("token", "linear") else None
         hidden = s.mlp_width or 4 * s.width
         self.encoder = nn.ModuleList(EncoderBlock(s.width, self.heads, hidden) for _ in range(s.depth))
         self.encoder_norm = layer_norm(s.width)
-        self.decoder_embed = nn.Linear(s.width, s.decoder_width)
+        self.decoder_embed = XavierLinear(s.width, s.decoder_width)
         self.decoders = nn.ModuleList(self._decoder() for _ in range(ROLES))
         self.decoder_norm = layer_norm(s.decoder_width)
 
@@ -83,18 +96,9 @@ class AsymmetricViT(Backbone):
         blocks = (DecoderBlock(s.decoder_width, self.decoder_heads, hidden) for _ in range(s.decoder_depth))
         return nn.ModuleList(blocks)
 
-    def initial_name(self, name: str) -> str:
-        """Both decoders start equal."""
-        return name.replace("decoders.1.", "decoders.0.")
-
-    def initial_leaf(self, name: str, leaf: nn.Module) -> None:
-        """Xavier-uniform linears and patches with zero bias; the intrinsics' linear keeps torch's default."""
-        if name != "intrinsics_embed" and isinstance(leaf, nn.Linear | nn.Conv2d):
-            nn.init.xavier_uniform_(leaf.weight.data.flatten(1))
-            nn.init.zeros_(leaf.bias)
-
     @property
     def _ray_channels(self) -> int:
+        """Input channels beside the colours: those of the ray directions."""
         if self.settings.intrinsics != "pixelwise":
             return 0
         degree = self.settings.intrinsics_degree
@@ -103,33 +107,46 @@ class AsymmetricViT(Backbone):
     def forward(
         self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
     ) -> Features:
-        """The four levels that the heads read, see `hook_levels`."""
+        """Return the four levels that the heads read, see `hook_levels`."""
         return self._features(images, intrinsics, self.hooks)
 
     def forward_levels(
         self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
     ) -> Features:
-        """All levels: 0 the normalised encoder output, then one per decoder block, the last one normalised."""
+        """Return all levels: 0 the normalised encoder output, then one per decoder block, the last normalised."""
         return self._features(images, intrinsics, tuple(range(self.settings.decoder_depth + 1)))
 
-    def _features(self, images: Tensor, intrinsics: Tensor, wanted: tuple[int, ...]) -> Features:
+    def _features(
+        self,
+        images: Float[Tensor, "batch view 3 height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        wanted: tuple[int, ...],
+    ) -> Features:
+        """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
         grid = self._grid(images)
         has_token = self.settings.intrinsics == "token"
-        tokens = self._encode(images, intrinsics, self._rotation(grid, self.settings.width // self.heads, images))
-        width = self.settings.decoder_width // self.decoder_heads
-        levels = self._decode(tokens, self._rotation(grid, width, images), wanted)
+        width = _head_width(self.settings.width, self.heads, "heads")
+        decoder_width = _head_width(self.settings.decoder_width, self.decoder_heads, "decoder_heads")
+        tokens = self._encode(images, intrinsics, self._rotation(grid, width, images))
+        levels = self._decode(tokens, self._rotation(grid, decoder_width, images), wanted)
         kept = slice(None, -1) if has_token else slice(None)
         return Features(tuple(level[:, :, kept] for level in levels), grid)
 
     def _encode(
-        self, images: Tensor, intrinsics: Tensor, rotation: Rotation
+        self,
+        images: Float[Tensor, "batch view 3 height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        rotation: Rotation,
     ) -> Float[Tensor, "batch view token width"]:
         tokens = self._embed(images, intrinsics)
         for block in self.encoder:
             tokens = block(tokens, rotation)
         return self.encoder_norm(tokens).unflatten(0, images.shape[:2])
 
-    def _embed(self, images: Tensor, intrinsics: Tensor) -> Float[Tensor, "batch_view token width"]:
+    def _embed(
+        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+    ) -> Float[Tensor, "batch_view token width"]:
+        """Patches and intrinsics to tokens."""
         pixels = (images * 2 - 1).flatten(0, 1)
         if self._ray_channels:
             pixels = torch.cat((pixels, self._rays(intrinsics, images.shape[-2:])), 1)
@@ -140,12 +157,17 @@ class AsymmetricViT(Backbone):
         extra = self.intrinsics_embed(flat.to(tokens.dtype))
         return torch.cat((tokens, extra), 1) if self.settings.intrinsics == "token" else tokens + extra
 
-    def _rays(self, intrinsics: Tensor, image_size: tuple[int, int]) -> Float[Tensor, "batch_view ray height width"]:
+    def _rays(
+        self, intrinsics: Float[Tensor, "batch view 3 3"], image_size: tuple[int, int]
+    ) -> Float[Tensor, "batch_view ray height width"]:
         rays = nn.functional.normalize(pixel_rays(intrinsics.flatten(0, 1), tuple(image_size)), dim=-1)
         degree = self.settings.intrinsics_degree
         return (basis(rays, degree) if degree else rays).movedim(-1, 1)
 
-    def _decode(self, encoded: Tensor, rotation: Rotation, wanted: tuple[int, ...]) -> list[Tensor]:
+    def _decode(
+        self, encoded: Float[Tensor, "batch view token width"], rotation: Rotation, wanted: tuple[int, ...]
+    ) -> list[Float[Tensor, "batch view token channel"]]:
+        """The `wanted` levels, 0 being `encoded` itself."""
         kept = [encoded] if 0 in wanted else []
         tokens = self.decoder_embed(encoded)  # not a level itself
         roles = assign_roles(tokens.shape[1], tokens.device)
@@ -161,7 +183,8 @@ class AsymmetricViT(Backbone):
                 kept.append(self.decoder_norm(tokens) if level == depth else tokens)
         return kept
 
-    def _grid(self, images: Tensor) -> tuple[int, int]:
+    def _grid(self, images: Float[Tensor, "batch view 3 height width"]) -> tuple[int, int]:
+        """(rows, columns) of patches; raises InputError for a single view and for sides that do not fit."""
         height, width = images.shape[-2:]
         if images.shape[1] < 2:
             raise InputError("asymmetric-vit needs at least 2 views to place them relative to each other, got 1.")
@@ -176,26 +199,55 @@ class AsymmetricViT(Backbone):
         return _rotation(grid, self.settings.intrinsics == "token", head_width, self.settings.rope_base, like.device)
 
 
+@dataclass(frozen=True)
+class Role:
+    """The views that share one set of decoder and head weights, and what they read of the others."""
+
+    own: slice  # views in this role
+    sources: slice  # views that at least one of them reads
+    reads: Int[Tensor, "reader read"]  # per own view: positions within `sources`, in view order
+
+
+def assign_roles(views: int, device: torch.device | str = "cpu") -> tuple[Role, Role]:
+    """Return the roles of `views` >= 2 views; every view reads all views but itself."""
+    reference = Role(slice(0, 1), slice(1, views), torch.arange(views - 1, device=device)[None])
+    last = views if views > 2 else 1  # with two views nobody reads view 1 from the others' side
+    reads = [[other for other in range(views) if other != view] for view in range(1, views)]
+    return reference, Role(slice(1, views), slice(0, last), torch.tensor(reads, device=device))
+
+
 def hook_levels(depth: int) -> tuple[int, int, int, int]:
-    """Levels the heads read, of a decoder with `depth` blocks: 12 gives 0, 6, 9, 12."""
+    """Return the levels that the heads read of a decoder with `depth` blocks: 12 gives 0, 6, 9, 12."""
     return 0, depth * 2 // 4, depth * 3 // 4, depth
 
 
 @lru_cache(maxsize=16)
-def _rotation(grid: tuple[int, int], extra_token: bool, head_width: int, base: float, device) -> Rotation:
+def _rotation(grid: tuple[int, int], extra_token: bool, head_width: int, base: float, device: torch.device) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
         return make_rotation(patch_positions(grid, extra_token), head_width, base, device)
 
 
-def _heads(given: int | None, width: int, name: str) -> int:
-    """Attention heads for `width` channels; head width must be a multiple of 4 for the rotation."""
+def _heads(settings: AsymmetricViT.Settings, name: str, width_name: str) -> int:
+    """Number of attention heads; raises SettingsError where the channels do not divide into that many.
+
+    A network that waits for a checkpoint (it has no seed) and was given no width will get the checkpoint's: the number
+    is then checked when the network is built again at that width.
+    """
+    given, width = getattr(settings, name), getattr(settings, width_name)
     if given is None and width % HEAD_WIDTH:
         raise SettingsError(
             f"backbone.{name}: {width} channels do not divide into heads of {HEAD_WIDTH}; say how many heads there are."
         )
     heads = given or width // HEAD_WIDTH
+    if settings.seed is not None or width_name in settings.model_fields_set:
+        _head_width(width, heads, name)
+    return heads
+
+
+def _head_width(width: int, heads: int, name: str) -> int:
+    """Channels per attention head; a multiple of 4 for the rotation, else SettingsError."""
     if width % heads or width // heads % 4:
         raise SettingsError(
             f"backbone.{name}: {width} channels in {heads} heads; expected a head width that is a multiple of 4."
         )
-    return heads
+    return width // heads

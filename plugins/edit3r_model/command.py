@@ -9,7 +9,7 @@ DTYPES = ("float32", "bfloat16", "float16")
 
 
 class ConvertCommand(Command):
-    """`edit3r convert`."""
+    """Convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("source", metavar="CHECKPOINT", help=".ckpt, .pth, .safetensors, a folder, or a hub id")
@@ -25,11 +25,8 @@ class ConvertCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         # Imported here so that listing commands stays free of torch.
-        from edit3r_model.checkpoints.convert import ConversionOptions, convert
+        from edit3r_model.checkpoints import convert
 
-        options = ConversionOptions(
-            args.dtype, args.resolution, args.heads, args.decoder_heads, args.licence, args.seed
-        )
-        summary = convert(args.source, args.out, options)
-        print(summary)
+        heads = {"heads": args.heads, "decoder_heads": args.decoder_heads}
+        print(convert(args.source, args.out, args.dtype, args.resolution, heads, args.licence, args.seed))
         return 0

@@ -1,35 +1,92 @@
-"""How much memory a run will take, before it starts, and a sentence when it is too much."""
+"""Memory of the full network: built empty, filled layer by layer, and estimated before a run starts."""
 
+import ctypes
+import mmap
+import sys
+import zlib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from edit3r.errors import RunError
+from edit3r.errors import RunError, is_out_of_memory
 from edit3r.interfaces import Backbone
 
+ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
+
 _WORKING_TENSORS = 14
-"""Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their turned copies, MLP hidden (4)."""
+"""Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their rotated copies, MLP hidden (4)."""
 _WORKING_MAPS = 5
 """Feature maps at half resolution alive at once in a dense head."""
 _PER_GAUSSIAN = 4 * (2 * (3 + 83) + 86)
 """Bytes per pixel for raw maps, their stacked copies and the Gaussians in float32."""
+_PAGEOUT = 21
+"""MADV_PAGEOUT (Linux 5.4): drops clean file pages from the process, never data; Python's mmap does not name it."""
+
+
+def construct(module: nn.Module, build: Callable[[], None], seed: int | None) -> None:
+    """Run `build` without memory for weights; then, unless `seed` is None, draw all initial weights."""
+    with torch.device("meta"):
+        build()
+    if seed is not None:
+        for name in leaf_names(module):
+            draw_leaf(name, module.get_submodule(name), seed)
+
+
+def leaf_names(module: nn.Module) -> list[str]:
+    """Return the dotted names of all submodules that hold parameters themselves."""
+    return [name for name, part in module.named_modules() if next(part.parameters(recurse=False), None) is not None]
+
+
+def draw_leaf(name: str, leaf: nn.Module, seed: int) -> None:
+    """Give the layer called `name` memory on the CPU and initial weights.
+
+    They depend on `seed` and `name` alone, so a network drawn in pieces equals one drawn at once. Both decoders of the
+    backbone start equal.
+    """
+    leaf.to_empty(device="cpu", recurse=False)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed ^ zlib.crc32(name.replace("decoders.1.", "decoders.0.").encode()))
+        leaf.reset_parameters()
+
+
+def release_pages(tensor: Tensor) -> None:
+    """Take the pages of a memory-mapped file under `tensor` out of memory; the data stay valid. Linux only.
+
+    Without this the mapped file counts as resident until all of it is read, beside the copy in use. The advice is safe
+    for any tensor; where the system refuses it nothing happens.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    page = mmap.PAGESIZE
+    start = -(-tensor.data_ptr() // page) * page
+    length = (tensor.data_ptr() + tensor.nbytes) // page * page - start
+    if length > 0:
+        ctypes.CDLL(None).madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), _PAGEOUT)
+
+
+def release_heap() -> None:
+    """Return freed heap memory to the system, which glibc keeps otherwise; nothing happens with other libraries."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform.startswith("linux") else None
+    if trim is not None:
+        trim(0)
 
 
 def estimate_bytes(backbone: Backbone, batch: int, views: int, size: tuple[int, int], feature_width: int = 256) -> int:
-    """Memory of one run beside the weights [bytes]; an estimate, usually within a factor of 1.5."""
+    """Estimate the memory of one run beside the weights [bytes], usually within a factor of 1.5."""
     height, width = size
     tokens = batch * views * (height // backbone.patch_size) * (width // backbone.patch_size)
     channels = max(backbone.feature_widths)
     token_bytes = 4 * tokens * channels * (_WORKING_TENSORS + len(backbone.feature_widths))
     gathered = 4 * 2 * tokens * (views - 1) * channels  # keys and values of the other views
-    maps = 4 * feature_width * (height // 2) * (width // 2) * _WORKING_MAPS  # one picture at a time
+    maps = 4 * feature_width * (height // 2) * (width // 2) * _WORKING_MAPS  # one image at a time
     return token_bytes + gathered + maps + batch * views * height * width * _PER_GAUSSIAN
 
 
 def available_bytes(device: torch.device) -> int | None:
-    """Free memory of `device`, None where the system does not tell."""
+    """Return the free memory of `device` [bytes], None where the system does not tell."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     table = Path("/proc/meminfo")
@@ -49,22 +106,12 @@ def check_fits(needed: int, device: torch.device, what: str) -> None:
         )
 
 
-ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
-
-
 @contextmanager
-def explaining_exhaustion(what: str):
-    """Turn running out of memory into a RunError that says what to lower."""
+def explaining_exhaustion(what: str) -> Iterator[None]:
+    """Turn running out of memory inside the block into a RunError that says what to lower."""
     try:
         yield
-    except (MemoryError, torch.OutOfMemoryError) as error:
-        raise RunError(f"{what} ran out of memory; {ADVICE}.") from error
-    except RuntimeError as error:
-        if "not enough memory" not in str(error) and "can't allocate memory" not in str(error):
-            raise
-        raise RunError(f"{what} ran out of memory; {ADVICE}.") from error
-
-
-def weight_bytes(network: nn.Module, bytes_per_value: int) -> int:
-    """Memory the weights of a network take, whether loaded or not [bytes]."""
-    return bytes_per_value * sum(value.numel() for value in network.parameters())
+    except Exception as error:
+        if is_out_of_memory(error) or "not enough memory" in str(error):
+            raise RunError(f"{what} ran out of memory; {ADVICE}.") from error
+        raise

@@ -7,15 +7,13 @@ import pickle
 
 import pytest
 import torch
-from edit3r_model.checkpoints import LoadedWeights, load_weights
-from edit3r_model.checkpoints.convert import ConversionOptions, convert
-from edit3r_model.checkpoints.hub import is_hub_id
-from edit3r_model.checkpoints.names import is_unused, official_names
-from edit3r_model.checkpoints.parameters import empty_network, parameter_names
-from edit3r_model.reconstructor import from_weights
+from edit3r_model.checkpoints import LoadedWeights, convert, is_hub_id, load_weights
+from edit3r_model.full_network import empty_network
+from edit3r_model.official_checkpoints import infer_config, is_unused, official_names, parameter_names
 from noposplat_reference import FULL, official_shapes
 from safetensors.torch import save_file
 
+import edit3r
 from edit3r.cli.main import main
 from edit3r.errors import InputError, MissingDependencyError, SettingsError
 
@@ -24,8 +22,6 @@ HEADS = {"heads": 2, "decoder_heads": 3}
 
 def build(weights, **settings):
     """The small network on given weights; its head widths are not the published ones, so they are said."""
-    import edit3r
-
     backbone = {**HEADS, **settings.pop("backbone", {})}
     return edit3r.build("reconstructor", "noposplat", weights=str(weights), backbone=backbone, **settings)
 
@@ -38,8 +34,6 @@ def lightning(path, state):
 def test_the_published_network_has_exactly_the_published_keys():
     shapes = official_shapes(FULL)
     meta = {key: torch.empty(shape, device="meta") for key, shape in shapes.items()}
-    from edit3r_model.checkpoints.sizes import infer_config
-
     config = infer_config(meta, "full")
     network = empty_network(config)
     assert sum(p.numel() for p in network.parameters()) == 611_996_332 - _unused_parameters(shapes)
@@ -166,7 +160,7 @@ def test_a_checkpoint_of_something_else_says_what_was_expected(tmp_path):
 
 def test_heads_that_shapes_do_not_show_must_be_said(tmp_path, checkpoint):
     with pytest.raises(SettingsError, match="48 channels do not divide into heads of 64"):
-        from_weights(str(checkpoint))
+        edit3r.build("reconstructor", "noposplat", weights=str(checkpoint))
 
 
 def test_sizes_the_user_insists_on_are_checked_against_the_file(checkpoint):
@@ -175,7 +169,7 @@ def test_sizes_the_user_insists_on_are_checked_against_the_file(checkpoint):
 
 
 def test_conversion_keeps_every_value(tmp_path, checkpoint):
-    convert(str(checkpoint), tmp_path / "ours", ConversionOptions(resolution=64, **HEADS))
+    convert(str(checkpoint), tmp_path / "ours", resolution=64, heads=HEADS)
     loaded = load_weights(tmp_path / "ours")
     original = load_weights(checkpoint)
     assert loaded.config.resolution == 64 and loaded.kind == "edit3r"
@@ -185,8 +179,9 @@ def test_conversion_keeps_every_value(tmp_path, checkpoint):
 
 
 def test_converted_weights_need_no_further_settings(tmp_path, checkpoint):
-    convert(str(checkpoint), tmp_path / "ours", ConversionOptions(**HEADS))
-    assert from_weights(str(tmp_path / "ours")).network.backbone.heads == 2
+    convert(str(checkpoint), tmp_path / "ours", heads=HEADS)
+    again = edit3r.build("reconstructor", "noposplat", weights=str(tmp_path / "ours"))
+    assert again.network.backbone.heads == 2
 
 
 def test_the_convert_command_writes_half_size_bf16(tmp_path, checkpoint, capsys):
@@ -199,9 +194,9 @@ def test_the_convert_command_writes_half_size_bf16(tmp_path, checkpoint, capsys)
 
 
 def test_convert_refuses_to_overwrite_its_own_source(tmp_path, checkpoint):
-    convert(str(checkpoint), tmp_path / "a", ConversionOptions(**HEADS))
+    convert(str(checkpoint), tmp_path / "a", heads=HEADS)
     with pytest.raises(InputError, match="the same"):
-        convert(str(tmp_path / "a"), tmp_path / "a", ConversionOptions())
+        convert(str(tmp_path / "a"), tmp_path / "a")
 
 
 def test_hub_ids_are_told_from_paths(tmp_path, monkeypatch):

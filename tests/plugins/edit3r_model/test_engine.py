@@ -4,11 +4,18 @@ from functools import partial
 
 import pytest
 import torch
-from edit3r_model.dpt import double, double_rows, in_strips, with_border
-from edit3r_model.engine.int8 import Int8Conv, Int8Linear, quantise_input, quantise_weight
-from edit3r_model.engine.packed import FusedConv, PackedLinear, StoredLinear
-from edit3r_model.engine.plan import make_plan
-from edit3r_model.engine.winograd import WinogradConv
+from edit3r_model.dpt_head import double, double_rows, in_strips, with_border
+from edit3r_model.engine import make_plan
+from edit3r_model.fast_layers import (
+    FusedConv,
+    Int8Conv,
+    Int8Linear,
+    PackedLinear,
+    StoredLinear,
+    quantise_input,
+    quantise_weight,
+)
+from edit3r_model.winograd import WinogradConv
 from torch import nn
 
 from edit3r.errors import SettingsError
@@ -126,9 +133,9 @@ def test_rows_of_a_doubled_map_are_its_rows(height):
 
 
 def test_heads_beside_int8_follow_what_the_processor_multiplies(monkeypatch):
-    monkeypatch.setattr("edit3r_model.engine.plan._cpu_info", lambda: "flags: avx512_bf16")
+    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "flags: avx512_bf16")
     assert make_plan("int8", "auto", True, CPU).head == "bfloat16"
-    monkeypatch.setattr("edit3r_model.engine.plan._cpu_info", lambda: "flags: avx2")
+    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "flags: avx2")
     assert make_plan("int8", "auto", True, CPU).head == "int8"
 
 
@@ -136,7 +143,7 @@ def test_heads_beside_int8_follow_what_the_processor_multiplies(monkeypatch):
     ("flags", "form"), [("avx512f avx2", "stored"), ("avx512_bf16", "bfloat16"), ("asimd bf16", "bfloat16")]
 )
 def test_bfloat16_is_only_stored_where_the_processor_would_emulate_it(flags, form, monkeypatch):
-    monkeypatch.setattr("edit3r_model.engine.plan._cpu_info", lambda: f"flags: {flags}")
+    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: f"flags: {flags}")
     assert make_plan("bfloat16", "auto", True, CPU).backbone == form
     assert make_plan("bfloat16", "auto", False, CPU).backbone == "bfloat16"  # plain layers: as asked
 

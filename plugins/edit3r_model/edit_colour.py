@@ -1,0 +1,109 @@
+"""The edit as a local function of colour, and how far it may be carried.
+
+Per place an affine map turns the source image into its edited version: ridge regression of the change
+r = edited - source on the source's colours s in a Gaussian window, D = Cov(r, s) (Cov(s, s) + ridge I)^-1,
+d = mean r - D mean s. An unedited place gives exactly D = 0, d = 0.
+"""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.geometry.morphology import dilate
+from edit3r.geometry.warping import Correspondences, warp
+
+CHANNELS = 12
+"""Row-major 3x3 of D, then d."""
+
+_CHANGE = 2 / 255
+"""A change below this [sRGB] counts in proportion."""
+
+_SAME_SURFACE = 0.05
+"""Largest difference of log depth at which a pixel and its point in the reference are taken for one surface."""
+
+_ALIKE = 0.1
+"""Mean difference of colours [sRGB] above which two images do not show one surface, whatever the depths say."""
+
+_SPREAD = 0.02
+"""How far around a change an edit may be carried [long sides]: outlines and matches are off by some pixels."""
+
+
+def fit_colour_maps(
+    source: Float[Tensor, "batch 3 height width"],
+    edited: Float[Tensor, "batch 3 height width"],
+    stride: int = 1,
+    sigma: float = 1.0,
+    ridge: float = 2e-3,
+) -> Float[Tensor, "batch 12 height2 width2"]:
+    """Fit the map of every `stride` x `stride` cell to the cell and `sigma` cells around it."""
+    change = edited - source
+    moments = torch.cat((source, change, _outer(change, source), _outer(source, source)), 1)
+    moments = blur(F.avg_pool2d(moments, stride) if stride > 1 else moments, sigma)
+    mean_s, mean_r, cross, own = moments.split((3, 3, 9, 9), 1)
+    cross, own = cross - _outer(mean_r, mean_s), own - _outer(mean_s, mean_s)
+    matrix = _matrices(own) + ridge * torch.eye(3, dtype=source.dtype, device=source.device)
+    slope = _matrices(cross) @ torch.linalg.inv(matrix)  # D = Cov(r, s) (Cov(s, s) + ridge)^-1
+    offset = mean_r - torch.einsum("bhwij,bjhw->bihw", slope, mean_s)
+    return torch.cat((slope.flatten(-2).permute(0, 3, 1, 2), offset), 1)
+
+
+def change_of(
+    maps: Float[Tensor, "batch 12 height width"], source: Float[Tensor, "batch 3 height width"]
+) -> Float[Tensor, "batch 3 height width"]:
+    """Compute the colour change D s + d that the maps give to the source images."""
+    slope = maps[:, :9].unflatten(1, (3, 3))
+    return (slope * source[:, None]).sum(2) + maps[:, 9:]
+
+
+def blur(x: Float[Tensor, "batch channel height width"], sigma: float) -> Float[Tensor, "batch channel height width"]:
+    """Blur with a Gaussian of standard deviation `sigma` [pixels]; the border is repeated."""
+    radius = int(2.5 * sigma + 0.5)
+    offsets = torch.arange(-radius, radius + 1, dtype=x.dtype, device=x.device)
+    kernel = torch.exp(-0.5 * (offsets / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).expand(x.shape[1], 1, -1)
+    padded = F.pad(x, (radius,) * 4, mode="replicate")
+    rows = F.conv2d(padded, kernel[..., None, :], groups=x.shape[1])
+    return F.conv2d(rows, kernel[..., None], groups=x.shape[1])
+
+
+def _outer(a: Float[Tensor, "batch 3 h w"], b: Float[Tensor, "batch 3 h w"]) -> Float[Tensor, "batch 9 h w"]:
+    """Products of every channel of `a` with every channel of `b`, row-major."""
+    return (a[:, :, None] * b[:, None]).flatten(1, 2)
+
+
+def _matrices(flat: Float[Tensor, "batch 9 h w"]) -> Float[Tensor, "batch h w 3 3"]:
+    return flat.permute(0, 2, 3, 1).unflatten(-1, (3, 3))
+
+
+def near_an_edit(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    matches: Correspondences,
+    measured: Bool[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view height width"]:
+    """Return where an edit may be carried to: 1 near a change, exactly 0 where no image shows one.
+
+    Everything else keeps the source's colours bit for bit. Changes of the reference count on the surfaces that it
+    surely shows, changes of the view's own image everywhere. In a view that was not edited at all, what the reference
+    does not show may take the edit too: 1.
+    """
+    reach = max(1, round(_SPREAD * max(source.shape[-2:])))
+    speck = -(-reach // 5)
+    change = (edited - source).abs().amax(2, keepdim=True)
+    reference = torch.cat((source[:, :1], change[:, :1]), 2).expand(-1, source.shape[1], -1, -1, -1)
+    colours, of_reference = warp(reference, matches.coordinates).split((3, 1), 2)
+    apart = _spread((colours - source).abs().amax(2), reach / 5)
+    seen = matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE) & (apart < _ALIKE))
+    change, of_reference = change[:, :, 0], of_reference[:, :, 0] * seen
+    # Changes of a few pixels are left out: surfaces that look alike by chance.
+    of_reference = dilate(-dilate(-of_reference, speck), speck)
+    untouched = (change.amax((2, 3), keepdim=True) == 0) & (change[:, :1].amax((2, 3), keepdim=True) > 0)
+    unknown = untouched & (seen == 0)
+    found = torch.maximum(change, of_reference).clamp(max=_CHANGE) / _CHANGE
+    found = _spread(dilate(found, reach), reach / 4)
+    return torch.maximum(found, unknown.to(found.dtype))
+
+
+def _spread(maps: Float[Tensor, "batch view height width"], sigma: float) -> Float[Tensor, "batch view height width"]:
+    return blur(maps.flatten(0, 1)[:, None], sigma)[:, 0].unflatten(0, maps.shape[:2])

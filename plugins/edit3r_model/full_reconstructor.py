@@ -1,0 +1,239 @@
+"""Reconstructor `noposplat`: views of any size and number through the published pose-free network to Gaussians."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+import torch
+from pydantic import Field
+from torch import nn
+
+from edit3r.config import PartChoice, Settings, make_settings
+from edit3r.errors import MissingDependencyError, RunError, SettingsError
+from edit3r.interfaces import Backbone, GaussianHead, Reconstructor
+from edit3r.reporting import note, progress, warn
+from edit3r.types import EditRequest, Gaussians, Reconstruction, Views
+from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
+from edit3r_model.engine import EnginePlan, Precision, compile_blocks, make_plan, prepare_leaf
+from edit3r_model.full_network import GaussianNetwork, NetworkConfig, PartConfig
+from edit3r_model.memory import (
+    check_fits,
+    draw_leaf,
+    estimate_bytes,
+    explaining_exhaustion,
+    leaf_names,
+    release_heap,
+)
+from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
+
+EMPTY = {"seed": None}  # sizes come with the weights; nothing is drawn before
+RANDOM = "random"
+RESOLUTION = 256
+"""Where neither settings nor weights say: side of the square with the area that images are scaled down to [pixels]."""
+LEAVES_PER_RELEASE = 16
+"""How often what conversion freed goes back to the system; otherwise it adds up to a tenth of the network."""
+
+
+class NoPoSplatReconstructor(Reconstructor):
+    """Pose-free reconstruction in one pass: backbone and head, and the way from images of any size to them and back.
+
+    It is handed its parts, so any backbone goes with any head; `weights` then decide their sizes. Gaussians come in
+    the frame of view 0, one per pixel and view, and no cameras: the caller finds them from the centres
+    (`edit3r.geometry.pose`). Only `engine=eager` can be trained.
+    """
+
+    class Settings(Settings):
+        backbone: PartChoice = Field(
+            default_factory=lambda: PartChoice(name="asymmetric-vit", settings=EMPTY), description="views to features"
+        )
+        head: PartChoice = Field(
+            default_factory=lambda: PartChoice(name="dpt-gaussian", settings=EMPTY), description="features to Gaussians"
+        )
+        weights: str | None = Field(
+            None,
+            description="NoPoSplat .ckpt, MASt3R .pth (initialisation), .safetensors, our folder, hub id "
+            "owner/name@revision, or 'random' for an untrained network (tests and speed only)",
+        )
+        resolution: int | None = Field(
+            None,
+            ge=16,
+            le=4096,
+            description="photos are scaled down to at most this squared [pixels]; default: the weights', or 256",
+        )
+        fit: Literal["resize", "pad"] = Field(
+            "resize", description="how sides become multiples of the patch: stretched to the nearest, or padded"
+        )
+        grid_resolution: int | None = Field(
+            None,
+            ge=16,
+            le=8192,
+            description="one Gaussian per photo pixel up to this squared, with the photo's own detail; default: one "
+            "per pixel of the network's grid",
+        )
+        precision: Precision = Field(
+            "float32", description="of the network: float32, bfloat16, float16 (CUDA), int8 (CPU)"
+        )
+        head_precision: Precision | Literal["auto"] = Field(
+            "auto", description="of the head; auto: as the backbone, beside int8 bfloat16 where the CPU has it"
+        )
+        engine: Literal["packed", "eager", "compile"] = Field(
+            "packed",
+            description="packed: oneDNN layouts on a CPU, inference only; eager: plain layers, trainable; compile: "
+            "torch.compile of each kind of block, slow to start",
+        )
+        device: str = Field("auto", description="cpu, cuda, cuda:1, ...; auto: cuda where there is one")
+        seed: int = Field(0, description="of weights that are drawn rather than loaded")
+
+    def __init__(self, settings: Settings, backbone: Backbone, head: GaussianHead) -> None:
+        self.settings = settings
+        if settings.weights is None:
+            raise MissingDependencyError(
+                "reconstructor noposplat ships no weights; give some with --set reconstructor.weights=FILE (a "
+                "NoPoSplat .ckpt, or a folder written by edit3r convert), or use the reconstructor edit3r."
+            )
+        self._network = load_network(settings, backbone, head)
+        self.resolution = settings.resolution or self._network.config.resolution
+        if settings.engine == "compile":
+            compile_blocks(self._network)
+
+    @property
+    def network(self) -> nn.Module:
+        """Backbone and head as one module, images [0, 1] and intrinsics to Gaussians."""
+        return self._network
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is now."""
+        tensors = (*self._network.parameters(), *self._network.buffers())
+        return tensors[0].device
+
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
+        """Reconstruct `views`; `source` and `request` are not used.
+
+        Differentiable only while the network is in training mode. Raises InputError for views that cannot be used,
+        RunError when memory ends.
+        """
+        check_views(views, self.min_views)
+        backbone = self._network.backbone
+        fitted = fit_views(views, backbone.patch_size, self.resolution, self.settings.fit)
+        size = fitted.views.image_size
+        what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
+        check_fits(estimate_bytes(backbone, len(views.images), views.count, size), self.device, what)
+        note("reconstructor.network_input_size", list(size))
+        with explaining_exhaustion(what), torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
+            inputs = fitted.views.to(self.device, torch.float32)
+            gaussians = self._network(inputs.images, inputs.intrinsics).to(views.images.device)
+        _require_finite(gaussians)
+        gaussians = fitted.drop_padding(gaussians)
+        if self.settings.grid_resolution is not None:
+            finer = finer_grid(fitted.inner_size, views.image_size, self.settings.grid_resolution)
+            gaussians = regrid(gaussians, fitted.inner_size, finer, views.images)
+        return Reconstruction(gaussians)
+
+
+def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> GaussianNetwork:
+    """Give the empty parts weights, in the sizes of those weights and the numeric form that the settings ask for.
+
+    The network comes back in evaluation mode on its device.
+    """
+    device = choose_device(settings.device)
+    plan = make_plan(settings.precision, settings.head_precision, settings.engine == "packed", device)
+    if settings.weights == RANDOM:
+        network = _network_of(backbone, head, settings.resolution or RESOLUTION)
+        warn("the network's weights are random: the result is noise, of use for tests and speed only.")
+        note("reconstructor.weights", {"source": RANDOM})
+        leaves = _draw(network, settings.seed)
+    else:
+        loaded = load_weights(settings.weights)
+        network = _sized_like(loaded, backbone, head)
+        _report(loaded, network)
+        leaves = fill(network, loaded, settings.seed)
+    if "stored" in (plan.backbone, plan.head):
+        note("reconstructor.arithmetic", "float32 on weights stored in bfloat16, which this processor would emulate")
+    _prepare(network, leaves, plan, device)
+    return network.eval()
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device called `name`, or for `auto` the best one; raises MissingDependencyError without CUDA."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise SettingsError(f"reconstructor.device: expected auto, cpu, cuda or cuda:N, got {name!r}.") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise MissingDependencyError(f"reconstructor.device: {name} asked for, but this torch sees no CUDA device.")
+    return device
+
+
+def _network_of(backbone: Backbone, head: GaussianHead, resolution: int) -> GaussianNetwork:
+    """The parts as one network that can say how to build it."""
+    parts = (
+        PartConfig(part.offer.component.name, part.settings.model_dump(exclude={"seed"})) for part in (backbone, head)
+    )
+    return GaussianNetwork(backbone, head, NetworkConfig(*parts, resolution))
+
+
+def _sized_like(loaded: LoadedWeights, backbone: Backbone, head: GaussianHead) -> GaussianNetwork:
+    """A network of the parts' kinds with the sizes of `loaded`; settings the user gave explicitly win."""
+    body = _resized(backbone, loaded.config.backbone, loaded.source, "backbone")
+    return _network_of(body, _resized(head, loaded.config.head, loaded.source, "head", body), loaded.config.resolution)
+
+
+def _resized(part: nn.Module, config: PartConfig, source: str, kind: str, *needs: nn.Module) -> nn.Module:
+    """`part` built again without memory for weights, in the size `config` says."""
+    name = part.offer.component.name
+    if name != config.name:
+        raise SettingsError(
+            f"{source} holds a {kind} {config.name!r}, the settings say {name!r}; "
+            f"--set reconstructor.{kind}={config.name} takes the right one."
+        )
+    given: Mapping[str, Any] = {key: getattr(part.settings, key) for key in part.settings.model_fields_set}
+    settings = make_settings(type(part).Settings, {**config.settings, **given, "seed": None}, kind)
+    resized = type(part)(settings, *needs)
+    resized.offer = part.offer
+    return resized
+
+
+def _draw(network: GaussianNetwork, seed: int) -> Iterator[tuple[str, nn.Module]]:
+    """Initial weights, leaf by leaf; leaves that have weights already keep them."""
+    for name in leaf_names(network):
+        leaf = network.get_submodule(name)
+        if next(leaf.parameters(recurse=False)).is_meta:
+            draw_leaf(name, leaf, seed)
+        yield name, leaf
+
+
+def _prepare(
+    network: GaussianNetwork, leaves: Iterator[tuple[str, nn.Module]], plan: EnginePlan, device: torch.device
+) -> None:
+    """Convert every leaf as soon as it has weights, so that the network never exists twice."""
+    total = len(leaf_names(network))
+    for done, (name, leaf) in enumerate(leaves, start=1):
+        prepare_leaf(network, name, leaf, plan, device)
+        progress("loading weights", done, total)
+        if done % LEAVES_PER_RELEASE == 0 or done == total:
+            release_heap()
+
+
+def _report(loaded: LoadedWeights, network: GaussianNetwork) -> None:
+    """Note facts about the weights for the run's manifest, and warn of parts that are random."""
+    note("reconstructor.weights", loaded.facts())
+    if loaded.kind == "noposplat":
+        heads = network.backbone.heads, network.backbone.decoder_heads
+        note("reconstructor.attention_heads", f"{heads[0]} and {heads[1]}: settings, else 64 channels each")
+    if loaded.drawn:
+        warn(
+            f"{loaded.source} initialises the network for training; it does not hold {', '.join(loaded.drawn)}, which "
+            f"are random: the Gaussians' colours and shapes mean nothing yet."
+        )
+
+
+def _require_finite(gaussians: Gaussians) -> None:
+    """Raise RunError that names the first tensor with NaN or infinite values."""
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        if not getattr(gaussians, name).isfinite().all():
+            raise RunError(
+                f"the network's {name} are not finite; in float16 this is an overflow: set reconstructor.precision to "
+                f"bfloat16 or float32."
+            )

@@ -1,0 +1,241 @@
+"""Reconstructor `edit3r`: geometry from matching the unedited images, the edit from a small trained network.
+
+Every image pixel becomes one Gaussian, at the image's own resolution and sharpness.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from pydantic import Field, model_validator
+from torch import Tensor, nn
+
+from edit3r import config, reporting
+from edit3r.config import PartChoice
+from edit3r.geometry.alignment import scale_poses
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
+from edit3r.geometry.upsampling import guided_upsample, resize
+from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
+from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r_model.edit_colour import blur, change_of, near_an_edit
+from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
+
+VISIBLE_CHANGE = 0.05
+"""A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
+MEASURED = 0.5
+"""Confidence below which a depth was filled in."""
+FLOATING_OPACITY = 0.02
+"""Before correction, of filled-in points in front of what the partner surely sees."""
+
+
+class Edit3rReconstructor(Reconstructor):
+    """Matched poses and depths, repaired by a network that also draws disagreeing edits to the reference's.
+
+    View 0 is the reference: its edit is kept as it is. Without any edit the colours are exactly the source images'.
+    """
+
+    class Settings(config.Settings):
+        matcher: PartChoice = Field(
+            PartChoice(
+                name="classical", settings={"working_size": 160, "detection_size": 448, "keypoints": 2500, "planes": 64}
+            ),
+            description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
+        )
+        geometry: Literal["matching", "network"] = Field(
+            "matching", description="where pose and depth come from; 'network' is short for matcher=network"
+        )
+        weights: str = Field("shipped", description="'shipped', 'untrained' or a file of `edit3r train`")
+        network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
+        fuse_edits: bool = Field(
+            True, description="false: each view keeps its own edited colours (plain reconstruction)"
+        )
+        depth_repair: float = Field(0.5, ge=0, le=1, description="share of the network's depth correction that counts")
+        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
+        opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where two views measured the depth")
+        filled_opacity: float = Field(0.45, gt=0, lt=1, description="before correction, where the depth was filled in")
+        lone_opacity: float = Field(
+            0.8, gt=0, lt=1, description="before correction, where it was filled in and no other photo shows the place"
+        )
+        apron: float = Field(
+            0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+        )
+        backdrop: float = Field(
+            0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+        footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
+
+        @model_validator(mode="before")
+        @classmethod
+        def _matcher_by_geometry(cls, values: Any) -> Any:
+            if not isinstance(values, Mapping) or values.get("geometry") != "network":
+                return values
+            matcher = PartChoice.model_validate(values.get("matcher", "network"))
+            if matcher.name != "network":
+                raise ValueError(f"geometry=network asks for matcher=network, but matcher is {matcher.name!r}")
+            return {**values, "matcher": matcher}
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings = settings
+        self.matcher = matcher
+        self._network = load_network(settings.weights)
+
+    @property
+    def network(self) -> nn.Module:
+        """The trainable part."""
+        return self._network
+
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
+        """Reconstruct; without `source` the edited images must agree well enough to be matched themselves.
+
+        `request` is not used. Differentiable only while the network is in training mode.
+        """
+        reporting.note("edit3r.geometry", "network" if self.settings.matcher.name == "network" else "matching")
+        source = views if source is None else source
+        with torch.no_grad():
+            geometry = self.matcher.match(source)
+        views, source = geometry.calibrated(views), geometry.calibrated(source)
+        with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
+            reconstruction = self.from_geometry(views, source, geometry)
+            return self._with_surroundings(reconstruction, source, geometry)
+
+    def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
+        """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""
+        unit = geometry.depths[:, 0].flatten(1).median(1).values
+        unit_geometry = _in_unit(geometry, unit)
+        outputs = self._network(self._network_inputs(views, source, unit_geometry))
+        reconstruction = assemble(views, source, unit_geometry, self._with_share(outputs), self.settings)
+        return _hide_unplaced(_back_from_unit(reconstruction, unit), geometry)
+
+    def _network_inputs(self, views: Views, source: Views, geometry: MatchedGeometry) -> NetworkInputs:
+        """Everything on the network's grid; depths are averaged as inverse depths."""
+        size = network_grid(source.image_size, self.settings.network_size)
+        return NetworkInputs(
+            source=resize(source.images, size),
+            edited=resize(views.images, size),
+            depths=1 / resize(1 / geometry.depths[:, :, None], size)[:, :, 0],
+            confidence=resize(geometry.confidence[:, :, None], size)[:, :, 0],
+            c2w=geometry.c2w,
+            intrinsics=source.intrinsics,
+        )
+
+    def _with_share(self, outputs: NetworkOutputs) -> NetworkOutputs:
+        """The share of the network's corrections of geometry that the settings let count."""
+        depth, opacity = self.settings.depth_repair, self.settings.opacity_repair
+        return replace(
+            outputs,
+            depth_correction=depth * outputs.depth_correction,
+            opacity_correction=opacity * outputs.opacity_correction,
+            scale_correction=opacity * outputs.scale_correction,
+            disagreement=opacity * outputs.disagreement,
+        )
+
+    def _with_surroundings(
+        self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry
+    ) -> Reconstruction:
+        """Continue the fused images a little beyond their borders and behind their depth edges."""
+        shape = (*source.images.shape[:2], *source.image_size, 3)
+        colours = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0]).reshape(shape).permute(0, 1, 4, 2, 3)
+        fused = Views(colours, source.intrinsics)
+        parts = [reconstruction.gaussians]
+        if self.settings.backdrop > 0:
+            parts.append(backdrop(fused, geometry, self.settings.backdrop))
+        if self.settings.apron > 0:
+            parts.append(apron(fused, geometry, self.settings.apron, self.settings.filled_opacity))
+        return replace(reconstruction, gaussians=Gaussians.cat(parts))
+
+
+def assemble(
+    edited: Views,
+    source: Views,
+    geometry: MatchedGeometry,
+    outputs: NetworkOutputs,
+    settings: Edit3rReconstructor.Settings,
+) -> Reconstruction:
+    """Turn geometry, images and the network's decisions into one Gaussian per pixel, in the frame of view 0."""
+    images = source.images
+    fine = _at_image_size(outputs, images)
+    depths = geometry.depths * fine.depth_correction.exp()
+    matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
+    colours, logits = edited.images, _opacity_logits(geometry, matches, settings) + fine.opacity_correction
+    if settings.fuse_edits:
+        near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
+        colours = fuse_colours(edited.images, images, fine, matches, near)
+        logits = logits + near * fine.disagreement
+    opacities = torch.sigmoid(logits)
+    scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
+    cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
+    return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
+
+
+def fuse_colours(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    outputs: NetworkOutputs,
+    matches: Correspondences,
+    near: Float[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view 3 height width"]:
+    """Mix the candidates for each pixel's colour; exactly `edited` where it is not `near` a change."""
+    shape = source.shape[:2]
+    carried = (source + change_of(outputs.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
+    reference = torch.cat((edited[:, :1], (edited - source)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
+    warped, change = warp(reference, matches.coordinates).split(3, 2)
+    presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
+    presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
+    choice = outputs.choice * near[:, :, None]
+    taken = choice[:, :, 2:] * presence
+    # Where the reference shows no edit, the share of its colour goes to the source under the carried colour map.
+    mapped = choice[:, :, 1:2] + choice[:, :, 2:] - taken
+    return edited + mapped * (carried - edited) + taken * (warped - edited)
+
+
+def _at_image_size(outputs: NetworkOutputs, images: Float[Tensor, "batch view 3 height width"]) -> NetworkOutputs:
+    """The network's maps at the images' size, along the images' edges."""
+    single = (outputs.depth_correction, outputs.opacity_correction, outputs.scale_correction, outputs.disagreement)
+    stacked = torch.cat((torch.stack(single, 2), outputs.maps, outputs.choice), 2)
+    fine = guided_upsample(stacked.flatten(0, 1), images.flatten(0, 1)).unflatten(0, images.shape[:2])
+    depth, opacity, scale, disagreement = fine[:, :, :4].unbind(2)
+    choice = fine[:, :, -outputs.choice.shape[2] :]
+    choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
+    return NetworkOutputs(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
+
+
+def _opacity_logits(
+    geometry: MatchedGeometry, matches: Correspondences, settings: Edit3rReconstructor.Settings
+) -> Float[Tensor, "batch view height width"]:
+    """Opacities before correction: less for filled-in points, next to none for those that float before a surface."""
+    filled = geometry.confidence < MEASURED
+    guessed = torch.where(matches.inside.bool(), settings.filled_opacity, settings.lone_opacity)
+    opacity = torch.where(filled, guessed, settings.opacity)
+    partners = geometry.confidence[:, partner_views(filled.shape[1]), None]
+    seen = warp(partners, matches.coordinates, mode="nearest")[:, :, 0]
+    floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
+    return torch.logit(torch.where(floating, FLOATING_OPACITY, opacity))
+
+
+def _in_unit(geometry: MatchedGeometry, unit: Float[Tensor, "batch"]) -> MatchedGeometry:
+    """The geometry with `unit` as its unit of length."""
+    factor = 1 / unit
+    return replace(
+        geometry, c2w=scale_poses(geometry.c2w, factor[:, None]), depths=geometry.depths * factor[:, None, None, None]
+    )
+
+
+def _back_from_unit(reconstruction: Reconstruction, unit: Float[Tensor, "batch"]) -> Reconstruction:
+    """The reconstruction in the matcher's own unit of length."""
+    gaussians, cameras, factor = reconstruction.gaussians, reconstruction.cameras, unit[:, None, None]
+    moved = replace(gaussians, means=gaussians.means * factor, scales=gaussians.scales * factor)
+    return Reconstruction(moved, replace(cameras, c2w=scale_poses(cameras.c2w, unit[:, None])))
+
+
+def _hide_unplaced(reconstruction: Reconstruction, geometry: MatchedGeometry) -> Reconstruction:
+    """Make the Gaussians of views that could not be placed transparent."""
+    if bool(geometry.registered.all()):
+        return reconstruction
+    gaussians = reconstruction.gaussians
+    shown = geometry.registered[:, gaussians.view_index].to(gaussians.opacities.dtype)
+    return replace(reconstruction, gaussians=replace(gaussians, opacities=gaussians.opacities * shown))

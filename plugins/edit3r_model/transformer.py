@@ -1,0 +1,211 @@
+"""Transformer blocks of the encoder and of the two decoders, with rotary positions.
+
+Pre-norm, exact GELU, no dropout, no layer scale. Linear layers start with Xavier-uniform weights and zero bias.
+Positions are the two-dimensional rotary embedding of CroCo (Weinzaepfel et al. 2022): half of each head's channels
+are rotated by the token's row, half by its column. Inside a half, channel j is paired with channel j + d/4 (not with
+its neighbour), and the pair is rotated by the angle `position * base^(-4j/d)`, d being the width of a head.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Complex, Float, Int
+from torch import Tensor, nn
+
+NORM_EPS = 1e-6
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Rotation angles of one sequence of tokens, as tables with one value per channel of a head."""
+
+    cos: Float[Tensor, "token 1 channel"]
+    sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
+    turns: Complex[Tensor, "token 1 channel/2"]  # cos + i sin, one per pair of channels
+
+    def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
+        """Rotate queries or keys; the dtype of `x` is kept."""
+        partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
+        return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
+
+    def adjacent(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
+        """Rotate float32 channels that are in `adjacent_order`: one complex product, several times as fast."""
+        pairs = torch.view_as_complex(x.unflatten(-1, (-1, 2)))
+        return torch.view_as_real(pairs * self.turns).flatten(-2)
+
+
+def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
+    """Return (row, column) of every patch, row-major; an extra token is placed first in the row below the grid."""
+    rows, columns = grid
+    positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).reshape(-1, 2)
+    if not extra_token:
+        return positions
+    return torch.cat((positions, torch.tensor([[rows, 0]])))
+
+
+def make_rotation(
+    positions: Int[Tensor, "token 2"], head_width: int, base: float, device: torch.device | str = "cpu"
+) -> Rotation:
+    """Build the tables for tokens at `positions`, computed in float64 and kept in float32."""
+    pairs = head_width // 4
+    frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
+    angles = positions.double()[:, None, :, None, None] * frequencies  # [token, 1, axis, 1, pair]
+    cos = angles.cos().expand(-1, -1, -1, 2, -1)
+    sin = torch.cat((-angles.sin(), angles.sin()), -2)
+    turns = torch.complex(angles.cos(), angles.sin()).flatten(2)
+    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)), turns.cfloat().to(device))
+
+
+def adjacent_order(head_width: int) -> Int[Tensor, "channel"]:
+    """Return the order of a head's channels in which the two of a pair stand side by side."""
+    return torch.arange(head_width).view(2, 2, -1).transpose(1, 2).flatten()
+
+
+class _XavierStart:
+    """Mixin of a layer: initial weights are Xavier-uniform, its bias is 0."""
+
+    def reset_parameters(self) -> None:
+        super().reset_parameters()  # draws as many random numbers as torch's own start
+        nn.init.xavier_uniform_(self.weight.data.flatten(1))
+        nn.init.zeros_(self.bias)
+
+
+class XavierLinear(_XavierStart, nn.Linear):
+    """Linear layer with a Xavier-uniform start."""
+
+
+class XavierConv2d(_XavierStart, nn.Conv2d):
+    """Convolution with a Xavier-uniform start."""
+
+
+def layer_norm(width: int) -> nn.LayerNorm:
+    """Layer normalisation over `width` channels with the published epsilon."""
+    return nn.LayerNorm(width, eps=NORM_EPS)
+
+
+class SelfAttention(nn.Module):
+    """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each [head, channel]."""
+
+    rotated: ClassVar[dict[str, int]] = {"qkv": 2}  # layer: how many blocks of its features are queries or keys
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.adjacent = False  # True: queries and keys have their channels in `adjacent_order`
+        self.qkv = XavierLinear(width, 3 * width)
+        self.proj = XavierLinear(width, width)
+
+    def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
+        query_key, value = self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
+        rotate = rotation.adjacent if self.adjacent else rotation
+        query, key = rotate(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
+        return self.proj(attend(query, key, value.squeeze(2)))
+
+
+class CrossAttention(nn.Module):
+    """Multi-head attention from each view's tokens to the tokens of other views.
+
+    Keys and values depend on the token read alone, so they are computed once per view and gathered, which is cheaper
+    than projecting a concatenated memory for every reader and gives the same numbers.
+    """
+
+    rotated: ClassVar[dict[str, int]] = {"query": 1, "key_value": 1}
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.adjacent = False
+        self.query = XavierLinear(width, width)
+        self.key_value = XavierLinear(width, 2 * width)
+        self.proj = XavierLinear(width, width)
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch reader token width"],
+        memory: Float[Tensor, "batch source token width"],
+        reads: Int[Tensor, "reader read"],
+        rotation: Rotation,
+    ) -> Float[Tensor, "batch reader token width"]:
+        """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory` that reader i sees."""
+        batch, readers = x.shape[:2]
+        rotate = rotation.adjacent if self.adjacent else rotation
+        query = rotate(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
+        key, value = self.key_value(memory).flatten(0, 1).unflatten(-1, (2, self.heads, -1)).unbind(2)
+        key, value = (_gather(tokens, reads, batch) for tokens in (rotate(key), value))
+        return self.proj(attend(query, key, value)).unflatten(0, (batch, readers))
+
+
+class Mlp(nn.Module):
+    """Linear, exact (erf) GELU, Linear."""
+
+    fusable: ClassVar[dict[str, str]] = {"fc1": "act"}  # layer: the activation after it, which an engine may fuse in
+
+    def __init__(self, width: int, hidden: int) -> None:
+        super().__init__()
+        self.fc1 = XavierLinear(width, hidden)
+        self.act = nn.GELU()
+        self.fc2 = XavierLinear(hidden, width)
+
+    def forward(self, x: Float[Tensor, "*batch width"]) -> Float[Tensor, "*batch width"]:
+        return self.fc2(self.act(self.fc1(x)))
+
+
+class EncoderBlock(nn.Module):
+    """Self-attention, then MLP, each with a residual."""
+
+    def __init__(self, width: int, heads: int, hidden: int) -> None:
+        super().__init__()
+        self.norm1 = layer_norm(width)
+        self.attn = SelfAttention(width, heads)
+        self.norm2 = layer_norm(width)
+        self.mlp = Mlp(width, hidden)
+
+    def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
+        x = x + self.attn(self.norm1(x), rotation)
+        return x + self.mlp(self.norm2(x))
+
+
+class DecoderBlock(nn.Module):
+    """Self-attention, cross-attention to the other views' tokens of the level before, then MLP."""
+
+    def __init__(self, width: int, heads: int, hidden: int) -> None:
+        super().__init__()
+        self.norm1 = layer_norm(width)
+        self.attn = SelfAttention(width, heads)
+        self.norm2 = layer_norm(width)
+        self.norm_memory = layer_norm(width)
+        self.cross_attn = CrossAttention(width, heads)
+        self.norm3 = layer_norm(width)
+        self.mlp = Mlp(width, hidden)
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch reader token width"],
+        memory: Float[Tensor, "batch source token width"],
+        reads: Int[Tensor, "reader read"],
+        rotation: Rotation,
+    ) -> Float[Tensor, "batch reader token width"]:
+        x = x + self.attn(self.norm1(x).flatten(0, 1), rotation).unflatten(0, x.shape[:2])
+        x = x + self.cross_attn(self.norm2(x), self.norm_memory(memory), reads, rotation)
+        return x + self.mlp(self.norm3(x))
+
+
+def attend(
+    query: Float[Tensor, "batch token head channel"],
+    key: Float[Tensor, "batch source head channel"],
+    value: Float[Tensor, "batch source head channel"],
+) -> Float[Tensor, "batch token width"]:
+    """Attention softmax(q k^T / sqrt(channels)) v per head, by torch's fused kernel."""
+    mixed = F.scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
+    return mixed.transpose(1, 2).flatten(2)
+
+
+def _gather(
+    tokens: Float[Tensor, "batch_source token head channel"], reads: Int[Tensor, "reader read"], batch: int
+) -> Float[Tensor, "batch_reader read_token head channel"]:
+    """Join, for each reader, the tokens of all the views that it reads."""
+    if reads.shape[0] == 1:  # one reader sees everything: no copy
+        return tokens.unflatten(0, (batch, -1)).flatten(1, 2)
+    return tokens.unflatten(0, (batch, -1))[:, reads].flatten(2, 3).flatten(0, 1)

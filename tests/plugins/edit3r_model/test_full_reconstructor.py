@@ -1,0 +1,242 @@
+"""The reconstructor at its door and at the extremes of what may come through it."""
+
+import pytest
+import torch
+from edit3r_model.gaussian_adapter import adapt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import edit3r
+from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.geometry.rotations import covariances, quats_to_matrices
+from edit3r.reporting import Report, collecting
+from edit3r.types import Gaussians, Views
+
+TINY = {
+    "backbone": {"width": 32, "depth": 1, "heads": 2, "decoder_width": 32, "decoder_depth": 4, "decoder_heads": 2},
+    "head": {"feature_width": 8, "point_width": 8, "layer_widths": (8, 8, 8, 8)},
+}
+
+
+def build(**settings):
+    return edit3r.build("reconstructor", "noposplat", **{"weights": "random", **TINY, **settings})
+
+
+@pytest.fixture(scope="module")
+def reconstructor():
+    return build()
+
+
+def views_of(images: torch.Tensor, fov_degrees: float = 60.0) -> Views:
+    batch, count, _, height, width = images.shape
+    lens = intrinsics_from_fov(torch.deg2rad(torch.tensor(fov_degrees)).item(), (height, width))
+    return Views(images, lens.repeat(batch, count, 1, 1))
+
+
+def require_valid(gaussians: Gaussians) -> None:
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        assert getattr(gaussians, name).isfinite().all(), name
+    assert gaussians.opacities.min() >= 0 and gaussians.opacities.max() <= 1
+    assert gaussians.scales.min() > 0 and gaussians.scales.max() <= 0.3
+    assert quats_to_matrices(gaussians.quats).isfinite().all()
+    assert covariances(gaussians.scales, gaussians.quats).isfinite().all()
+
+
+PICTURES = {
+    "black": torch.zeros(1, 2, 3, 32, 48),
+    "white": torch.ones(1, 2, 3, 32, 48),
+    "grey": torch.full((1, 2, 3, 32, 48), 0.5),
+    "saturated red": torch.tensor([1.0, 0, 0])[:, None, None].expand(1, 2, 3, 32, 48),
+    "checkerboard": ((torch.arange(32)[:, None] + torch.arange(48)) % 2).float().expand(1, 2, 3, 32, 48),
+    "identical": torch.rand(1, 1, 3, 32, 48).expand(1, 2, 3, 32, 48),
+    "twelve views": torch.rand(1, 12, 3, 16, 16),
+    "batch": torch.rand(3, 2, 3, 16, 32),
+}
+
+
+@pytest.mark.parametrize("images", PICTURES.values(), ids=PICTURES.keys())
+def test_extreme_pictures_give_valid_gaussians(reconstructor, images):
+    gaussians = reconstructor(views_of(images)).gaussians
+    require_valid(gaussians)
+    assert gaussians.count == images.shape[1] * images.shape[3] * images.shape[4]
+
+
+@pytest.mark.parametrize("fov", [5, 150])
+def test_extreme_fields_of_view_give_valid_gaussians(reconstructor, fov):
+    require_valid(reconstructor(views_of(torch.rand(1, 2, 3, 32, 32), fov)).gaussians)
+
+
+@pytest.mark.parametrize("precision", ["bfloat16", "int8"])
+def test_lower_precisions_stay_valid_and_near_float32(precision):
+    sizes = {"backbone": {**TINY["backbone"], "width": 64, "decoder_width": 64}, "head": TINY["head"]}
+    views = views_of(torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(0)))
+    exact, rough = (build(**sizes, precision=p)(views).gaussians for p in ("float32", precision))
+    require_valid(rough)
+    assert (rough.means - exact.means).norm() / exact.means.norm() < 0.1
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    points=st.floats(-80, 80, width=32),
+    attributes=st.floats(-80, 80, width=32),
+    dtype=st.sampled_from([torch.float16, torch.bfloat16, torch.float32]),
+)
+def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(points, attributes, dtype):
+    raw = torch.full((1, 2, 3, 2, 2), points, dtype=dtype, requires_grad=True)
+    parameters = torch.full((1, 2, 83, 2, 2), attributes, dtype=dtype, requires_grad=True)
+    gaussians = adapt(raw, parameters, 0.001, 0.3, 4)
+    require_valid(gaussians)
+    distance = gaussians.means.norm(dim=-1).log1p()  # a loss that is itself bounded, as float16 gradients must be
+    (distance.mean() + gaussians.scales.sum() + gaussians.quats.sum()).backward()
+    assert raw.grad.isfinite().all() and parameters.grad.isfinite().all()
+
+
+def test_zero_quaternions_mean_no_rotation_and_have_finite_gradients():
+    parameters = torch.zeros(1, 1, 83, 1, 1, requires_grad=True)
+    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 0.3, 4)
+    assert torch.equal(quats_to_matrices(gaussians.quats)[0, 0], torch.eye(3))
+    covariances(gaussians.scales, gaussians.quats).sum().backward()
+    assert parameters.grad.isfinite().all()
+
+
+def test_gradients_reach_every_parameter_and_are_finite():
+    network = build(engine="eager").network.train()
+    gaussians = network(torch.rand(1, 3, 3, 32, 48), torch.eye(3).repeat(1, 3, 1, 1))
+    sum(
+        getattr(gaussians, n).square().mean() for n in ("means", "scales", "opacities", "harmonics", "quats")
+    ).backward()
+    missing = [name for name, value in network.named_parameters() if value.grad is None]
+    assert missing == []
+    assert all(value.grad.isfinite().all() for value in network.parameters())
+
+
+def test_one_view_is_an_error_that_asks_for_another(reconstructor):
+    with pytest.raises(InputError, match="at least 2, got 1"):
+        reconstructor(views_of(torch.rand(1, 1, 3, 32, 32)))
+
+
+def test_a_picture_with_nan_is_an_error_that_names_it(reconstructor):
+    images = torch.rand(1, 2, 3, 32, 32)
+    images[0, 1, 0, 3, 3] = float("nan")
+    named = Views(images, torch.eye(3).repeat(1, 2, 1, 1), ("a.jpg", "b.jpg"))
+    with pytest.raises(InputError, match=r"view 1 \(b\.jpg\): its picture holds 1 values"):
+        reconstructor(named)
+
+
+@pytest.mark.parametrize("focal", [0.0, -1.0, float("nan")])
+def test_impossible_intrinsics_are_an_error_that_names_the_view(reconstructor, focal):
+    views = views_of(torch.rand(1, 2, 3, 32, 32))
+    views.intrinsics[0, 1, 0, 0] = focal
+    with pytest.raises(InputError, match="view 1"):
+        reconstructor(views)
+
+
+@pytest.mark.parametrize("fit", ["resize", "pad"])
+def test_any_picture_size_comes_through(fit):
+    reconstructor = build(fit=fit, resolution=48)
+    for size in [(1, 1), (7, 150), (33, 17), (120, 90), (48, 48)]:
+        gaussians = reconstructor(views_of(torch.rand(1, 2, 3, *size))).gaussians
+        require_valid(gaussians)
+        assert (gaussians.view_index == 0).sum() * 2 == gaussians.count
+
+
+def test_pictures_the_network_takes_as_they_are_are_not_touched(reconstructor):
+    views = views_of(torch.rand(1, 2, 3, 48, 80))
+    direct = reconstructor.network(views.images, views.intrinsics)
+    assert torch.equal(reconstructor(views).gaussians.means, direct.means)
+
+
+def test_a_finer_grid_gives_one_gaussian_per_photo_pixel():
+    gaussians = build(resolution=32, grid_resolution=512)(views_of(torch.rand(1, 2, 3, 40, 56))).gaussians
+    require_valid(gaussians)
+    assert gaussians.count == 2 * 40 * 56
+
+
+@pytest.mark.parametrize(
+    ("precision", "most"), [("float32", 1e-5), ("bfloat16", 0.01), ("int8", 0.05)], ids=["float32", "bfloat16", "int8"]
+)
+@pytest.mark.parametrize("size", [(16, 16), (80, 48)])
+def test_layers_wide_enough_for_every_fast_form_agree_with_plain_ones(precision, most, size, monkeypatch):
+    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "GenuineIntel")  # Winograd; bfloat16 stored
+    wide = {**TINY, "head": {"feature_width": 128, "point_width": 128, "layer_widths": (64, 64, 64, 64)}}
+    views = views_of(torch.rand(1, 2, 3, *size))
+    plain = build(engine="eager", **wide)(views).gaussians
+    fast = build(precision=precision, **wide)(views).gaussians
+    for name in ("means", "scales", "opacities", "harmonics"):
+        expected = getattr(plain, name)
+        assert (getattr(fast, name) - expected).norm() < most * expected.norm(), name
+
+
+def test_packed_and_eager_engines_agree(reconstructor):
+    views = views_of(torch.rand(1, 3, 3, 32, 48))
+    packed, eager = reconstructor(views).gaussians, build(engine="eager")(views).gaussians
+    torch.testing.assert_close(packed.means, eager.means, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(packed.harmonics, eager.harmonics, atol=1e-5, rtol=1e-4)
+
+
+def test_without_weights_it_refuses_and_says_what_to_do():
+    with pytest.raises(MissingDependencyError, match=r"reconstructor\.weights=FILE"):
+        edit3r.build("reconstructor", "noposplat")
+
+
+def test_random_weights_are_said_aloud():
+    with collecting(Report()) as report:
+        build()
+    assert any("random" in text for text in report.warnings)
+    assert report.notes["reconstructor.weights"] == {"source": "random"}
+
+
+def test_the_seed_decides_random_weights():
+    first, second, other = (build(engine="eager", seed=s).network.backbone.encoder[0].mlp.fc1.weight for s in (0, 0, 1))
+    assert torch.equal(first, second) and not torch.equal(first, other)
+
+
+def test_both_decoders_start_equal_and_the_heads_do_not():
+    network = build(engine="eager").network
+    one, two = network.backbone.decoders
+    assert torch.equal(one[3].mlp.fc1.weight, two[3].mlp.fc1.weight)
+    assert not torch.equal(network.head.centres[0].out.weight, network.head.centres[1].out.weight)
+
+
+def test_harmonics_can_be_cut_to_what_the_published_rasterizer_shows(reconstructor):
+    views = views_of(torch.rand(1, 2, 3, 16, 16))
+    cut = build(head={**TINY["head"], "keep_degree": 3})(views).gaussians
+    assert cut.degree == 3
+    assert torch.equal(cut.harmonics, reconstructor(views).gaussians.harmonics[:, :, :16])
+
+
+@pytest.mark.parametrize(("precision", "word"), [("float16", "CUDA"), ("float64", "float32")])
+def test_a_precision_the_device_does_not_run_is_an_error(precision, word):
+    with pytest.raises(SettingsError, match=word):
+        build(precision=precision, device="cpu")
+
+
+def test_an_unknown_device_is_an_error():
+    with pytest.raises(SettingsError, match="expected auto, cpu"):
+        build(device="gpu")
+
+
+def test_too_large_a_run_is_refused_before_it_starts(reconstructor, monkeypatch):
+    monkeypatch.setattr("edit3r_model.memory.available_bytes", lambda device: 1000)
+    with pytest.raises(RunError, match=r"lower reconstructor\.resolution"):
+        reconstructor(views_of(torch.rand(1, 2, 3, 32, 32)))
+
+
+def test_running_out_of_memory_says_what_to_lower(reconstructor, monkeypatch):
+    def exhausted(images, intrinsics):
+        raise RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried to allocate 9 bytes")
+
+    monkeypatch.setattr(reconstructor.network, "forward", exhausted)
+    with pytest.raises(RunError, match=r"ran out of memory; lower reconstructor\.resolution"):
+        reconstructor(views_of(torch.rand(1, 2, 3, 32, 32)))
+
+
+def test_the_memory_estimate_grows_with_views_and_size(reconstructor):
+    from edit3r_model.memory import estimate_bytes
+
+    backbone = reconstructor.network.backbone
+    base = estimate_bytes(backbone, 1, 2, (64, 64))
+    assert estimate_bytes(backbone, 1, 4, (64, 64)) > base
+    assert estimate_bytes(backbone, 1, 2, (128, 64)) > 1.5 * base
+    assert estimate_bytes(backbone, 2, 2, (64, 64)) > base

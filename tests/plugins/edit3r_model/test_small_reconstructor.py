@@ -1,0 +1,200 @@
+import hashlib
+from typing import ClassVar
+
+import pytest
+import torch
+import torch.nn.functional as F
+from edit3r_model.small_network import SHIPPED, SmallNetwork, load_network, network_grid, read_card
+from edit3r_model.small_reconstructor import Edit3rReconstructor
+from safetensors.torch import save_file
+
+from edit3r.config import make_settings
+from edit3r.errors import InputError, SettingsError
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.io.manifest import WeightsRecord
+from edit3r.registry import build
+from edit3r.reporting import Report, collecting
+from edit3r.testing import ReconstructorContract, photograph
+from edit3r.types import Views
+
+SIZE = (64, 80)
+SCENE = photograph(3, SIZE)
+
+
+class _TrueGeometry(Matcher):
+    """Knows the answer for SCENE's first `views` views."""
+
+    def match(self, views: Views) -> MatchedGeometry:
+        count = views.count
+        depths = SCENE.depths[:, :count]
+        seen = torch.ones(1, count, dtype=torch.bool)
+        return MatchedGeometry(SCENE.cameras.c2w[:, :count], depths, torch.ones_like(depths), seen)
+
+
+class TestEdit3r(ReconstructorContract):
+    component = "edit3r"
+    image_size: ClassVar = (96, 128)
+
+
+def _reconstructor(**settings):
+    return build("reconstructor", "edit3r", parts={"matcher": _TrueGeometry()}, **{"network_size": 64, **settings})
+
+
+def _views(count: int = 2) -> Views:
+    return SCENE.views.select(range(count))
+
+
+def _recoloured(views: Views, which: tuple[int, ...]) -> Views:
+    """A strong change of colour on the second ball, in the given views only."""
+    images = views.images.clone()
+    masks = SCENE.objects[1, :, : views.count, None]
+    changed = images[:, :, [2, 0, 1]] * 0.6 + 0.3
+    for view in which:
+        mask = masks[:, view]
+        images[:, view] = mask * changed[:, view] + (1 - mask) * images[:, view]
+    return Views(images, views.intrinsics)
+
+
+def _colours(reconstruction, count: int = 2) -> torch.Tensor:
+    """`[view, 3, height, width]` of the pixel-aligned Gaussians (the apron comes after them)."""
+    pixels = count * SIZE[0] * SIZE[1]
+    colours = dc_to_colour(reconstruction.gaussians.harmonics[0, :pixels, 0])
+    return colours.reshape(count, *SIZE, 3).permute(0, 3, 1, 2)
+
+
+def _inside(view: int = 1) -> torch.Tensor:
+    return SCENE.objects[1, 0, view] > 0.9
+
+
+def test_without_an_edit_colours_are_the_photos_own():
+    views = _views()
+    assert torch.allclose(_colours(_reconstructor()(views, views)), views.images[0], atol=1e-6)
+
+
+def test_the_reference_keeps_its_edit_exactly():
+    edited = _recoloured(_views(), (0,))
+    assert torch.allclose(_colours(_reconstructor()(edited, _views()))[0], edited.images[0, 0], atol=1e-6)
+
+
+def test_an_edit_of_the_reference_alone_is_carried_to_the_other_views():
+    views, truth = _views(3), _recoloured(_views(3), (0, 1, 2))
+    colours = _colours(_reconstructor()(_recoloured(views, (0,)), views), 3)
+    for view in (1, 2):
+        shown, true = colours[view] - views.images[0, view], truth.images[0, view] - views.images[0, view]
+        mask = _inside(view)
+        uptake = (shown * true)[:, mask].sum() / true[:, mask].square().sum()
+        assert uptake > 0.6
+        assert shown.abs().mean(0)[SCENE.objects[1, 0, view] == 0].mean() < 0.03
+
+
+def test_views_that_agree_stay_as_they_are():
+    edited = _recoloured(_views(), (0, 1))
+    gap = (_colours(_reconstructor()(edited, _views())) - edited.images[0]).abs()
+    assert gap.mean() < 0.02
+
+
+def test_what_lies_away_from_an_edit_stays_bit_for_bit():
+    views, edited = _views(3), _recoloured(_views(3), (0, 1))
+    plain, changed = (_reconstructor()(given, views).gaussians for given in (views, edited))
+    pixels = 3 * SIZE[0] * SIZE[1]
+    same = [
+        (getattr(plain, name)[0, :pixels] == getattr(changed, name)[0, :pixels]).reshape(3, *SIZE, -1).all(-1)
+        for name in ("means", "scales", "opacities", "harmonics")
+    ]
+    kept = torch.stack(same).all(0)
+    reach = 2 * 5 + 1  # of a change, and of what hangs on it
+    near = F.max_pool2d(SCENE.objects[1, 0, :, None], 2 * reach + 1, 1, reach)[:, 0] > 0
+    assert kept[:2][~near[:2]].all() and near[:2].float().mean() < 0.7
+    assert not kept[1][_inside(1)].any()
+    assert 0.5 < kept[2][~near[2]].float().mean() < 1  # it was not edited, so what only it shows may take the edit
+
+
+def test_switching_fusion_off_shows_every_view_s_own_edit():
+    edited = _recoloured(_views(), (0,))
+    colours = _colours(_reconstructor(fuse_edits=False)(edited, _views()))
+    assert torch.allclose(colours, edited.images[0], atol=1e-6)
+
+
+def test_without_repair_points_lie_at_the_matched_depth():
+    views = _views()
+    means = _reconstructor(depth_repair=0)(views, views).gaussians.means[0]
+    count = SIZE[0] * SIZE[1]
+    assert torch.allclose(means[:count, 2], SCENE.depths[0, 0].flatten(), rtol=1e-4)
+
+
+def test_the_unit_of_length_is_the_matcher_s():
+    class Larger(_TrueGeometry):
+        def match(self, views: Views) -> MatchedGeometry:
+            geometry = super().match(views)
+            c2w = geometry.c2w.clone()
+            c2w[..., :3, 3] *= 10
+            return MatchedGeometry(c2w, geometry.depths * 10, geometry.confidence, geometry.registered)
+
+    views = _views()
+    larger = build("reconstructor", "edit3r", parts={"matcher": Larger()}, network_size=64)(views, views)
+    assert torch.allclose(larger.gaussians.means, 10 * _reconstructor()(views, views).gaussians.means, rtol=1e-3)
+    assert torch.allclose(larger.gaussians.scales, 10 * _reconstructor()(views, views).gaussians.scales, rtol=1e-3)
+
+
+def test_a_view_that_could_not_be_placed_is_not_shown():
+    class Lost(_TrueGeometry):
+        def match(self, views: Views) -> MatchedGeometry:
+            geometry = super().match(views)
+            return MatchedGeometry(
+                geometry.c2w, geometry.depths, geometry.confidence, torch.tensor([[True, True, False]])
+            )
+
+    result = build("reconstructor", "edit3r", parts={"matcher": Lost()}, network_size=64)(_views(3), _views(3))
+    assert (result.gaussians.from_view(2).opacities == 0).all()
+    assert (result.gaussians.from_view(1).opacities > 0).any()
+
+
+def test_network_geometry_is_the_network_matcher():
+    chosen = Edit3rReconstructor.Settings(geometry="network")
+    assert chosen.matcher.name == "network"
+    with pytest.raises(SettingsError, match="asks for matcher=network, but matcher is 'classical'"):
+        make_settings(Edit3rReconstructor.Settings, {"geometry": "network", "matcher": "classical"}, "reconstructor")
+
+
+def test_untrained_weights_are_announced():
+    report = Report()
+    with collecting(report):
+        load_network("untrained")
+    assert any("untrained" in warning for warning in report.warnings)
+    assert "weights.edit3r" not in report.notes
+
+
+def test_shipped_weights_are_recorded_with_hash_and_licence():
+    with collecting(Report()) as report:
+        load_network("shipped")
+    record = WeightsRecord(**report.notes["weights.edit3r"])
+    assert record.file == SHIPPED.name and record.licence == "Apache-2.0"
+    assert record.sha256 == hashlib.sha256(SHIPPED.read_bytes()).hexdigest()
+
+
+def test_weights_in_half_precision_are_read_at_the_width_on_their_card(tmp_path):
+    network = SmallNetwork(width=16)
+    save_file({name: tensor.half() for name, tensor in network.state_dict().items()}, tmp_path / "own.safetensors")
+    (tmp_path / "own.json").write_text('{"width": 16}')
+    loaded = load_network(str(tmp_path / "own.safetensors"))
+    for name, tensor in network.state_dict().items():
+        assert torch.allclose(loaded.state_dict()[name], tensor, rtol=1e-3, atol=1e-6)
+
+
+def test_shipped_weights_are_small_enough():
+    assert SHIPPED.stat().st_size < 16e6
+    assert {"data", "steps", "licence"} <= set(read_card(SHIPPED))
+
+
+@pytest.mark.parametrize("name", ["missing.safetensors", "broken.safetensors"])
+def test_weights_that_cannot_be_read_are_an_error_that_names_the_file(tmp_path, name):
+    (tmp_path / "broken.safetensors").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match=name):
+        load_network(str(tmp_path / name))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 64), (3000, 4000), (10, 1000)])
+def test_the_network_s_grid_is_a_multiple_of_8_and_near_the_longer_side(size):
+    height, width = network_grid(size, 96)
+    assert height % 8 == width % 8 == 0 and max(height, width) == 96 and min(height, width) >= 16
