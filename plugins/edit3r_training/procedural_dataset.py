@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from edit3r_recolor.recoloring import recolored, visible_parameters
+from edit3r_recolor.api import recolored, visible_parameters
 from pydantic import Field
 
 from edit3r import config

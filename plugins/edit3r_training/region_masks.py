@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edit3r_recolor.recipe import SceneRecipe
-from edit3r_recolor.recolored_folder import MASKS, RECIPE
+from edit3r_recolor.api import MASKS, RECIPE, SceneRecipe
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor

@@ -1,8 +1,8 @@
 import pytest
-from edit3r_recolor.colours import BASIC, read_colour
+from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 
 
-@pytest.mark.parametrize("name", BASIC)
+@pytest.mark.parametrize("name", BASIC_COLOURS)
 def test_every_suggested_colour_is_known(name):
     assert read_colour([name])[2] == 1
 
