@@ -4,17 +4,14 @@ import re
 from dataclasses import replace
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.morphology import largest_around
+from edit3r.geometry.morphology import dilate_softly
 from edit3r.interfaces import Proposal, Segmenter
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import EditRequest, Views
-
-MARGIN = 0.01  # masks are grown and feathered by this share of the longer side: an edit needs room at the edge
 
 _DETERMINERS = "the|this|that|these|those|my|our|your|his|her|its|their"
 _ENDS = (
@@ -66,18 +63,10 @@ def _follow(
     """One mask per view around all the proposals of view 0."""
     first = torch.stack([proposal.soft_mask for proposal in proposals]).to(images)
     if len(images) == 1:
-        return grown((first > 0.5).any(0, keepdim=True).to(images))
+        return dilate_softly((first > 0.5).any(0, keepdim=True).to(images))
     tracks = segmenter.track(images, first)
     inside = ((tracks.logits > 0) & tracks.present[..., None, None]).any(1)
     lost = [view for view in range(len(images)) if not inside[view].any()]
     if lost:
         warn(f"what the instruction names was not found again in views {lost}; they stay unedited.")
-    return grown(inside.to(images))
-
-
-def grown(masks: Float[Tensor, "view height width"]) -> Float[Tensor, "view height width"]:
-    """0/1 masks with a soft margin outside; exactly 0 beyond it, exactly 1 on the object."""
-    radius = max(1, round(MARGIN * max(masks.shape[-2:])))
-    wide = largest_around(masks, radius)[:, None]
-    soft = F.avg_pool2d(wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False)[:, 0]
-    return torch.maximum(masks, soft)
+    return dilate_softly(inside.to(images))

@@ -1,1 +1,1 @@
-"""Cameras, rotations, harmonics and poses as pure tensor functions. Conventions: `edit3r.types`."""
+"""Geometry as pure functions of tensors, for the core and every plugin. Conventions: `edit3r.types`."""

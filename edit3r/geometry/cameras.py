@@ -17,12 +17,6 @@ def intrinsics_from_fov(fov_x: float, image_size: tuple[int, int]) -> Float[Tens
     return torch.tensor([[focal, 0, 0.5], [0, focal * width / height, 0.5], [0, 0, 1]])
 
 
-def field_of_view(intrinsics: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 2"]:
-    """Horizontal and vertical field of view [radians] of normalised intrinsics, as if the centre were the middle."""
-    focal = torch.stack((intrinsics[..., 0, 0], intrinsics[..., 1, 1]), -1)
-    return 2 * torch.atan(0.5 / focal)
-
-
 def to_pixels(intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]) -> Float[Tensor, "*batch 3 3"]:
     """Intrinsics in pixels, centre of the top-left pixel at (0.5, 0.5)."""
     height, width = image_size
@@ -76,7 +70,7 @@ def project(
     intrinsics: Float[Tensor, "*batch 3 3"],
     c2w: Float[Tensor, "*batch 4 4"],
 ) -> tuple[Float[Tensor, "*batch point 2"], Float[Tensor, "*batch point"]]:
-    """Normalised picture coordinates and camera z of world points; coordinates mean nothing where z <= 0."""
+    """Normalised image coordinates and camera z of world points; coordinates mean nothing where z <= 0."""
     w2c = invert_rigid(c2w)
     camera = torch.einsum("...ij,...nj->...ni", w2c[..., :3, :3], points) + w2c[..., None, :3, 3]
     z = camera[..., 2]

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.geometry.cameras import invert_rigid
-from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
+from edit3r.geometry.rotations import cross_matrix, matrices_to_quats, quats_to_matrices
 from edit3r.types import Cameras
 
 __all__ = ["between_and_around", "interpolate_poses"]
@@ -128,9 +128,7 @@ def _axis_angle(quats: Float[Tensor, "*batch 4"]) -> tuple[Float[Tensor, "*batch
 
 def _screw_factor(axis: Float[Tensor, "*batch 3"], angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
     """V(angle axis) of `interpolate_poses`."""
-    x, y, z = axis.unbind(-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    cross = cross_matrix(axis)
     small = angle.abs() < 1e-4  # the quotients lose digits there; their series do not
     safe = torch.where(small, torch.ones_like(angle), angle)
     first = torch.where(small, angle / 2, (1 - torch.cos(safe)) / safe)

@@ -1,7 +1,7 @@
 """Poses of the input views from predicted Gaussians: the centres a view contributed against the pixels they came from.
 
 For reconstructors that predict no cameras. PnP with RANSAC, after the evaluation of pose-free splatting (Ye et al.,
-NoPoSplat, ICLR 2025); `edit3r.geometry.pose_refinement` sharpens the result by rendering.
+NoPoSplat, ICLR 2025).
 """
 
 import cv2

@@ -61,3 +61,11 @@ def rotation_angle(a: Float[Tensor, "*batch 3 3"], b: Float[Tensor, "*batch 3 3"
     """Angle between two rotations [radians], accurate for small angles too (from the chord, not the trace)."""
     chord = (a - b).flatten(-2).norm(dim=-1) / (2 * 2**0.5)
     return 2 * torch.asin(chord.clamp(max=1))
+
+
+def cross_matrix(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The matrix [v]x whose product with w is the cross product of v and w."""
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    rows = (torch.stack((zero, -z, y), -1), torch.stack((z, zero, -x), -1), torch.stack((-y, x, zero), -1))
+    return torch.stack(rows, -2)

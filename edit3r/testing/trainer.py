@@ -9,14 +9,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.geometry.unproject import pixels_to_gaussians
 from edit3r.interfaces import Dataset, Loss, LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
 from edit3r.registry import default_registry
 from edit3r.testing.contract import Contract
 from edit3r.testing.rasterizer import REFERENCE
 from edit3r.testing.scenes import photograph
-from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, Reconstruction, Views
 
 
 class TrainerContract(Contract):
@@ -71,16 +70,9 @@ class _PixelReconstructor(Reconstructor):
         colours = self._network(views.images.flatten(0, 1)).unflatten(0, (batch, count))
         c2w = torch.eye(4).expand(batch, count, 4, 4)
         depths = torch.full((batch, count, height, width), 3.0)
-        total = count * height * width
-        gaussians = Gaussians(
-            means=unproject(depths, views.intrinsics, c2w).reshape(batch, total, 3),
-            scales=torch.full((batch, total, 3), 3.0 / width),
-            quats=torch.tensor([1.0, 0, 0, 0]).expand(batch, total, 4),
-            opacities=torch.full((batch, total), 0.6),
-            harmonics=colour_to_dc(colours.movedim(2, -1).reshape(batch, total, 1, 3)),
-            view_index=torch.arange(count).repeat_interleave(height * width),
-        )
-        return Reconstruction(gaussians, Cameras(c2w, views.intrinsics, views.image_size))
+        cameras = Cameras(c2w, views.intrinsics, views.image_size)
+        scales, opacities = torch.full_like(depths, 3.0 / width), torch.full_like(depths, 0.6)
+        return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
 
 
 class _FormulaScenes(Dataset):

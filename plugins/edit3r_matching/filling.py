@@ -1,10 +1,9 @@
-"""Completes a half-measured depth map along the picture's edges, and carries it to more pixels."""
+"""Completes a half-measured depth map along the picture's edges."""
 
 import cv2
 import numpy as np
-from numba import njit
 
-__all__ = ["fill", "upsample"]
+__all__ = ["fill"]
 
 _REACH = 2000.0  # smoothness weight: a gap of some fifty pixels is bridged
 _TOUCH = 15.0  # for smoothing what was measured
@@ -15,8 +14,6 @@ _TRUST_NEARBY = 1e-4
 _FEWEST_FOR_A_PLANE = 50
 _PLANE_SAMPLES = 4000
 _PLANE_ROUNDS = 15
-_SAME_COLOUR = 0.1  # colour distance at which a small pixel's say falls to 1/e
-_SAME_SURFACE = 0.04  # relative difference in inverse depth within which two pixels lie on one surface
 
 
 def fill(inverse: np.ndarray, measured: np.ndarray, step: float, image: np.ndarray) -> np.ndarray:
@@ -63,53 +60,3 @@ def _weighted_smooth(
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, strength, colour)
     total = smoother.filter(weights)
     return smoother.filter(values * weights) / np.maximum(total, 1e-8)
-
-
-def upsample(
-    inverse: np.ndarray, measured: np.ndarray, guide: np.ndarray, photo: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Depth `inverse` and `measured` of the small picture `guide` for every pixel of the large `photo`.
-
-    Each pixel joins the surface of the nearby small pixel that looks most like it, so depth edges stay sharp: depths
-    are interpolated within a surface, never across two.
-    """
-    if guide.shape == photo.shape:
-        return inverse, measured.astype(np.float32)
-    return _joint_upsample(inverse, measured.astype(np.float32), guide, np.ascontiguousarray(photo, np.float32))
-
-
-@njit(cache=True, nogil=True)
-def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - compiled
-    small_height, small_width = inverse.shape
-    height, width = photo.shape[:2]
-    result = np.empty((height, width), np.float32)
-    trust = np.empty((height, width), np.float32)
-    weights, depths, trusts = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
-    for y in range(height):
-        place_y = min(max((y + 0.5) * small_height / height - 0.5, 0.0), small_height - 1.0)
-        top = min(int(place_y), max(small_height - 2, 0))
-        for x in range(width):
-            place_x = min(max((x + 0.5) * small_width / width - 0.5, 0.0), small_width - 1.0)
-            left = min(int(place_x), max(small_width - 2, 0))
-            best = 0
-            for corner in range(4):
-                v = min(top + corner // 2, small_height - 1)
-                u = min(left + corner % 2, small_width - 1)
-                distance = np.float32(0)
-                for channel in range(3):
-                    distance += (photo[y, x, channel] - guide[v, u, channel]) ** 2
-                near = max(1 - abs(place_y - v), 0.0) * max(1 - abs(place_x - u), 0.0)
-                likeness = max(np.exp(-distance / _SAME_COLOUR**2), 1e-5)  # none alike: then all the same
-                weights[corner] = (near + 1e-3) * likeness
-                depths[corner], trusts[corner] = inverse[v, u], measured[v, u]
-                if weights[corner] > weights[best]:
-                    best = corner
-            total, depth, certain = 1e-12, 0.0, 0.0
-            for corner in range(4):
-                if abs(depths[corner] - depths[best]) <= _SAME_SURFACE * depths[best]:
-                    total += weights[corner]
-                    depth += weights[corner] * depths[corner]
-                    certain += weights[corner] * trusts[corner]
-            result[y, x] = depth / total
-            trust[y, x] = certain / total
-    return result, trust

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from edit3r import config, reporting
 from edit3r.geometry.cameras import from_pixels, to_pixels
+from edit3r.geometry.upsampling import upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.camera import Picture
 from edit3r_matching.dense import ViewDepth, dense_depth
-from edit3r_matching.filling import upsample
 from edit3r_matching.registration import FoundFeatures, Registration, RegistrationOptions, find_features, register
 
 __all__ = ["ClassicalMatcher"]
@@ -131,7 +131,7 @@ def _full_size(depth: ViewDepth | None, small: Picture, photo: Picture) -> tuple
     """Inverse depth and confidence for every pixel of the photo; depth 1 and confidence 0 for a view not placed."""
     if depth is None:
         return np.ones(photo.size, np.float32), np.zeros(photo.size, np.float32)
-    return upsample(depth.inverse, depth.measured, small.image, photo.image)
+    return upsample_depth(depth.inverse, depth.measured, small.image, photo.image)
 
 
 def _report(registration: Registration, names: Sequence[str]) -> None:

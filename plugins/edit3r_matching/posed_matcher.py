@@ -12,12 +12,12 @@ from edit3r import config
 from edit3r.config import PartChoice
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import relative_to_first, to_pixels
+from edit3r.geometry.upsampling import upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.types import Views
 from edit3r_matching.camera import Picture, Pose, cross_matrix, rays_through
 from edit3r_matching.dense import ViewDepth, dense_depth
 from edit3r_matching.features import Keypoints, detect, match
-from edit3r_matching.filling import upsample
 from edit3r_matching.registration import PairView, Registration
 from edit3r_matching.relative_pose import Matches
 from edit3r_matching.triangulation import parallax_degrees, triangulate
@@ -117,7 +117,7 @@ def _full_size(depth: ViewDepth | None, small: Picture, photo: Picture) -> tuple
     """Inverse depth and confidence at the photo's size; depth 1 and confidence 0 for a view without any."""
     if depth is None:
         return np.ones(photo.size, np.float32), np.zeros(photo.size, np.float32)
-    return upsample(depth.inverse, depth.measured, small.image, photo.image)
+    return upsample_depth(depth.inverse, depth.measured, small.image, photo.image)
 
 
 def _epipolar_distance(rays_a: np.ndarray, rays_b: np.ndarray, pose: Pose) -> np.ndarray:

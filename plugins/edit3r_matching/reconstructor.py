@@ -5,12 +5,11 @@ from pydantic import Field
 
 from edit3r import config
 from edit3r.config import PartChoice
+from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
+from edit3r.geometry.visibility import in_front_of_others, seen_by_others
 from edit3r.interfaces import Matcher, Reconstructor
-from edit3r.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r_matching.apron import apron
-from edit3r_matching.backdrop import backdrop
-from edit3r_matching.splatting import splat
-from edit3r_matching.visibility import floats_in_front, shown_elsewhere
+from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 __all__ = ["ClassicalReconstructor"]
 
@@ -42,17 +41,19 @@ class ClassicalReconstructor(Reconstructor):
         self.settings = settings
         self.matcher = matcher
 
-    def __call__(self, views: Views, source: Views | None = None) -> Reconstruction:
+    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         geometry = self.matcher.match(views if source is None else source)
         views = geometry.calibrated(views)
         chosen = self.settings
-        guessed = torch.where(shown_elsewhere(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
+        guessed = torch.where(seen_by_others(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
         opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
-        kept = geometry.registered[..., None, None] & ~floats_in_front(geometry, views.intrinsics)
-        gaussians = splat(views, geometry, opacities * kept, chosen.footprint)
+        kept = geometry.registered[..., None, None] & ~in_front_of_others(geometry, views.intrinsics)
+        cameras = Cameras(geometry.c2w, views.intrinsics, views.image_size)
+        scales = pixel_scales(geometry.depths, views.intrinsics, chosen.footprint)
+        gaussians = pixels_to_gaussians(views.images, geometry.depths, cameras, scales, opacities * kept)
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
         if chosen.backdrop > 0:
             gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
         if chosen.apron > 0:
             gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
-        return Reconstruction(gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size))
+        return Reconstruction(gaussians, cameras)

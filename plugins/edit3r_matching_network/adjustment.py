@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.geometry.cameras import pixel_rays
+from edit3r.geometry.rotations import cross_matrix
 from edit3r_matching_network.point_pairs import rays_at
-from edit3r_matching_network.procrustes import cross_matrix
 
 SPREADS = (1.0, 0.25)
 """Standard error of a good match [cells]: first a generous one, which sees further, then that of what is left."""

@@ -2,13 +2,12 @@
 
 import numpy as np
 import torch
-import torch.nn.functional as F
-from edit3r_matching.filling import upsample
 from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
 from edit3r.errors import MatchingError
+from edit3r.geometry.upsampling import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
@@ -48,7 +47,7 @@ class NetworkMatcher(Matcher):
     @torch.no_grad()
     def match(self, views: Views) -> MatchedGeometry:
         require_matchable(views, MIN_SIZE)
-        small = _resized(views.images, network_size(views.image_size, self.settings.network_size))
+        small = resize(views.images, network_size(views.image_size, self.settings.network_size))
         pairs = [self._pair(small, views.intrinsics, other) for other in range(1, views.count)]
         textured = small.std((2, 3, 4)) > FLAT
         placed = torch.stack([self._placed(pair) for pair in pairs], 1) & textured[:, :1] & textured[:, 1:]
@@ -116,21 +115,13 @@ def _first_depths(pairs: list[PairGeometry], ratios: Tensor, placed: Tensor) -> 
     return ((logs * weights).sum(1) / weights.sum(1)).exp()
 
 
-def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:
-    """Area mean when smaller, bilinear when larger."""
-    if tuple(images.shape[-2:]) == size:
-        return images
-    how = {"mode": "area"} if size[0] <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
-    return F.interpolate(images.flatten(0, 1), size, **how).unflatten(0, images.shape[:2])
-
-
 def _at_photo_size(depths: Tensor, confidence: Tensor, small: Tensor, photos: Tensor) -> tuple[Tensor, Tensor]:
     """Inverse depth and confidence carried to every pixel of the photos along their edges."""
     grid = depths.shape[-2:]
-    guides = _resized(small, tuple(grid)).flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
+    guides = resize(small, tuple(grid)).flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
     large = photos.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
     inverse, trust = (1 / depths).flatten(0, 1).cpu().float().numpy(), confidence.flatten(0, 1).cpu().float().numpy()
-    carried = zip(*(upsample(*maps) for maps in zip(inverse, trust, guides, large)))
+    carried = zip(*(upsample_depth(*maps) for maps in zip(inverse, trust, guides, large)))
     fine, sure = (torch.from_numpy(np.stack(maps)).to(photos) for maps in carried)
     shape = (*photos.shape[:2], *photos.shape[-2:])
     return 1 / fine.reshape(shape), sure.reshape(shape).clamp(0, 1)

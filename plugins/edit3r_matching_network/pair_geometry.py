@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.geometry.rotations import cross_matrix
 from edit3r_matching_network.adjustment import Adjusted, Estimate, Evidence, adjust, best_of, evidence_of, start_at
 from edit3r_matching_network.network import PairPrediction
 from edit3r_matching_network.point_pairs import cycle_error, pose_by_procrustes
-from edit3r_matching_network.procrustes import cross_matrix
 
 TURNS = (-20.0, -7.0, 7.0, 20.0)
 """Further starts of the adjustment: view 1 gone around the scene by so much [degrees]."""

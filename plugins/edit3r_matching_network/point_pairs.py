@@ -7,9 +7,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.geometry.alignment import Similarity, robust_similarity
 from edit3r.geometry.cameras import pixel_grid, pixel_rays
 from edit3r_matching_network.network import PairPrediction
-from edit3r_matching_network.procrustes import Similarity, robust_similarity
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from edit3r_model.small.warping import correspond
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.geometry.rotations import rotation_angle
+from edit3r.geometry.warping import find_correspondences
 from edit3r_matching_network.network import PairPrediction
 from edit3r_matching_network.point_pairs import pose_by_procrustes
 from edit3r_matching_network.scene_memory import GeometryBatch
@@ -32,9 +32,9 @@ class PairTruth:
 def true_pairs(batch: GeometryBatch) -> PairTruth:
     """At half the pictures' size; a cell has the second nearest of its four pixels' depths, so a depth that exists."""
     depths = F.pixel_unshuffle(batch.depths, 2).unflatten(1, (2, 4)).sort(2).values[:, :, 1]
-    matches = correspond(depths, batch.intrinsics, batch.c2w)
+    matches = find_correspondences(depths, batch.intrinsics, batch.c2w)
     visible = (matches.inside > 0) & (matches.depth_ratio.abs() < HIDDEN)
-    return PairTruth(matches.places, visible, depths.log())
+    return PairTruth(matches.coordinates, visible, depths.log())
 
 
 def coarser(truth: PairTruth) -> PairTruth:

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from edit3r.errors import InputError, MatchingError
+from edit3r.geometry.alignment import median_scale, scale_poses
 from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.pose import estimate_cameras
@@ -78,11 +79,8 @@ def carried(gaussians: Gaussians, predicted: Cameras, known: Cameras) -> Gaussia
     They stay on the pixels they came from; the unit of length is scaled by the median ratio of the views' distances
     from view 0. Harmonics keep only what looks the same from everywhere.
     """
-    lengths = [cameras.c2w[0, 1:, :3, 3].norm(dim=-1) for cameras in (known, predicted)]
-    scale = (lengths[0] / lengths[1].clamp(min=1e-12)).median() if known.count > 1 else known.c2w.new_ones(())
-    unit = predicted.c2w[0].clone()
-    unit[:, :3, 3] *= scale
-    motion = (known.c2w[0] @ invert_rigid(unit))[gaussians.view_index.clamp(min=0)]
+    scale = median_scale(predicted.c2w[0, 1:, :3, 3], known.c2w[0, 1:, :3, 3])
+    motion = (known.c2w[0] @ invert_rigid(scale_poses(predicted.c2w[0], scale)))[gaussians.view_index.clamp(min=0)]
     rotations = motion[:, :3, :3]
     means = (rotations @ (gaussians.means[0] * scale)[..., None])[..., 0] + motion[:, :3, 3]
     quats = matrices_to_quats(rotations @ quats_to_matrices(gaussians.quats[0]))

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.geometry.alignment import median_scale
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import note
 from edit3r.types import Cameras, Gaussians
@@ -141,8 +142,7 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
     still = ~_own_pixel_inside(before, region, cameras)
     if not still.any():
         return after
-    lengths = [gaussians.means[0, still].norm(dim=-1) for gaussians in (before, after)]
-    factor = float((lengths[0] / lengths[1].clamp(min=1e-12)).median())
+    factor = float(median_scale(after.means[0, still], before.means[0, still]))
     if abs(factor - 1) < 1e-6:
         return after
     note("reuse.rescaled_by", factor)

@@ -7,7 +7,7 @@ import torch
 
 from edit3r import EditRequest, Views
 from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.mask_from_prompt import confine, grown, object_of
+from edit3r.mask_from_prompt import confine, object_of
 from edit3r.reporting import Report, collecting
 
 
@@ -111,11 +111,3 @@ def test_what_cannot_be_found_confines_nothing_and_is_told(prompt, segmenter, sa
     with collecting(report):
         assert confine(request, VIEWS, segmenter) is request
     assert says in report.warnings[0]
-
-
-def test_a_mask_grows_softly_and_ends():
-    mask = torch.zeros(1, 50, 200)
-    mask[:, 20:30, 80:120] = 1
-    soft = grown(mask)
-    assert (soft[mask > 0] == 1).all() and soft[0, 25, 122] > 0
-    assert soft[0, 25, 130:].max() == 0 and soft[0, :10].max() == 0

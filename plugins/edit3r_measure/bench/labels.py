@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.geometry.morphology import dilate_softly
 from edit3r.interfaces import Detection, Detector, Segmenter
-from edit3r.mask_from_prompt import grown
 
 __all__ = ["VOCABULARY", "SceneLabels", "find_labels", "masks_of"]
 
@@ -59,7 +59,7 @@ def masks_of(
     if any(box is None for box in boxes):
         return None
     masks = [_mask(image, box, segmenter) for image, box in zip(images, boxes)]
-    return grown(torch.stack(masks))
+    return dilate_softly(torch.stack(masks))
 
 
 def _best(detections: Sequence[Detection], area: int) -> Detection | None:

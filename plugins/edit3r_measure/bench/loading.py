@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.geometry.morphology import largest_around
+from edit3r.geometry.morphology import dilate
 from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import read_cameras
 from edit3r.io.images import LoadedPhotos, load_photos
@@ -97,7 +97,7 @@ def change_masks(
     """1 where the truth visibly differs from the photo, and a little around; else 0."""
     changed = ((truth - photos).abs().amax(1) > VISIBLE).to(photos.dtype)
     reach = max(1, round(MARGIN * photos.shape[-1]))
-    return largest_around(changed, reach)
+    return dilate(changed, reach)
 
 
 def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, verify: bool) -> LoadedItem:

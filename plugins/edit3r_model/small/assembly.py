@@ -6,15 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.cameras import to_pixels, unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
+from edit3r.geometry.upsampling import guided_upsample
+from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
 from edit3r.interfaces import MatchedGeometry
-from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, Reconstruction, Views
 from edit3r_model.small.edit_reach import near_an_edit
-from edit3r_model.small.guided_upsampling import guided_upsample
 from edit3r_model.small.local_colour import blur, change_of
 from edit3r_model.small.network import NetworkOutputs
-from edit3r_model.small.warping import Correspondence, correspond, partners, pull
 
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
@@ -42,31 +41,30 @@ def assemble(
     photos = source.images
     fine = _at_photo_size(outputs, photos)
     depths = geometry.depths * fine.depth_correction.exp()
-    matches = correspond(depths, source.intrinsics, geometry.c2w)
+    matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
     colours, logits = edited.images, _opacity_logits(geometry, matches, settings) + fine.opacity_correction
     if settings.fuse_edits:
         near = near_an_edit(edited.images, photos, matches, geometry.confidence >= MEASURED)
         colours = fuse_colours(edited.images, photos, fine, matches, near)
         logits = logits + near * fine.disagreement
     opacities = torch.sigmoid(logits)
-    focal = to_pixels(source.intrinsics, source.image_size)[..., 0, 0]
-    scales = settings.footprint * depths / focal[..., None, None] * fine.scale_correction.exp()
-    gaussians = _gaussians(unproject(depths, source.intrinsics, geometry.c2w), scales, opacities, colours)
-    return Reconstruction(gaussians, Cameras(geometry.c2w, source.intrinsics, source.image_size))
+    scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
+    cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
+    return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
 
 
 def fuse_colours(
     edited: Float[Tensor, "batch view 3 height width"],
     photos: Float[Tensor, "batch view 3 height width"],
     outputs: NetworkOutputs,
-    matches: Correspondence,
+    matches: Correspondences,
     near: Float[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view 3 height width"]:
     """Convex mix of the candidates; exactly `edited` where it is not `near` a change."""
     shape = photos.shape[:2]
     carried = (photos + change_of(outputs.maps.flatten(0, 1), photos.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
     reference = torch.cat((edited[:, :1], (edited - photos)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
-    pulled, change = pull(reference, matches.places).split(3, 2)
+    pulled, change = warp(reference, matches.coordinates).split(3, 2)
     presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
     presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
     choice = outputs.choice * near[:, :, None]
@@ -87,26 +85,13 @@ def _at_photo_size(outputs: NetworkOutputs, photos: Tensor) -> NetworkOutputs:
     return NetworkOutputs(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
 
 
-def _opacity_logits(geometry: MatchedGeometry, matches: Correspondence, settings: AssemblySettings) -> Tensor:
+def _opacity_logits(geometry: MatchedGeometry, matches: Correspondences, settings: AssemblySettings) -> Tensor:
     """Honest start: less for filled-in points, next to nothing for those that float in front of the partner's."""
     filled = geometry.confidence < MEASURED
     guessed = torch.where(matches.inside.bool(), settings.filled_opacity, settings.lone_opacity)
     opacity = torch.where(filled, guessed, settings.opacity)
-    seen = pull(geometry.confidence[:, partners(filled.shape[1]), None], matches.places, mode="nearest")[:, :, 0]
+    seen = warp(geometry.confidence[:, partner_views(filled.shape[1]), None], matches.coordinates, mode="nearest")[
+        :, :, 0
+    ]
     floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
     return torch.logit(torch.where(floating, settings.floating_opacity, opacity))
-
-
-def _gaussians(points: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor) -> Gaussians:
-    batch, views, height, width = scales.shape
-    count = views * height * width
-    quats = torch.zeros(batch, count, 4, dtype=scales.dtype, device=scales.device)
-    quats[..., 0] = 1
-    return Gaussians(
-        means=points.reshape(batch, count, 3),
-        scales=scales.reshape(batch, count, 1).expand(-1, -1, 3),
-        quats=quats,
-        opacities=opacities.reshape(batch, count),
-        harmonics=colour_to_dc(colours.permute(0, 1, 3, 4, 2).reshape(batch, count, 1, 3)),
-        view_index=torch.arange(views, device=scales.device).repeat_interleave(height * width),
-    )

@@ -4,9 +4,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.geometry.morphology import largest_around
+from edit3r.geometry.morphology import dilate
+from edit3r.geometry.warping import Correspondences, warp
 from edit3r_model.small.local_colour import blur
-from edit3r_model.small.warping import Correspondence, pull
 
 _CHANGE = 2 / 255
 """A change below this [sRGB] counts in proportion."""
@@ -24,7 +24,7 @@ _SPREAD = 0.02
 def near_an_edit(
     edited: Float[Tensor, "batch view 3 height width"],
     photos: Float[Tensor, "batch view 3 height width"],
-    matches: Correspondence,
+    matches: Correspondences,
     measured: Bool[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view height width"]:
     """Where something may be carried to: 1 near a change, 0 where no picture shows any, exactly.
@@ -36,16 +36,16 @@ def near_an_edit(
     speck = -(-reach // 5)
     change = (edited - photos).abs().amax(2, keepdim=True)
     reference = torch.cat((photos[:, :1], change[:, :1]), 2).expand(-1, photos.shape[1], -1, -1, -1)
-    colours, of_reference = pull(reference, matches.places).split((3, 1), 2)
+    colours, of_reference = warp(reference, matches.coordinates).split((3, 1), 2)
     apart = _spread((colours - photos).abs().amax(2), reach / 5)
     seen = matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE) & (apart < _ALIKE))
     change, of_reference = change[:, :, 0], of_reference[:, :, 0] * seen
     # Without specks, which chance made alike.
-    of_reference = largest_around(-largest_around(-of_reference, speck), speck)
+    of_reference = dilate(-dilate(-of_reference, speck), speck)
     untouched = (change.amax((2, 3), keepdim=True) == 0) & (change[:, :1].amax((2, 3), keepdim=True) > 0)
     unknown = untouched & (seen == 0)
     found = torch.maximum(change, of_reference).clamp(max=_CHANGE) / _CHANGE
-    found = _spread(largest_around(found, reach), reach / 4)
+    found = _spread(dilate(found, reach), reach / 4)
     return torch.maximum(found, unknown.to(found.dtype))
 
 

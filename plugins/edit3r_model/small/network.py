@@ -12,11 +12,11 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from edit3r.geometry.warping import Correspondences, find_correspondences, warp
 from edit3r_model.small.edit_fusion import CANDIDATES, EditFusion, FusedEdit
 from edit3r_model.small.edit_transport import EditTransport
 from edit3r_model.small.local_colour import CHANNELS, fit_colour_maps
 from edit3r_model.small.source_encoder import STRIDE, SourceEncoder, SourceFeatures
-from edit3r_model.small.warping import correspond, pull, token_places
 
 KEY_STRIDE = 4
 """Network pixels per side of what the reference offers to attention."""
@@ -61,26 +61,26 @@ class MatchedEditNetwork(nn.Module):
         self.to(memory_format=torch.channels_last)  # a quarter quicker on a CPU
 
     def forward(self, inputs: NetworkInputs) -> NetworkOutputs:
-        matches = correspond(inputs.depths, inputs.intrinsics, inputs.c2w)
+        matches = find_correspondences(inputs.depths, inputs.intrinsics, inputs.c2w)
         features = self.encoder(inputs.photos, inputs.depths, inputs.confidence, matches)
         depths = inputs.depths * features.depth_correction.detach().exp()
-        matches = correspond(depths, inputs.intrinsics, inputs.c2w)
+        matches = find_correspondences(depths, inputs.intrinsics, inputs.c2w)
         fused = [self._fuse(inputs, features, matches, view) for view in range(1, inputs.photos.shape[1])]
         return _outputs(features, fused)
 
-    def _fuse(self, inputs: NetworkInputs, features: SourceFeatures, matches, view: int) -> FusedEdit:
+    def _fuse(self, inputs: NetworkInputs, features: SourceFeatures, matches: Correspondences, view: int) -> FusedEdit:
         """Carry the reference's edit to one view and weigh it against the view's own."""
-        photos, edited, places = inputs.photos, inputs.edited, matches.places[:, view]
+        photos, edited, places = inputs.photos, inputs.edited, matches.coordinates[:, view]
         colours = torch.cat((photos[:, 0], edited[:, 0], edited[:, 0] - photos[:, 0]), 1)
         carried = self.transport(
             features.tokens[:, view],
             F.avg_pool2d(features.tokens[:, 0], KEY_STRIDE // STRIDE),
-            token_places(places, STRIDE),
+            _token_coordinates(places, STRIDE),
             fit_colour_maps(photos[:, 0], edited[:, 0], KEY_STRIDE, sigma=0.7),
             F.avg_pool2d(colours, KEY_STRIDE),
         )
         inside = matches.inside[:, view, None]
-        pulled = pull(colours[:, None, 3:], places[:, None])[:, 0] * inside
+        pulled = warp(colours[:, None, 3:], places[:, None])[:, 0] * inside
         return self.fusion(
             features.tokens[:, view],
             photos[:, view],
@@ -108,6 +108,13 @@ def _outputs(features: SourceFeatures, fused: list[FusedEdit]) -> NetworkOutputs
         maps,
         choice,
     )
+
+
+def _token_coordinates(
+    coordinates: Float[Tensor, "batch height width 2"], stride: int
+) -> Float[Tensor, "batch height2 width2 2"]:
+    """Coordinates of the tokens: the mean over each `stride` x `stride` cell."""
+    return F.avg_pool2d(coordinates.permute(0, 3, 1, 2), stride).permute(0, 2, 3, 1)
 
 
 def network_grid(image_size: tuple[int, int], longest: int) -> tuple[int, int]:

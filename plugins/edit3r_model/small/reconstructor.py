@@ -5,15 +5,15 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import torch
-import torch.nn.functional as F
-from edit3r_matching.apron import apron
-from edit3r_matching.backdrop import backdrop
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
+from edit3r.geometry.alignment import scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.upsampling import resize
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Gaussians, Reconstruction, Views
 from edit3r_model.small.assembly import AssemblySettings, assemble
@@ -110,10 +110,10 @@ class Edit3rReconstructor(Reconstructor):
         """Everything on the network's grid; depth is averaged as inverse depth."""
         size = network_grid(source.image_size, self.settings.network_size)
         return NetworkInputs(
-            photos=_resized(source.images, size),
-            edited=_resized(views.images, size),
-            depths=1 / _resized(1 / geometry.depths[:, :, None], size)[:, :, 0],
-            confidence=_resized(geometry.confidence[:, :, None], size)[:, :, 0],
+            photos=resize(source.images, size),
+            edited=resize(views.images, size),
+            depths=1 / resize(1 / geometry.depths[:, :, None], size)[:, :, 0],
+            confidence=resize(geometry.confidence[:, :, None], size)[:, :, 0],
             c2w=geometry.c2w,
             intrinsics=source.intrinsics,
         )
@@ -133,30 +133,17 @@ class Edit3rReconstructor(Reconstructor):
         return replace(reconstruction, gaussians=Gaussians.cat(parts))
 
 
-def _resized(images: Tensor, size: tuple[int, int]) -> Tensor:
-    """Area mean when smaller, bilinear when larger."""
-    if tuple(images.shape[-2:]) == size:
-        return images
-    flat = images.flatten(0, 1)
-    if size[0] <= images.shape[-2]:
-        return F.interpolate(flat, size, mode="area").unflatten(0, images.shape[:2])
-    return F.interpolate(flat, size, mode="bilinear", align_corners=False).unflatten(0, images.shape[:2])
-
-
 def _rescaled(geometry: MatchedGeometry, factor: Tensor) -> MatchedGeometry:
-    c2w = geometry.c2w.clone()
-    c2w[..., :3, 3] = c2w[..., :3, 3] * factor[:, None, None]
+    c2w = scale_poses(geometry.c2w, factor[:, None])
     return replace(geometry, c2w=c2w, depths=geometry.depths * factor[:, None, None, None])
 
 
 def _in_unit(reconstruction: Reconstruction, unit: Tensor) -> Reconstruction:
     """Back to the matcher's unit of length."""
     gaussians, cameras = reconstruction.gaussians, reconstruction.cameras
-    c2w = cameras.c2w.clone()
-    c2w[..., :3, 3] = c2w[..., :3, 3] * unit[:, None, None]
     scale = unit[:, None, None]
     moved = replace(gaussians, means=gaussians.means * scale, scales=gaussians.scales * scale)
-    return Reconstruction(moved, replace(cameras, c2w=c2w))
+    return Reconstruction(moved, replace(cameras, c2w=scale_poses(cameras.c2w, unit[:, None])))
 
 
 def _keep_registered(reconstruction: Reconstruction, geometry: MatchedGeometry) -> Reconstruction:

@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from edit3r.geometry.warping import Correspondences, partner_views, warp
 from edit3r_model.small.blocks import GlobalBlock, ResidualBlock, upsample_to, zero_conv
-from edit3r_model.small.warping import Correspondence, partners, pull
 
 STRIDE = 2
 """Network pixels per token side."""
@@ -50,7 +50,7 @@ class SourceEncoder(nn.Module):
         photos: Float[Tensor, "batch view 3 height width"],
         depths: Float[Tensor, "batch view height width"],
         confidence: Float[Tensor, "batch view height width"],
-        matches: Correspondence,
+        matches: Correspondences,
     ) -> SourceFeatures:
         """Photos in [0, 1]; depths with median about 1; height and width multiples of 8."""
         x = F.pixel_unshuffle(self._inputs(photos, depths, confidence, matches).flatten(0, 1), STRIDE)
@@ -64,10 +64,10 @@ class SourceEncoder(nn.Module):
             x2.unflatten(0, photos.shape[:2]), 0.7 * torch.tanh(depth), opacity, 0.5 * torch.tanh(scale)
         )
 
-    def _inputs(self, photos: Tensor, depths: Tensor, confidence: Tensor, matches: Correspondence) -> Tensor:
+    def _inputs(self, photos: Tensor, depths: Tensor, confidence: Tensor, matches: Correspondences) -> Tensor:
         """`[batch, view, 12, height, width]`: own and pulled colours, log depth and how far the views agree."""
-        index = partners(photos.shape[1])
-        pulled = pull(torch.cat((photos, confidence[:, :, None]), 2)[:, index], matches.places)
+        index = partner_views(photos.shape[1])
+        pulled = warp(torch.cat((photos, confidence[:, :, None]), 2)[:, index], matches.coordinates)
         pulled = pulled * matches.inside[:, :, None]
         gap = (photos - pulled[:, :, :3]).abs().mean(2, keepdim=True) * matches.inside[:, :, None]
         single = (torch.log(depths), confidence, matches.inside, matches.depth_ratio)

@@ -2,10 +2,6 @@ import dataclasses
 
 import pytest
 import torch
-from edit3r_matching.apron import apron
-from edit3r_matching.backdrop import backdrop
-from edit3r_matching.splatting import splat
-from edit3r_matching.visibility import floats_in_front, shown_elsewhere
 from edit3r_measure.evaluation.metrics import best_blurred_copy, psnr
 
 import edit3r
@@ -13,6 +9,8 @@ from edit3r import Cameras, Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.surroundings import backdrop
+from edit3r.geometry.visibility import in_front_of_others, seen_by_others
 from edit3r.interfaces import MatchedGeometry, Matcher
 
 
@@ -57,13 +55,6 @@ def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
     assert torch.allclose(depth.view(height, width), truth.depths[0, 1], rtol=1e-4)
 
 
-def test_size_of_a_gaussian_is_its_pixel_at_its_depth(pair, truth):
-    gaussians = splat(pair.views, truth, torch.ones_like(truth.depths), footprint=0.5)
-    focal = pair.views.intrinsics[0, 0, 0, 0] * pair.views.image_size[1]
-    expected = 0.5 * truth.depths.flatten() / focal
-    assert torch.allclose(gaussians.scales[0, :, 0], expected, rtol=1e-4)
-
-
 def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     edited = dataclasses.replace(pair.views, images=1 - pair.views.images)
     reconstructor = build(truth, apron=0, backdrop=0)
@@ -92,13 +83,11 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     half = truth.confidence.clone()
     half[..., :40] = 0
     geometry = dataclasses.replace(truth, confidence=half)
-    gaussians = splat(pair.views, geometry, half, 0.5)
     settings = build(geometry).settings
     opacities = build(geometry, apron=0, backdrop=0)(pair.views).gaussians.opacities
-    assert gaussians.count == half.numel()
     expected = [settings.guessed_opacity, settings.opacity, settings.lone_opacity]
     assert opacities.unique().tolist() == pytest.approx(expected)
-    shown = shown_elsewhere(geometry, pair.views.intrinsics)
+    shown = seen_by_others(geometry, pair.views.intrinsics)
     assert opacities[0].view(half.shape)[shown & (half == 0)].unique().tolist() == pytest.approx(expected[:1])
 
 
@@ -107,7 +96,7 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     depths[0, 0, 60:64, 80:84] = 0.5 * depths[0, 0, 60:64, 80:84]
     confidence[0, 0, 60:64, 80:84] = 0
     geometry = dataclasses.replace(truth, depths=depths, confidence=confidence)
-    floating = floats_in_front(geometry, pair.views.intrinsics)
+    floating = in_front_of_others(geometry, pair.views.intrinsics)
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
     assert build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count == truth.depths.numel() - 16
@@ -117,21 +106,6 @@ def test_views_that_were_not_placed_leave_no_gaussians(pair, truth):
     geometry = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
     gaussians = build(geometry)(pair.views).gaussians
     assert set(gaussians.view_index.tolist()) == {0}
-
-
-def test_the_rim_stays_out_of_every_photo(pair, truth):
-    rim = apron(pair.views, truth, 0.2, 0.6)
-    assert rim.count > 100
-    for view in (0, 1):
-        places, depth = project(rim.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
-        shown = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
-        assert not shown.any()
-
-
-def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
-    grey = dataclasses.replace(pair.views, images=torch.full_like(pair.views.images, 0.25))
-    rim = apron(grey, truth, 0.1, 0.6)
-    assert torch.allclose(dc_to_colour(rim.harmonics), torch.tensor(0.25), atol=1e-6)
 
 
 def test_predicted_cameras_are_those_of_the_photos(pair, truth):
@@ -167,21 +141,3 @@ def test_the_backdrop_shows_the_background_where_a_foreground_was_taken_away(pai
         alone.depths[0, 0, 0][shown] > truth.depths[0, 0][shown]
     ).float().mean() > 0.85  # soft edges of blocks reach over
     assert full.count > truth.depths.numel()
-
-
-def test_the_backdrop_never_stands_before_a_photo(pair, truth):
-    layer = backdrop(pair.views, truth, 0.9)
-    height, width = pair.views.image_size
-    for view in (0, 1):
-        places, depth = project(layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
-        pixel = (places[0] * torch.tensor([width, height])).floor().long()
-        inside = ((places[0] > 0) & (places[0] < 1)).all(-1) & (depth[0] > 0) & (layer.view_index != view)
-        surface = truth.depths[0, view][pixel[inside, 1], pixel[inside, 0]]
-        assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
-
-
-def test_a_flat_measured_wall_needs_no_backdrop(pair, truth):
-    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0))
-    assert backdrop(pair.views, wall, 0.9).count == 0
-    guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
-    assert backdrop(pair.views, guessed, 0.9).count > 0

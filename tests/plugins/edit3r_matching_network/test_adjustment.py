@@ -2,10 +2,9 @@ from dataclasses import replace
 
 import torch
 from edit3r_matching_network.adjustment import Evidence, adjust, best_of, evidence_of, start_at
-from edit3r_matching_network.procrustes import cross_matrix
 
 from edit3r.geometry.cameras import intrinsics_from_fov, project, unproject
-from edit3r.geometry.rotations import rotation_angle
+from edit3r.geometry.rotations import cross_matrix, rotation_angle
 
 GRID = (12, 16)
 INTRINSICS = intrinsics_from_fov(1.0, GRID).expand(1, 2, 3, 3)

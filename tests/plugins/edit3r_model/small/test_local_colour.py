@@ -1,4 +1,5 @@
 import torch
+from edit3r_model.small.blocks import convex_upsample
 from edit3r_model.small.local_colour import change_of, fit_colour_maps
 
 torch.manual_seed(0)
@@ -25,3 +26,14 @@ def test_a_plain_surface_gets_the_offset_and_no_slope():
 
 def test_stride_gives_one_map_a_cell():
     assert fit_colour_maps(PHOTOS, 1 - PHOTOS, stride=4).shape == (2, 12, 4, 4)
+
+
+def test_convex_upsampling_stays_between_neighbours_and_picks_the_one_it_is_told():
+    values = torch.rand(1, 2, 5, 5)
+    fine = convex_upsample(values, torch.randn(1, 36, 5, 5))
+    assert fine.shape == (1, 2, 10, 10)
+    assert fine.min() >= values.min() and fine.max() <= values.max()
+    logits = torch.full((1, 36, 5, 5), -50.0)
+    logits[:, 16:20] = 50.0  # the centre neighbour for all four fine pixels
+    nearest = torch.nn.functional.interpolate(values, scale_factor=2, mode="nearest")
+    assert torch.allclose(convex_upsample(values, logits), nearest)

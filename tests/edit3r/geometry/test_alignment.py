@@ -1,8 +1,14 @@
 import pytest
 import torch
-from edit3r_matching_network.procrustes import cross_matrix, nearest_rotation, robust_similarity, weighted_similarity
 
-from edit3r.geometry.rotations import rotation_angle
+from edit3r.geometry.alignment import (
+    median_scale,
+    nearest_rotation,
+    robust_similarity,
+    scale_poses,
+    weighted_similarity,
+)
+from edit3r.geometry.rotations import cross_matrix, rotation_angle
 
 
 def _points(count=40, seed=0):
@@ -74,3 +80,14 @@ def test_a_third_of_outliers_hardly_turns_the_robust_fit():
 def test_the_nearest_rotation_of_a_rotation_is_itself():
     turn = torch.linalg.matrix_exp(cross_matrix(torch.tensor([[0.3, -1.0, 0.4]])))
     assert torch.allclose(nearest_rotation(3 * turn), turn, atol=1e-6)
+
+
+def test_poses_in_another_unit_keep_their_rotations_and_give_the_factor_back():
+    poses = torch.eye(4).repeat(2, 3, 1, 1)
+    poses[:, 1:, :3, 3] = torch.rand(2, 2, 3, generator=torch.Generator().manual_seed(0)) + 0.1
+    scaled = scale_poses(poses, torch.tensor([[2.0], [0.5]]))
+    assert torch.equal(scaled[..., :3, :3], poses[..., :3, :3])
+    assert torch.equal(scaled[0, :, :3, 3], 2 * poses[0, :, :3, 3])
+    assert torch.equal(scale_poses(poses[0], 2.0), scaled[0])
+    assert torch.isclose(median_scale(poses[1, 1:, :3, 3], scaled[1, 1:, :3, 3]), torch.tensor(0.5))
+    assert median_scale(poses[0, :0, :3, 3], scaled[0, :0, :3, 3]) == 1

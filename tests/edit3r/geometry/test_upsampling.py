@@ -1,6 +1,7 @@
+import numpy as np
 import torch
-from edit3r_model.small.blocks import convex_upsample
-from edit3r_model.small.guided_upsampling import guided_upsample
+
+from edit3r.geometry.upsampling import guided_upsample, upsample_depth
 
 
 def test_maps_at_the_guide_s_size_come_back_unchanged():
@@ -30,12 +31,10 @@ def test_the_result_stays_within_the_neighbourhood_s_range():
     assert fine.min() >= maps.min() - 1e-5 and fine.max() <= maps.max() + 1e-5
 
 
-def test_convex_upsampling_stays_between_neighbours_and_picks_the_one_it_is_told():
-    values = torch.rand(1, 2, 5, 5)
-    fine = convex_upsample(values, torch.randn(1, 36, 5, 5))
-    assert fine.shape == (1, 2, 10, 10)
-    assert fine.min() >= values.min() and fine.max() <= values.max()
-    logits = torch.full((1, 36, 5, 5), -50.0)
-    logits[:, 16:20] = 50.0  # the centre neighbour for all four fine pixels
-    nearest = torch.nn.functional.interpolate(values, scale_factor=2, mode="nearest")
-    assert torch.allclose(convex_upsample(values, logits), nearest)
+def test_a_pixel_unlike_all_its_neighbours_still_gets_their_depth():
+    """Its likeness to each of them is smaller than any float; the depth once came out as 0."""
+    guide = np.zeros((4, 4, 3), np.float32)
+    image = np.ones((16, 16, 3), np.float32)
+    inverse, confidence = upsample_depth(np.full((4, 4), 0.5, np.float32), np.ones((4, 4), bool), guide, image)
+    np.testing.assert_allclose(inverse, 0.5, rtol=1e-5)
+    np.testing.assert_allclose(confidence, 1, rtol=1e-5)

@@ -1,10 +1,21 @@
-"""Weighted similarity between two point sets in closed form, with gradients that stay finite."""
+"""Alignment of two reconstructions of one scene: similarity transforms and changes of the unit of length."""
 
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from edit3r.geometry.rotations import cross_matrix
+
+__all__ = [
+    "Similarity",
+    "median_scale",
+    "nearest_rotation",
+    "robust_similarity",
+    "scale_poses",
+    "weighted_similarity",
+]
 
 ROUNDS = 5
 TOLERANCE = 0.06
@@ -20,6 +31,7 @@ class Similarity:
     translation: Float[Tensor, "batch 3"]
 
     def apply(self, points: Float[Tensor, "batch point 3"]) -> Float[Tensor, "batch point 3"]:
+        """The transformed points."""
         moved = points @ self.rotation.transpose(1, 2)
         return self.scale[:, None, None] * moved + self.translation[:, None]
 
@@ -29,7 +41,10 @@ def robust_similarity(
     target: Float[Tensor, "batch point 3"],
     weights: Float[Tensor, "batch point"],
 ) -> Similarity:
-    """Iteratively reweighted (Cauchy) fit; the reweighting itself is not differentiated."""
+    """The similarity from `source` to `target` that outliers hardly move.
+
+    Iteratively reweighted (Cauchy) least squares; the reweighting itself is not differentiated. `weights` >= 0.
+    """
     distance = target.detach().norm(dim=-1).clamp(min=1e-6)
     factor = torch.ones_like(weights)
     with torch.no_grad():
@@ -45,7 +60,10 @@ def weighted_similarity(
     target: Float[Tensor, "batch point 3"],
     weights: Float[Tensor, "batch point"],
 ) -> Similarity:
-    """Least squares after Umeyama (1991), differentiable in all three; computed in double precision."""
+    """The similarity that takes `source` to `target` with least squares, after Umeyama (1991).
+
+    Differentiable in all three arguments, with gradients that stay finite; computed in double precision.
+    """
     dtype = source.dtype
     source, target, weights = source.double(), target.double(), weights.double() + 1e-12
     share = (weights / weights.sum(1, keepdim=True))[..., None]
@@ -84,9 +102,20 @@ def nearest_rotation(matrix: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch
     return rotation + rotation @ cross_matrix(turn)
 
 
-def cross_matrix(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """[v]x, so that [v]x w is the cross product of v and w."""
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    rows = (torch.stack((zero, -z, y), -1), torch.stack((z, zero, -x), -1), torch.stack((-y, x, zero), -1))
-    return torch.stack(rows, -2)
+def scale_poses(
+    c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
+) -> Float[Tensor, "*batch 4 4"]:
+    """The same poses in another unit of length: camera centres times `factor`, one or broadcast over the batch."""
+    scaled = c2w.clone()
+    scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
+    return scaled
+
+
+def median_scale(source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]) -> Float[Tensor, ""]:
+    """The factor by which `source` becomes as large as `target`: the median ratio of distances from the origin.
+
+    Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
+    """
+    if len(source) == 0:
+        return target.new_ones(())
+    return (target.norm(dim=-1) / source.norm(dim=-1).clamp(min=1e-12)).median()

@@ -1,0 +1,150 @@
+"""Two coarse, blurred layers for what no photo shows: around the images and behind their depth edges.
+
+The apron continues each image beyond its border, so that a camera that moved a little does not look past the edge. The
+backdrop continues the surface behind each depth edge a short way under what stands before it, so that a gap shows what
+surrounds it instead of nothing. Both are made of large soft Gaussians, one for a block of pixels, and neither stands
+before anything that a photo shows.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.geometry.cameras import from_pixels, project, to_pixels, unproject
+from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
+from edit3r.geometry.visibility import seen_by
+from edit3r.geometry.warping import warp
+from edit3r.interfaces import MatchedGeometry
+from edit3r.types import Cameras, Gaussians, Views
+
+__all__ = ["apron", "backdrop"]
+
+APRON_BLOCK, BACKDROP_BLOCK = 4, 6  # side of the square of pixels that one Gaussian stands for
+APRON_FOOTPRINT, BACKDROP_FOOTPRINT = 0.6, 0.8  # standard deviation in blocks: neighbours close up without gaps
+REACH = 0.1  # how far a surface goes on behind what stands before it [long sides]
+EDGE = 1.02  # ratio of depths above which one surface stands before another
+BEHIND = 1.01  # relative depth at which the backdrop lies behind its surface
+SURE = 0.9  # share of a block that was measured, above which nothing has to be put behind it
+BLURS = 3  # passes of a 3x3 mean, in blocks
+
+
+def apron(views: Views, geometry: MatchedGeometry, width: float, opacity: float) -> Gaussians:
+    """Rims `width` (of the long side) wide around every registered view, in the colours of `views`."""
+    pad = APRON_BLOCK * math.ceil(width * max(views.image_size) / APRON_BLOCK)
+    wide, depths = _widened(views, geometry.depths, pad)
+    outside = _outside_all(wide, depths, views, geometry)
+    return _layer(wide, depths, geometry, opacity * outside.to(depths.dtype), APRON_FOOTPRINT)
+
+
+def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussians:
+    """What lies behind depth edges and guessed depths of every registered view, in the colours of `views`.
+
+    A guess in front of it may be faint without letting the background of the picture through.
+    """
+    depths, colours, needed = _surface_behind(views, geometry)
+    needed &= geometry.registered[..., None, None] & ~_hides_a_photo(depths, views, geometry)
+    coarse = Views(colours, views.intrinsics)
+    return _layer(coarse, depths, geometry, opacity * needed.to(depths.dtype), BACKDROP_FOOTPRINT)
+
+
+def _layer(
+    coarse: Views,
+    depths: Float[Tensor, "batch view rows columns"],
+    geometry: MatchedGeometry,
+    opacities: Float[Tensor, "batch view rows columns"],
+    footprint: float,
+) -> Gaussians:
+    """One Gaussian for each pixel of `coarse` that is not transparent in every scene."""
+    cameras = Cameras(geometry.c2w, coarse.intrinsics, coarse.image_size)
+    scales = pixel_scales(depths, coarse.intrinsics, footprint)
+    gaussians = pixels_to_gaussians(coarse.images, depths, cameras, scales, opacities)
+    return gaussians.select((gaussians.opacities > 0).any(dim=0))
+
+
+def _widened(
+    views: Views, depths: Float[Tensor, "batch view height width"], pad: int
+) -> tuple[Views, Float[Tensor, "batch view rows columns"]]:
+    """The images with their borders continued by `pad` pixels, in blocks, and the depths continued likewise."""
+    height, width = views.image_size
+    full = (height + 2 * pad, width + 2 * pad)
+    blocks = (math.ceil(full[0] / APRON_BLOCK), math.ceil(full[1] / APRON_BLOCK))
+    maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
+    reach = 2 * min(pad // 2, height // 2, width // 2) // 2  # an average over the border's surroundings, not one row
+    smooth = _running_mean(_running_mean(maps, 2, reach), 3, reach)
+    coarse = F.interpolate(F.pad(smooth, (pad,) * 4, mode="replicate"), blocks, mode="area")
+    coarse = coarse.view(*views.images.shape[:2], 4, *blocks)
+    intrinsics = to_pixels(views.intrinsics, views.image_size)
+    intrinsics[..., :2, 2] += pad
+    return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
+
+
+def _running_mean(
+    maps: Float[Tensor, "image channel height width"], axis: int, reach: int
+) -> Float[Tensor, "image channel height width"]:
+    """Mean over what lies at most `reach` pixels away along `axis`, inside the image.
+
+    From running sums in float64, whose cost does not grow with the reach.
+    """
+    size = maps.shape[axis]
+    sums = F.pad(maps, (0, 0, 1, 0) if axis == 2 else (1, 0)).cumsum(axis, dtype=torch.float64)
+    index = torch.arange(size, device=maps.device)
+    first, end = (index - reach).clamp(min=0), (index + reach + 1).clamp(max=size)
+    count = (end - first).view(-1, 1) if axis == 2 else end - first
+    return ((sums.index_select(axis, end) - sums.index_select(axis, first)) / count).to(maps.dtype)
+
+
+def _outside_all(
+    wide: Views, depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry
+) -> Bool[Tensor, "batch view rows columns"]:
+    """Blocks of registered views whose centre no registered view shows, their own among them."""
+    points = unproject(depths, wide.intrinsics, geometry.c2w).flatten(2, 3)
+    outside = geometry.registered[..., None].expand(points.shape[:3]).clone()
+    for other in range(views.count):
+        for view in range(views.count):
+            outside[:, view] &= ~seen_by(points[:, view], geometry, views.intrinsics, other)
+    return outside.view(depths.shape)
+
+
+def _surface_behind(
+    views: Views, geometry: MatchedGeometry
+) -> tuple[
+    Float[Tensor, "batch view rows columns"],
+    Float[Tensor, "batch view 3 rows columns"],
+    Bool[Tensor, "batch view rows columns"],
+]:
+    """Per block: depth and colour of the farthest surface within reach, and whether anything needs it."""
+    shape = geometry.depths.shape[:2]
+    blocks = tuple(math.ceil(side / BACKDROP_BLOCK) for side in views.image_size)
+    maps = torch.cat((views.images, 1 / geometry.depths[:, :, None], geometry.confidence[:, :, None]), 2).flatten(0, 1)
+    colour, inverse, sure = F.adaptive_avg_pool2d(maps, blocks).split((3, 1, 1), 1)
+    reach = max(1, round(REACH * max(views.image_size) / BACKDROP_BLOCK))
+    farthest, where = F.max_pool2d(-inverse, 2 * reach + 1, 1, reach, return_indices=True)
+    behind = colour.flatten(2).gather(2, where.flatten(2).expand(-1, 3, -1)).view_as(colour)
+    needed = (inverse > EDGE * -farthest) | (sure < SURE)
+    smooth = torch.cat((behind, -farthest), 1)
+    for _ in range(BLURS):
+        smooth = F.avg_pool2d(smooth, 3, 1, 1, count_include_pad=False)
+    depths = BEHIND / smooth[:, 3].unflatten(0, shape)
+    return depths, smooth[:, :3].unflatten(0, shape), needed[:, 0].unflatten(0, shape)
+
+
+def _hides_a_photo(
+    depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry
+) -> Bool[Tensor, "batch view rows columns"]:
+    """Blocks that would stand before what another registered view shows."""
+    points = unproject(depths, views.intrinsics, geometry.c2w)
+    hides = torch.zeros_like(depths, dtype=torch.bool)
+    for view in range(views.count):
+        for other in range(views.count):
+            if other != view:
+                ahead = points[:, view].flatten(1, 2)
+                coordinates, z = project(ahead, views.intrinsics[:, other], geometry.c2w[:, other])
+                surface = geometry.depths[:, other, None] * geometry.registered[:, other, None, None, None]
+                grid = coordinates.unflatten(1, depths.shape[2:])
+                seen = warp(surface, grid, mode="nearest", padding="zeros")[:, 0]
+                z = z.view_as(seen)
+                hides[:, view] |= (z > 0) & (z < seen)
+    return hides

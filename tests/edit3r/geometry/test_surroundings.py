@@ -1,0 +1,56 @@
+"""The layers around the images and behind their depth edges, in a scene whose geometry is known."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from edit3r.geometry.cameras import project
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.interfaces import MatchedGeometry
+from edit3r.testing import photograph
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return photograph(2, (96, 128))
+
+
+@pytest.fixture
+def truth(pair):
+    confidence = torch.ones_like(pair.depths)
+    return MatchedGeometry(pair.cameras.c2w, pair.depths, confidence, torch.ones(1, 2, dtype=torch.bool))
+
+
+def test_the_rim_stays_out_of_every_photo(pair, truth):
+    rim = apron(pair.views, truth, 0.2, 0.6)
+    assert rim.count > 100
+    for view in (0, 1):
+        places, depth = project(rim.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
+        shown = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
+        assert not shown.any()
+
+
+def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
+    grey = dataclasses.replace(pair.views, images=torch.full_like(pair.views.images, 0.25))
+    rim = apron(grey, truth, 0.1, 0.6)
+    assert torch.allclose(dc_to_colour(rim.harmonics), torch.tensor(0.25), atol=1e-6)
+
+
+def test_the_backdrop_never_stands_before_a_photo(pair, truth):
+    layer = backdrop(pair.views, truth, 0.9)
+    height, width = pair.views.image_size
+    for view in (0, 1):
+        places, depth = project(layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
+        pixel = (places[0] * torch.tensor([width, height])).floor().long()
+        inside = ((places[0] > 0) & (places[0] < 1)).all(-1) & (depth[0] > 0) & (layer.view_index != view)
+        surface = truth.depths[0, view][pixel[inside, 1], pixel[inside, 0]]
+        assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
+
+
+def test_a_flat_measured_wall_needs_no_backdrop(pair, truth):
+    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0))
+    assert backdrop(pair.views, wall, 0.9).count == 0
+    guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
+    assert backdrop(pair.views, guessed, 0.9).count > 0
