@@ -22,7 +22,7 @@ from torch import Tensor
 from edit3r.config import PartChoice
 from edit3r.errors import InputError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.mask_from_prompt import confine
+from edit3r.mask_from_prompt import masks_from_prompt
 from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.reuse.memory import Memory
@@ -108,7 +108,7 @@ def run(
         if masks is None and segmenter is not None and not takes_part(editor, "segmenter"):
             with report.stage("find what to edit"), torch.no_grad():
                 found_by = remembering(memory)(_built(registry, "segmenter", segmenter, settings, {}))
-                request = confine(request, views, found_by)
+                request = replace(request, masks=masks_from_prompt(prompt, views, found_by))
         with report.stage(f"edit ({component_name(editor)})"), torch.no_grad():
             edited = _edit(editor, views, request, edit_views)
         region = touched_region(views, edited, request, views.count if edit_views == "all" else 1, earlier is not None)

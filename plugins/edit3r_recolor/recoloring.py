@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.geometry.morphology import largest_around
+from edit3r.geometry.morphology import dilate
 
 Image = Float[Tensor, "*batch 3 height width"]
 Masks = Float[Tensor, "*batch height width"]
@@ -210,9 +210,9 @@ def with_outline(masks: Masks, outline: Outline) -> Masks:
     """Grow or shrink masks, or let a little of the edit leak into the background; soft edges stay soft."""
     reach = max(1, round(REACH * max(masks.shape[-2:])))
     if outline == "grown":
-        return largest_around(masks, reach)
+        return dilate(masks, reach)
     if outline == "shrunk":
-        return -largest_around(-masks, reach)
+        return -dilate(-masks, reach)
     if outline == "leaking":
         flat = masks.reshape(-1, 1, *masks.shape[-2:])
         blurred = F.avg_pool2d(flat, 4 * reach + 1, stride=1, padding=2 * reach).reshape(masks.shape)
