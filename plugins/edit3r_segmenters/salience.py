@@ -1,17 +1,17 @@
-"""Does a region look like an object, and like the picture's subject? Proxies for what SAM2's network predicts."""
+"""How much a region looks like an object and like the image's subject: proxies for what SAM2's network predicts."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from edit3r_segmenters.classical.segmenter_masks import distance_to
-from edit3r_segmenters.classical.segmenter_superpixels import PALETTE, Superpixels
+from edit3r_segmenters.masks import distance_to
+from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
-MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the picture that an object may cover to be proposed
+MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the image that an object may cover to be proposed
 USUAL_AREA = 0.15  # share that photographers give their subject; a factor of e**1.5 off is one deviation
-CENTRE_SPREAD = 0.22  # deviation of a subject from the middle [picture widths and heights]
-BORDER_SPREAD = 0.12  # share of the picture's border an object may touch
+CENTRE_SPREAD = 0.22  # deviation of a subject from the middle [image widths and heights]
+BORDER_SPREAD = 0.12  # share of the image's border an object may touch
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Objectness:
     solidity: float  # share of its convex hull that it fills
     centredness: float
     size: float
-    inside: float  # 1: does not touch the picture's border
+    inside: float  # 1: does not touch the image's border
     foreground: float  # 1 minus its mean background weight
 
     @property
@@ -38,16 +38,16 @@ class Objectness:
 
     @property
     def salience(self) -> float:
-        """How much it looks like the subject of the picture."""
+        """How much it looks like the subject of the image."""
         return self.as_part * self.centredness * self.size * (0.25 + self.foreground)
 
 
 def measure(
     mask: np.ndarray, superpixels: Superpixels, background: np.ndarray, areas: tuple[float, float]
 ) -> Objectness | None:
-    """Cues of a bool mask `[H, W]`, None for one whose share of the picture is outside `areas`.
+    """Measure the cues of a bool mask `[H, W]`, None for one whose share of the image is outside `areas`.
 
-    `background` is the background weight per pixel.
+    `background` `[H, W]` is the background weight per pixel.
     """
     area = float(mask.mean())
     if not areas[0] <= area <= areas[1] or not mask.any():
@@ -70,7 +70,7 @@ def measure(
 
 
 def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
-    """Bhattacharyya distance between the colours inside and in a ring around of about the same area."""
+    """Bhattacharyya distance of the palette colours inside a mask and in a ring around it, both maps `[H, W]`."""
     reach = 0.35 * np.sqrt(mask.sum())
     ring = (distance_to(mask) <= reach) & ~mask
     inside = np.bincount(palette_index[mask], minlength=PALETTE) / mask.sum()
@@ -79,7 +79,7 @@ def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
 
 
 def _outline(bits: np.ndarray, edges: np.ndarray) -> float:
-    """Mean edge strength on the inner outline, the picture's own border left out."""
+    """Mean edge strength on the inner outline, the image's own border left out."""
     outline = bits > cv2.erode(bits, np.ones((3, 3), np.uint8))
     outline[[0, -1]] = False
     outline[:, [0, -1]] = False
