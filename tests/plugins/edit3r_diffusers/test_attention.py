@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_diffusers.cross_view import CrossViewAttention
+from edit3r_diffusers.attention import CrossViewAttention
 
 attention = pytest.importorskip("diffusers.models.attention_processor")
 

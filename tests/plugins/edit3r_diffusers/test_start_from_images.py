@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_diffusers.late_start import skipping, steps_left
-from edit3r_diffusers.word_attention import WordAttention
+from edit3r_diffusers.attention import WordAttention
+from edit3r_diffusers.latents import skipping, steps_left
 
 import edit3r
 from edit3r.interfaces import Matcher
@@ -125,7 +125,7 @@ def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
     shares = (query @ key.transpose(-1, -2) / 2).softmax(-1)  # 2: root of the heads' width
     by_hand = shares[..., 1] + shares[..., 2]
     assert torch.allclose(listener.maps[12], by_hand.mean(0), atol=1e-5)
-    picture = listener.picture((6, 8))
+    picture = listener.image((6, 8))
     assert picture.shape == (6, 8) and picture.max() <= 1
 
 

@@ -2,7 +2,8 @@
 
 import pytest
 import torch
-from edit3r_diffusers import blending, pictures
+from edit3r_diffusers import images
+from edit3r_diffusers.latents import StepEnd, noised
 
 diffusers = pytest.importorskip("diffusers")
 
@@ -23,7 +24,7 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
     clean, noise, edit = torch.randn(3, 1, 4, 8, 8)
     mask = torch.zeros(1, 1, 16, 16)
     mask[..., :8] = 1
-    step_end = blending.StepEnd("x", 4, mask, blending.noised(clean, noise))
+    step_end = StepEnd("x", 4, mask, noised(clean, noise))
     for step, timestep in enumerate(scheduler.timesteps):
         latents = step_end(Pipeline(scheduler), step, timestep, {"latents": edit})["latents"]
         last = step == 3
@@ -35,26 +36,26 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
 
 def test_a_soft_edge_is_left_to_the_pipeline_which_mixes_it_in_once(scheduler):
     clean, noise, edit = torch.randn(3, 1, 4, 8, 8)
-    step_end = blending.StepEnd("x", 4, torch.full((1, 1, 16, 16), 0.1), blending.noised(clean, noise))
+    step_end = StepEnd("x", 4, torch.full((1, 1, 16, 16), 0.1), noised(clean, noise))
     latents = step_end(Pipeline(scheduler), 0, scheduler.timesteps[0], {"latents": edit})["latents"]
     assert torch.equal(latents, edit)
 
 
 def test_without_a_mask_the_latents_are_untouched(scheduler):
     tensors = {"latents": torch.randn(1, 4, 8, 8)}
-    step_end = blending.StepEnd("x", 4)
+    step_end = StepEnd("x", 4)
     assert step_end(Pipeline(scheduler), 0, scheduler.timesteps[0], tensors) is tensors
 
 
 def test_a_latent_cell_may_change_when_any_of_its_pixels_may():
     mask = torch.zeros(1, 1, 16, 16)
     mask[0, 0, 5, 9] = 1
-    small = pictures.resize_mask(mask, (4, 4))
+    small = images.resize_mask(mask, (4, 4))
     assert small.sum() == 1 and small[0, 0, 1, 2] == 1
 
 
 def test_the_working_size_keeps_the_shape_and_the_multiple():
-    assert pictures.working_size(480, 640, 512, 8) == (384, 512)
-    assert pictures.working_size(480, 640, 0, 8) == (480, 640)
-    assert pictures.working_size(3, 5, 0, 8) == (8, 8)
-    assert pictures.working_size(1000, 30, 512, 16) == (512, 16)
+    assert images.working_size(480, 640, 512, 8) == (384, 512)
+    assert images.working_size(480, 640, 0, 8) == (480, 640)
+    assert images.working_size(3, 5, 0, 8) == (8, 8)
+    assert images.working_size(1000, 30, 512, 16) == (512, 16)
