@@ -1,7 +1,6 @@
-"""Masks from words: what an instruction is about, found and followed by a segmenter that understands text."""
+"""Masks around what a prompt is about, found on view 0 and followed by a segmenter that reads words."""
 
 import re
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -11,7 +10,7 @@ from edit3r.geometry.morphology import dilate_softly
 from edit3r.interfaces import Proposal, Segmenter
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
-from edit3r.types import EditRequest, Views
+from edit3r.types import Views
 
 _DETERMINERS = "the|this|that|these|those|my|our|your|his|her|its|their"
 _ENDS = (
@@ -24,43 +23,48 @@ _WHOLE = re.compile(r"\b(picture|image|photo|scene|everything|whole|view|style|b
 _ADDS = re.compile(r"^\s*(?:please\s+)?(?:add|insert|place|put)\b", re.IGNORECASE)
 
 
-def object_of(instruction: str) -> str:
-    """The thing an instruction changes, such as 'the bike' of 'paint the bike red'; '' when it changes no one thing.
+def object_in_prompt(prompt: str) -> str:
+    """Return what a prompt changes, such as 'the bike' of 'paint the bike red'; '' when it changes no one thing.
 
-    Additions ('add a dog to the street') and edits of the whole picture name nothing that could be masked.
+    Additions ('add a dog to the street') and edits of the whole image name nothing that could be masked.
     """
-    found = _OBJECT.search(instruction)
-    if found is None or _ADDS.match(instruction) or _WHOLE.search(found.group(1)):
+    found = _OBJECT.search(prompt)
+    if found is None or _ADDS.match(prompt) or _WHOLE.search(found.group(1)):
         return ""
     return f"the {found.group(1).strip()}"
 
 
-def confine(request: EditRequest, views: Views, segmenter: Segmenter) -> EditRequest:
-    """The request with masks around what it is about; unchanged, with a warning, when that cannot be found.
+def masks_from_prompt(
+    prompt: str, views: Views, segmenter: Segmenter
+) -> Float[Tensor, "batch view height width"] | None:
+    """Find soft masks around what a prompt is about; None, with a warning, when that cannot be found.
 
-    The words are the segmenter's own `prompt` setting where it has one, else the instruction's object.
+    The segmenter is asked for its own `prompt` setting where it has one, else for the prompt's object. Each mask is 1
+    on the object, falls off within a small margin around it and is exactly 0 beyond.
     """
-    words = getattr(segmenter.settings, "prompt", "") or object_of(request.prompt)
+    words = getattr(segmenter.settings, "prompt", "") or object_in_prompt(prompt)
     if not words:
         warn("the instruction names no one object, so nothing confines the edit; name it with segmenter.prompt=...")
-        return request
+        return None
     found = [segmenter.segment_text(scene[0], words) for scene in views.images]
     if any(answer is None for answer in found):
-        name = component_name(segmenter)
-        warn(f"segmenter {name!r} cannot look up {words!r}, so nothing confines the edit; use sam2, or --mask.")
-        return request
+        warn(
+            f"segmenter {component_name(segmenter)!r} cannot look up {words!r}, so nothing confines the edit; use a "
+            "segmenter that reads words (edit3r list-plugins --kind segmenter), or --mask."
+        )
+        return None
     if not all(found):
         warn(f"{words!r} was not found on the first photo, so nothing confines the edit; use other words, or --mask.")
-        return request
+        return None
     masks = [_follow(scene, proposals, segmenter) for scene, proposals in zip(views.images, found)]
     note("edit.confined_to", words)
-    return replace(request, masks=torch.stack(masks))
+    return torch.stack(masks)
 
 
 def _follow(
     images: Float[Tensor, "view 3 height width"], proposals: tuple[Proposal, ...], segmenter: Segmenter
 ) -> Float[Tensor, "view height width"]:
-    """One mask per view around all the proposals of view 0."""
+    """Follow all the proposals of view 0 together: one mask per view."""
     first = torch.stack([proposal.soft_mask for proposal in proposals]).to(images)
     if len(images) == 1:
         return dilate_softly((first > 0.5).any(0, keepdim=True).to(images))

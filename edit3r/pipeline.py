@@ -176,14 +176,14 @@ def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None, device:
 
 def _request(parts: _Components, views: Views, masks: Tensor | None, config: RunConfig) -> EditRequest:
     """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
-    from edit3r.mask_from_prompt import confine
+    from edit3r.mask_from_prompt import masks_from_prompt
 
     request = EditRequest(config.prompt, config.seed, masks)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
         return request
     with torch.no_grad():
-        return confine(request, views, segmenter)
+        return masks_from_prompt(request, views, segmenter)
 
 
 def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:

@@ -17,9 +17,9 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Editor, Matcher
 from edit3r.io.pretrained import foreign, load_pretrained, pick_device
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import blending, depth, inversion, loading, pictures
-from edit3r_diffusers.cross_view import look_across_views
-from edit3r_diffusers.settings import DiffusionSettings
+from edit3r_diffusers import depth, images, latents, loading
+from edit3r_diffusers.attention import look_across_views
+from edit3r_diffusers.loading import DiffusionSettings
 
 
 class ControlNetDepthEditor(Editor):
@@ -61,8 +61,7 @@ class ControlNetDepthEditor(Editor):
             weights = loading.part_weights(chosen.controlnet, "controlnet", chosen)
             controlnet = load_pretrained(foreign("diffusers", "ControlNetModel"), weights, dtype=dtype)
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
-            pipeline_class = foreign("diffusers", "StableDiffusionControlNetImg2ImgPipeline")
-            pipeline = loading.load(pipeline_class, chosen, device, dtype, **parts)
+            pipeline = loading.load("StableDiffusionControlNetImg2ImgPipeline", chosen, device, dtype, **parts)
             # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
             pipeline.scheduler = foreign("diffusers", "DDIMScheduler").from_config(
                 pipeline.scheduler.config, clip_sample=False, set_alpha_to_one=False, timestep_spacing="leading"
@@ -74,16 +73,16 @@ class ControlNetDepthEditor(Editor):
         self, pipeline: Any, views: Views, request: EditRequest, scene: int
     ) -> Float[Tensor, "view 3 height width"]:
         photos = views.images[scene]
-        size = pictures.working_size(*photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor)
+        size = images.working_size(*photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor)
         one = Views(views.images[scene : scene + 1], views.intrinsics[scene : scene + 1], views.names)
-        control = depth.control_pictures(self._disparity(one), size)
+        control = depth.control_images(self._disparity(one), size)
         mask = request.masks[scene][:, None] if request.masks is not None else None
         doing = f"editing {len(photos)} views together at {size[1]}x{size[0]}"
         with torch.no_grad(), loading.out_of_memory_told(doing):
             device, dtype = pipeline._execution_device, pipeline.dtype
-            images = pictures.resize(photos.float(), size).to(device, dtype)
-            edited = self._denoise(pipeline, images, control.to(device, dtype), mask, request, doing)
-        return pictures.checked(edited, photos, "the views")
+            resized = images.resize(photos.float(), size).to(device, dtype)
+            edited = self._denoise(pipeline, resized, control.to(device, dtype), mask, request, doing)
+        return images.checked(edited, photos, "the views")
 
     def _disparity(self, views: Views) -> Float[Tensor, "view h w"]:
         """Inverse depth of one scene's unedited photos."""
@@ -95,17 +94,24 @@ class ControlNetDepthEditor(Editor):
         return depth.predicted_disparity(self._depth_model, views.images[0].to(self._depth_model.device))
 
     def _denoise(
-        self, pipeline: Any, images: Tensor, control: Tensor, mask: Tensor | None, request: EditRequest, text: str
+        self,
+        pipeline: Any,
+        photos: Float[Tensor, "view 3 height width"],
+        control: Float[Tensor, "view 3 height width"],
+        mask: Float[Tensor, "view 1 H W"] | None,
+        request: EditRequest,
+        text: str,
     ) -> Float[Tensor, "view 3 height width"]:
-        chosen, count = self.settings, len(images)
+        """Redraw all views of a scene together at the working size; `text` names the progress."""
+        chosen, count = self.settings, len(photos)
         generators = [torch.Generator("cpu").manual_seed(request.seed) for _ in range(count)]
-        clean = blending.encode(pipeline.vae, images)
-        noise = blending.noise_like_latents(pipeline, images, generators)
-        photo_at = blending.noised(clean, noise)
+        clean = latents.encode(pipeline.vae, photos)
+        noise = latents.noise_like_latents(pipeline, photos, generators)
+        photo_at = latents.noised(clean, noise)
         if chosen.invert:
             steps, prompt = chosen.steps, chosen.source_prompt
-            trajectory = inversion.invert(pipeline, clean, control, prompt, steps, chosen.control_scale)
-            photo_at = inversion.along(trajectory, clean)
+            trajectory = latents.invert(pipeline, clean, control, prompt, steps, chosen.control_scale)
+            photo_at = latents.along(trajectory, clean)
         redrawn = max(1, int(chosen.steps * chosen.strength))
         pipeline.scheduler.set_timesteps(chosen.steps)
         start = photo_at(pipeline.scheduler, pipeline.scheduler.timesteps[chosen.steps - redrawn])
@@ -115,7 +121,7 @@ class ControlNetDepthEditor(Editor):
             return pipeline(
                 prompt=[request.prompt] * count,
                 negative_prompt=[chosen.negative_prompt] * count,
-                image=images,
+                image=photos,
                 control_image=control,
                 latents=start,
                 strength=min(1.0, (redrawn + 0.5) / chosen.steps),  # the pipeline rounds down
@@ -125,7 +131,7 @@ class ControlNetDepthEditor(Editor):
                 eta=chosen.eta,
                 generator=generators,
                 output_type="pt",
-                callback_on_step_end=blending.StepEnd(text, redrawn, mask, photo_at),
+                callback_on_step_end=latents.StepEnd(text, redrawn, mask, photo_at),
             ).images
         finally:
             pipeline.unet.set_attn_processor(own_attention)  # the inversion of the next scene looks at each view alone

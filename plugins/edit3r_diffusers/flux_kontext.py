@@ -4,16 +4,18 @@ from functools import partial
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import foreign, pick_device
+from edit3r.io.pretrained import pick_device
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import blending, loading, pictures
-from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
-from edit3r_diffusers.settings import DiffusionSettings
+from edit3r_diffusers import loading
+from edit3r_diffusers.images import ViewJob, edit_one_by_one, mask_on_grid
+from edit3r_diffusers.latents import StepEnd
+from edit3r_diffusers.loading import DiffusionSettings
 
 
 class FluxKontextEditor(Editor):
@@ -54,15 +56,13 @@ class FluxKontextEditor(Editor):
         if self._pipeline is None:
             device = pick_device(self.settings.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(self.settings.dtype, device, torch.bfloat16)
-            self._pipeline = loading.load(
-                foreign("diffusers", "FluxKontextInpaintPipeline"), self.settings, device, dtype
-            )
+            self._pipeline = loading.load("FluxKontextInpaintPipeline", self.settings, device, dtype)
         return self._pipeline
 
-    def _denoise(self, pipeline: Any, job: ViewJob) -> Tensor:
+    def _denoise(self, pipeline: Any, job: ViewJob) -> Float[Tensor, "1 3 height width"]:
         size = job.image.shape[-2:]
         whole = torch.ones(1, 1, *size)
-        mask = whole if job.mask is None else pictures.mask_on_grid(job.mask, size, 2 * pipeline.vae_scale_factor)
+        mask = whole if job.mask is None else mask_on_grid(job.mask, size, 2 * pipeline.vae_scale_factor)
         steps = max(1, int(self.settings.steps * self.settings.strength))
         return pipeline(
             image=job.image,
@@ -79,5 +79,5 @@ class FluxKontextEditor(Editor):
             guidance_scale=self.settings.guidance,
             generator=job.generator(),
             output_type="pt",
-            callback_on_step_end=blending.StepEnd(job.text, steps),
+            callback_on_step_end=StepEnd(job.text, steps),
         ).images

@@ -12,14 +12,14 @@ from torch import Tensor
 
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import foreign, pick_device
+from edit3r.io.pretrained import pick_device
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import blending, late_start, loading, word_attention
-from edit3r_diffusers.one_by_one import ViewJob, edit_one_by_one
-from edit3r_diffusers.settings import DiffusionSettings
+from edit3r_diffusers import attention, latents, loading
+from edit3r_diffusers.images import ViewJob, edit_one_by_one
+from edit3r_diffusers.loading import DiffusionSettings
 
 GUIDANCE_COPIES = 3
-"""Copies of a picture in a guided pipeline's batch: with words and photo, with the photo alone, with neither."""
+"""Copies of an image in a guided pipeline's batch: with words and photo, with the photo alone, with neither."""
 
 
 class InstructPix2PixEditor(Editor):
@@ -43,22 +43,22 @@ class InstructPix2PixEditor(Editor):
     def edit_from(
         self, views: Views, start: Float[Tensor, "batch view 3 height width"], request: EditRequest, strength: float
     ) -> Views:
-        """The edit of `views` begun from the pictures `start`, noised at `strength` in [0, 1] of the way.
+        """Edit `views` begun from the images `start`, noised at `strength` in [0, 1] of the way.
 
         The photos stay the condition, as Instruct-NeRF2NeRF (section 4.2) edits its renders.
         """
         return self._edited(views, request, start, strength)
 
     def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
-        """How much each pixel looks at the instruction's words, in [0, 1]; costs an edit of every view."""
+        """Measure how much each pixel looks at the instruction's words, in [0, 1]; costs an edit of every view."""
         pipeline, maps = self._loaded(views.images.device), []
-        words = word_attention.word_count(pipeline.tokenizer, request.prompt)
+        words = attention.word_count(pipeline.tokenizer, request.prompt)
         copies = GUIDANCE_COPIES if self.settings.guidance > 1 else 1
 
         def denoise(job: ViewJob) -> Tensor:
-            with word_attention.listening(pipeline.unet, words, copies) as listener:
+            with attention.listening(pipeline.unet, words, copies) as listener:
                 result = self._denoise(pipeline, self.settings.steps, job)
-            maps.append(listener.picture(views.image_size))
+            maps.append(listener.image(views.image_size))
             return result
 
         size = self.settings.resolution, pipeline.vae_scale_factor
@@ -69,7 +69,7 @@ class InstructPix2PixEditor(Editor):
         if not request.prompt.strip():
             raise PromptError("instruct-pix2pix needs an instruction; give one with --prompt.")
         pipeline = self._loaded(views.images.device)
-        denoise = partial(self._denoise, pipeline, late_start.steps_left(self.settings.steps, strength))
+        denoise = partial(self._denoise, pipeline, latents.steps_left(self.settings.steps, strength))
         size = self.settings.resolution, pipeline.vae_scale_factor
         return edit_one_by_one(views, request, pipeline, *size, denoise, start)
 
@@ -77,21 +77,21 @@ class InstructPix2PixEditor(Editor):
         if self._pipeline is None:
             device = pick_device(self.settings.device, photos_on, "editor.device")
             dtype = loading.pick_dtype(self.settings.dtype, device, torch.float16)
-            pipeline_class = foreign("diffusers", "StableDiffusionInstructPix2PixPipeline")
-            self._pipeline = loading.load(pipeline_class, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER)
+            name = "StableDiffusionInstructPix2PixPipeline"
+            self._pipeline = loading.load(name, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER)
         return self._pipeline
 
-    def _denoise(self, pipeline: Any, left: int, job: ViewJob) -> Tensor:
-        """`left`: how many of the steps are taken when the job begins from a picture."""
+    def _denoise(self, pipeline: Any, left: int, job: ViewJob) -> Float[Tensor, "1 3 height width"]:
+        """Draw one view; `left` of the steps are taken when the job begins from an image."""
         steps, generator = self.settings.steps, job.generator()
-        noise = blending.noise_like_latents(pipeline, job.image, [generator])
-        photo_at = blending.noised(blending.encode(pipeline.vae, job.image), noise) if job.mask is not None else None
-        latents, beginning = noise, nullcontext()
+        noise = latents.noise_like_latents(pipeline, job.image, [generator])
+        photo_at = latents.noised(latents.encode(pipeline.vae, job.image), noise) if job.mask is not None else None
+        first, skipped = noise, nullcontext()
         if job.start is not None:
-            clean = blending.encode(pipeline.vae, job.start)
-            latents = late_start.noisy_start(pipeline.scheduler, clean, noise, steps, steps - left)
-            beginning = late_start.skipping(pipeline.scheduler, steps - left)
-        with beginning:
+            clean = latents.encode(pipeline.vae, job.start)
+            first = latents.noisy_start(pipeline.scheduler, clean, noise, steps, steps - left)
+            skipped = latents.skipping(pipeline.scheduler, steps - left)
+        with skipped:
             return pipeline(
                 prompt=job.prompt,
                 image=job.image,
@@ -100,7 +100,7 @@ class InstructPix2PixEditor(Editor):
                 image_guidance_scale=self.settings.image_guidance,
                 negative_prompt=self.settings.negative_prompt,
                 generator=generator,
-                latents=latents,
+                latents=first,
                 output_type="pt",
-                callback_on_step_end=blending.StepEnd(job.text, left, job.mask, photo_at),
+                callback_on_step_end=latents.StepEnd(job.text, left, job.mask, photo_at),
             ).images

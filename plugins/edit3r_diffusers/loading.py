@@ -1,44 +1,67 @@
-"""Load a diffusers pipeline as the settings say, its memory measures switched on."""
+"""The settings that every diffusion editor shares, and how a diffusers pipeline is loaded by them."""
 
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, Literal
 
 import torch
+from pydantic import Field
 
+from edit3r.config import Settings
 from edit3r.errors import SettingsError
 from edit3r.io import pretrained
 from edit3r.io.pretrained import Weights
 from edit3r.reporting import note
-from edit3r_diffusers.settings import DiffusionSettings
 
 NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
 """For Stable Diffusion 1.x pipelines: theirs turns a photo black on a false alarm, and a black view ruins the scene."""
 
 
+class DiffusionSettings(Settings):
+    """Which weights, where they run, and how much memory they may take."""
+
+    model: str = Field(description="model id on the Hugging Face hub, or a folder written by save_pretrained")
+    revision: str = Field("", description="branch, tag or commit of the model; empty: the newest")
+    variant: str = Field("", description="weight file variant such as fp16; empty: the full-precision files")
+    local_files_only: bool = Field(False, description="never download: use the folder or what is already in the cache")
+    steps: int = Field(20, ge=1, le=1000, description="denoising steps; more is slower and sometimes cleaner")
+    resolution: int = Field(
+        512, ge=0, le=4096, description="longer side the model works at [pixels]; the result is resized back; 0: as is"
+    )
+    negative_prompt: str = Field("", description="what the edit should not look like")
+    device: str = Field("auto", description="cpu, cuda, cuda:1, mps, ...; auto: where the photos are (--device)")
+    dtype: Literal["auto", "float32", "float16", "bfloat16"] = Field(
+        "auto", description="precision of the weights; auto: float32 on a CPU, half precision elsewhere"
+    )
+    offload: Literal["none", "model", "sequential"] = Field(
+        "none", description="keep parts in main memory while they are idle: model (a little slower), sequential (much)"
+    )
+    low_memory: bool = Field(False, description="encode and decode one picture and tile at a time: a smaller peak")
+
+
 def pick_dtype(name: str, device: torch.device, half: torch.dtype) -> torch.dtype:
-    """The precision called `name`; 'auto' is float32 on a CPU and `half` elsewhere."""
+    """Return the precision called `name`; 'auto' is float32 on a CPU and `half` elsewhere."""
     if name == "auto":
         return torch.float32 if device.type == "cpu" else half
     return getattr(torch, name)
 
 
-def load(pipeline_class: type, settings: DiffusionSettings, device: torch.device, dtype: torch.dtype, **parts) -> Any:
-    """A pipeline with the settings' weights on `device`; `parts` replace its own."""
+def load(pipeline: str, settings: DiffusionSettings, device: torch.device, dtype: torch.dtype, **parts: Any) -> Any:
+    """Load the class of diffusers named `pipeline` with the settings' weights on `device`; `parts` replace its own."""
     weights = Weights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
-    pipeline = pretrained.load_pretrained(pipeline_class, weights, dtype=dtype, **parts)
-    pipeline.set_progress_bar_config(disable=True)
-    _place(pipeline, settings, device)
+    loaded = pretrained.load_pretrained(pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts)
+    loaded.set_progress_bar_config(disable=True)
+    _place(loaded, settings, device)
     note("editor.weights", {**pretrained.identity(weights), "dtype": str(dtype)})
-    return pipeline
+    return loaded
 
 
 def part_weights(model: str, key: str, settings: DiffusionSettings) -> Weights:
-    """Weights of a part beside the main model, named by the setting `key`."""
+    """Name the weights of a part beside the main model; `key` is the setting that says which."""
     return Weights(model, f"editor.{key}", local_files_only=settings.local_files_only)
 
 
 def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> None:
-    """Move to the device, or leave the moving to accelerate."""
+    """Move a pipeline to the device, or leave the moving to accelerate."""
     if settings.offload != "none" and device.type == "cpu":
         raise SettingsError(
             f"editor.offload: {settings.offload!r} moves parts between main memory and a GPU, but the editor runs on "

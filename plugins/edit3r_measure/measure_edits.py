@@ -15,9 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from edit3r_recolor.augmentation import draw_outline, perturbed, with_outline
-from edit3r_recolor.parameters import RecolorParameters
-from edit3r_recolor.recoloring import recolored, visible_parameters
+from edit3r_recolor.api import (
+    RecolorParameters,
+    draw_outline,
+    perturbed,
+    recolored,
+    visible_parameters,
+    with_outline,
+)
 from torch import Tensor
 
 from edit3r.config import parse_assignments

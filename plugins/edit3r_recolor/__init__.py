@@ -1,4 +1,4 @@
-"""Recolouring as an editor, and the region-wise composite colour transform the training recipe shares with it."""
+"""Recolouring as an editor and as a command; what other plugins may use of it is `edit3r_recolor.api`."""
 
 from edit3r import Component, hookimpl
 
@@ -6,24 +6,20 @@ EDIT3R_API = 1
 
 
 @hookimpl
-def register_editors():
-    return (
-        Component(
-            "recolor",
-            "edit3r_recolor.editor:RecolorEditor",
-            "recolours an object or the picture from plain words, the same in every view; no model",
-            parts=("segmenter",),
-            citation="Edit3r, section 3.2 (region-wise recoloring)",
-        ),
+def register_editors() -> Component:
+    return Component(
+        "recolor",
+        "edit3r_recolor.editor:RecolorEditor",
+        "recolours an object or the picture from plain words, the same in every view; no model",
+        parts=("segmenter",),
+        citation="Edit3r, section 3.2 (region-wise recoloring)",
     )
 
 
 @hookimpl
-def register_commands() -> list[Component]:
-    return [
-        Component(
-            "recolor",
-            "edit3r_recolor.command:RecolorCommand",
-            "recolour the objects of a folder of photos, alike in every view, as training data",
-        ),
-    ]
+def register_commands() -> Component:
+    return Component(
+        "recolor",
+        "edit3r_recolor.command:RecolorCommand",
+        "recolour the objects of a folder of photos, alike in every view, as training data",
+    )

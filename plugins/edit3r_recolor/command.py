@@ -1,9 +1,17 @@
 """`edit3r recolor FOLDER --out DIR`: a multi-view set recoloured region by region, alike in every view."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edit3r.command import Command
+
+if TYPE_CHECKING:
+    from edit3r.io.images import LoadedPhotos
+    from edit3r_recolor.scene import Masks, SceneRecipe
+
+    Finder = Callable[[LoadedPhotos], tuple[Masks, SceneRecipe]]
 
 
 class RecolorCommand(Command):
@@ -13,25 +21,16 @@ class RecolorCommand(Command):
         add = parser.add_argument
         add("images", nargs="+", metavar="FOLDER|IMAGE", help="photos of one scene, in the order of the sequence")
         add("--out", required=True, metavar="DIR", help="folder for pictures, masks, recolor.json and cameras.json")
-        add(
-            "--segmenter", default="classical", metavar="NAME", help="finds and follows the objects (default classical)"
-        )
-        add(
-            "--masks",
-            metavar="DIR",
-            help="the data's own masks instead: a folder per object, or maps of object numbers",
-        )
+        text = "finds and follows the objects (default classical)"
+        add("--segmenter", default="classical", metavar="NAME", help=text)
+        text = "the data's own masks instead: a folder per object, or maps of object numbers"
+        add("--masks", metavar="DIR", help=text)
         add("--replay", metavar="FILE", help="repeat a recolor.json with the masks beside it")
         add("--augment", action="store_true", help="also write the pictures with an editor's faults")
         add("--seed", type=int, default=0, metavar="N", help="of the colours and faults (default 0)")
         add("--size", type=int, default=512, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
-        add(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="such as filter.min_area=0.02, segmenter.size=512",
-        )
+        text = "such as filter.min_area=0.02, segmenter.size=512"
+        add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--overwrite", action="store_true", help="replace an earlier result in --out")
         add("--quiet", action="store_true", help="print errors only")
@@ -40,12 +39,12 @@ class RecolorCommand(Command):
         from edit3r.console import StageConsole
         from edit3r.io.images import load_photos
         from edit3r.io.run_folder import atomic_folder
-        from edit3r.reporting import Report, collecting
-        from edit3r_recolor.recolored_folder import write_folder
+        from edit3r.reporting import Report, collecting, warn
+        from edit3r_recolor.folder import write_folder
         from edit3r_recolor.scene import carry_out, carry_out_with_faults
 
         _check(args)
-        find = _finder(args)
+        find = _replayed(args) if args.replay else _found(args)
         with StageConsole(quiet=args.quiet) as console:
             report = Report(on_event=console)
             with collecting(report), atomic_folder(args.out) as folder:
@@ -53,7 +52,9 @@ class RecolorCommand(Command):
                     photos = load_photos(args.images, size=args.size)
                 with report.stage("regions"):
                     masks, recipe = find(photos)
-                _tell_left_out(recipe)
+                left_out = ", ".join(view.name for view in recipe.views if not view.processed)
+                if left_out:
+                    warn(f"{left_out}: left out, too few of the objects of the view before were found there.")
                 with report.stage("recolour"):
                     images = carry_out(photos.views.images[0], masks, recipe)
                     faulty = carry_out_with_faults(photos.views.images[0], masks, recipe) if args.augment else None
@@ -65,7 +66,7 @@ class RecolorCommand(Command):
 
 
 def _check(args: argparse.Namespace) -> None:
-    """What can be refused before any photo is read."""
+    """Refuse what can be refused before any photo is read."""
     from edit3r.errors import InputError, SettingsError
 
     if args.seed < 0:
@@ -79,24 +80,32 @@ def _check(args: argparse.Namespace) -> None:
         )
 
 
-def _finder(args: argparse.Namespace):
-    """Function from photos to masks and recipe; everything it needs is built and checked first."""
+def _replayed(args: argparse.Namespace) -> "Finder":
+    """Return a function from photos to the masks beside the recipe and the recipe; it is read and checked first."""
+    from edit3r.errors import InputError
+    from edit3r_recolor.folder import MASKS, read_masks_of
+    from edit3r_recolor.scene import SceneRecipe
+
+    recipe = SceneRecipe.load(Path(args.replay))
+    numbers, expected = [region.id for region in recipe.regions], tuple(view.name for view in recipe.views)
+
+    def find(photos: "LoadedPhotos") -> "tuple[Masks, SceneRecipe]":
+        names = tuple(photos.views.names)
+        if names != expected:
+            was, got = ", ".join(expected), ", ".join(names)
+            raise InputError(f"{args.replay}: was made for the photos {was}; got {got}.")
+        return read_masks_of(Path(args.replay).parent / MASKS, photos.photos, numbers), recipe
+
+    return find
+
+
+def _found(args: argparse.Namespace) -> "Finder":
+    """Return a function from photos to masks and a new recipe; everything it needs is built and checked first."""
     from edit3r.config import make_settings, parse_assignments
     from edit3r.registry import default_registry
-    from edit3r_recolor.mask_folder import read_masks, read_masks_of
-    from edit3r_recolor.recipe import SceneRecipe
-    from edit3r_recolor.recolored_folder import MASKS
+    from edit3r_recolor.folder import read_masks
     from edit3r_recolor.scene import RecoloringSettings, find_regions, given_regions, make_recipe
 
-    if args.replay:
-        recipe = SceneRecipe.load(Path(args.replay))
-        numbers = [region.id for region in recipe.regions]
-
-        def replayed(photos):
-            _check_names(recipe, photos.views.names, args.replay)
-            return read_masks_of(Path(args.replay).parent / MASKS, photos.photos, numbers), recipe
-
-        return replayed
     values = parse_assignments(args.set)
     for_segmenter = values.pop("segmenter", {})
     settings = make_settings(RecoloringSettings, values, where="recolor")
@@ -104,7 +113,7 @@ def _finder(args: argparse.Namespace):
     segmenter = None if args.masks else registry.build("segmenter", args.segmenter, **for_segmenter)
     source = f"masks of {args.masks}" if args.masks else f"segmenter {args.segmenter}"
 
-    def found(photos):
+    def find(photos: "LoadedPhotos") -> "tuple[Masks, SceneRecipe]":
         images = photos.views.images[0]
         if segmenter is None:
             regions = given_regions(read_masks(Path(args.masks), photos.photos), settings)
@@ -112,20 +121,4 @@ def _finder(args: argparse.Namespace):
             regions = find_regions(images, segmenter, settings)
         return regions.masks, make_recipe(images, photos.views.names, regions, settings, args.seed, source)
 
-    return found
-
-
-def _check_names(recipe, names, file: str) -> None:
-    from edit3r.errors import InputError
-
-    expected = tuple(view.name for view in recipe.views)
-    if tuple(names) != expected:
-        raise InputError(f"{file}: was made for the photos {', '.join(expected)}; got {', '.join(names)}.")
-
-
-def _tell_left_out(recipe) -> None:
-    from edit3r.reporting import warn
-
-    left_out = [view.name for view in recipe.views if not view.processed]
-    if left_out:
-        warn(f"{', '.join(left_out)}: left out, too few of the objects of the view before were found there.")
+    return find

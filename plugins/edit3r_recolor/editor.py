@@ -1,4 +1,4 @@
-"""Recolour an object or the whole picture from plain words, the same in every view."""
+"""Recolour an object or the whole image from plain words, the same in every view."""
 
 from dataclasses import asdict, replace
 
@@ -11,12 +11,10 @@ from edit3r import reporting
 from edit3r.config import PartChoice, Settings
 from edit3r.interfaces import Editor, Segmenter
 from edit3r.types import EditRequest, Views
-from edit3r_recolor.blend import blend_regions
-from edit3r_recolor.parameters import RecolorParameters, RecolorRanges, sample_parameters
-from edit3r_recolor.prompt import read_prompt
-from edit3r_recolor.region import choose_region
-from edit3r_recolor.steps import apply_step
-from edit3r_recolor.wish import Sample, Wish
+from edit3r_recolor.prompt import Instruction, parse_prompt
+from edit3r_recolor.recoloring import RecolorParameters, RecolorRanges, blend_regions, sample_parameters
+from edit3r_recolor.regions import choose_region
+from edit3r_recolor.steps import Sample, apply_step
 
 
 class RecolorEditor(Editor):
@@ -37,7 +35,7 @@ class RecolorEditor(Editor):
 
         @field_validator("point", "box")
         @classmethod
-        def _inside_the_picture(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        def _inside_the_image(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
             if value is not None and not all(0 <= v <= 1 for v in value):
                 raise ValueError("numbers must be in [0, 1], in picture widths and heights")
             if value is not None and len(value) == 4 and min(value[2:]) <= 0:
@@ -49,37 +47,38 @@ class RecolorEditor(Editor):
         self.segmenter = segmenter
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        wish = read_prompt(request.prompt)
+        instruction = parse_prompt(request.prompt)
         parameters = sample_parameters(torch.Generator().manual_seed(request.seed), self.settings.ranges)
-        _note_wish(wish, parameters)
+        _note_instruction(instruction, parameters)
         images = []
         for index, scene in enumerate(views.images):
             given = None if request.masks is None else request.masks[index]
-            images.append(self._recolor_scene(scene, given, wish, parameters))
+            images.append(self._recolor_scene(scene, given, instruction, parameters))
         return replace(views, images=torch.stack(images))
 
     def _recolor_scene(
         self,
         images: Float[Tensor, "view 3 height width"],
         given: Float[Tensor, "view height width"] | None,
-        wish: Wish,
+        instruction: Instruction,
         parameters: RecolorParameters,
     ) -> Float[Tensor, "view 3 height width"]:
         point, box = self.settings.point, self.settings.box
-        region = choose_region(images, given, wish, self.segmenter, point, box)
+        region = choose_region(images, given, instruction, self.segmenter, point, box)
         reporting.note("editor.region", region.source)
         reporting.note("editor.region_share", [round(float(share), 4) for share in region.masks.mean((1, 2))])
         recolored = images
-        for step in wish.steps:
+        for step in instruction.steps:
             recolored = apply_step(recolored, region.masks, step, parameters)
         # Given masks blend once more behind every editor, so that a soft edge must not count here already.
         masks = (region.masks > 0).to(images) if given is not None else region.masks
         return blend_regions(images, recolored[None], self.settings.strength * masks[None])
 
 
-def _note_wish(wish: Wish, parameters: RecolorParameters) -> None:
-    """What the prompt was understood as, for the run's manifest."""
-    steps = [{"step": type(step).__name__.lower(), **asdict(step)} for step in wish.steps]
-    reporting.note("editor.understood", {"steps": steps, "scope": wish.scope, "subject": " ".join(wish.subject)})
-    if any(isinstance(step, Sample) for step in wish.steps):
-        reporting.note("editor.parameters", parameters.to_json())
+def _note_instruction(instruction: Instruction, parameters: RecolorParameters) -> None:
+    """Note for the run's manifest what the prompt was understood as."""
+    steps = [{"step": type(step).__name__.lower(), **asdict(step)} for step in instruction.steps]
+    understood = {"steps": steps, "scope": instruction.scope, "subject": " ".join(instruction.subject)}
+    reporting.note("editor.understood", understood)
+    if any(isinstance(step, Sample) for step in instruction.steps):
+        reporting.note("editor.parameters", asdict(parameters))

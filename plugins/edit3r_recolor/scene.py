@@ -4,32 +4,37 @@ first photo --> proposals --> five criteria --> tracks --> views that show the s
 region, drawn once --> soft blend in every view
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from pydantic import Field
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
+from edit3r.io.run_folder import atomic_write
 from edit3r.reporting import progress, track
-from edit3r_recolor.augmentation import Fault, draw_outline, perturbed, with_outline
-from edit3r_recolor.parameters import RecolorParameters, RecolorRanges
-from edit3r_recolor.proposal_filter import ProposalFilter, kept_proposals
-from edit3r_recolor.recipe import RegionRecipe, SceneRecipe, ViewRecipe
-from edit3r_recolor.recoloring import recolored, visible_parameters
-from edit3r_recolor.tracked_regions import (
+from edit3r_recolor import recoloring
+from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
+from edit3r_recolor.regions import (
+    ProposalFilter,
     active_objects,
+    kept_proposals,
     overlap_ratio,
     processed_views,
     proposals_of_masks,
     soft_masks,
     tracks_of_masks,
 )
+
+FORMAT = "edit3r recolor 1"
+_NO_UNKNOWN_KEYS = ConfigDict(extra="forbid")
 
 Images = Float[Tensor, "view 3 height width"]
 Masks = Float[Tensor, "object view height width"]
@@ -50,6 +55,78 @@ class RecoloringSettings(Settings):
 
 
 @dataclass(frozen=True)
+class Fault:
+    """What an augmented image gets wrong with one region in one view."""
+
+    outline: Outline = "exact"
+    parameters: RecolorParameters | None = None  # the region's colours in this view; None: as they should be
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
+
+
+@dataclass(frozen=True)
+class RegionRecipe:
+    """One object, its colour transform, and what its proposal said of it."""
+
+    id: int  # persistent: the same object in every view, from 1
+    parameters: RecolorParameters
+    area: float  # share of the first view
+    stability: float
+    predicted_iou: float
+    box: tuple[float, float, float, float]  # x, y, width, height on the first view [pixels]
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
+
+
+@dataclass(frozen=True)
+class ViewRecipe:
+    """One photo: the objects it shows and whether it was used."""
+
+    name: str
+    objects: tuple[int, ...]  # ids
+    overlap: float  # of its objects with those of the most recently processed view
+    processed: bool  # False: too different, left out
+    faults: dict[int, Fault] = field(default_factory=dict)  # by id; what its augmented image gets wrong
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
+
+
+@dataclass(frozen=True)
+class SceneRecipe:
+    """How a scene was recoloured: enough to do it again, on the same photos at any size."""
+
+    seed: int
+    masks: str  # where they came from, such as "segmenter classical"
+    regions: tuple[RegionRecipe, ...]
+    views: tuple[ViewRecipe, ...]
+    rejected: dict[str, int] = field(default_factory=dict)  # proposals that failed each criterion
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
+
+    @property
+    def processed(self) -> list[int]:
+        """Indices of the views in use."""
+        return [index for index, view in enumerate(self.views) if view.processed]
+
+    def save(self, path: Path) -> None:
+        """Write as JSON; floats survive exactly."""
+        with atomic_write(path) as partial:
+            partial.write_text(json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n", encoding="utf-8")
+
+    @staticmethod
+    def load(path: Path) -> "SceneRecipe":
+        """Read what `save` wrote. Raises InputError for any other file."""
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            if data.pop("format") != FORMAT:
+                raise ValueError(f"its format is not {FORMAT!r}")
+            return TypeAdapter(SceneRecipe).validate_python(data)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            reason: object = error
+            if isinstance(error, ValidationError):
+                reason = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:1])
+            raise InputError(f"{path}: not a recipe that `edit3r recolor` wrote ({reason}).") from None
+
+
+@dataclass(frozen=True)
 class FoundRegions:
     """Objects of a scene that passed the filter, in all views."""
 
@@ -60,7 +137,7 @@ class FoundRegions:
 
 
 def find_regions(images: Images, segmenter: Segmenter, settings: RecoloringSettings) -> FoundRegions:
-    """Proposals on the first view, filtered, followed through the others. Raises InputError when none passes."""
+    """Filter the first view's proposals and follow them through the others. Raises InputError when none passes."""
     progress("find objects", 0, 2)
     chosen, rejected = _choose(segmenter.propose(images[0]), images.shape[-2:], settings)
     progress("find objects", 1, 2)
@@ -70,49 +147,11 @@ def find_regions(images: Images, segmenter: Segmenter, settings: RecoloringSetti
 
 
 def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
-    """The data's own masks under the same criteria. Raises InputError when none passes."""
+    """Take the data's own masks under the same criteria. Raises InputError when none passes."""
     proposals = proposals_of_masks(masks[:, 0])
     chosen, rejected = _choose(proposals, masks.shape[-2:], settings)
     index = [number for number, proposal in enumerate(proposals) if any(proposal is other for other in chosen)]
     return _found(chosen, tracks_of_masks(masks[index]), rejected)
-
-
-def make_recipe(
-    images: Images, names: Sequence[str], found: FoundRegions, settings: RecoloringSettings, seed: int, source: str
-) -> SceneRecipe:
-    """Draw the parameters of every region, and what augmented pictures get wrong, from `seed` alone."""
-    used = processed_views(found.active, settings.least_overlap)
-    regions = []
-    for number, proposal in enumerate(found.proposals, start=1):
-        rng = np.random.default_rng((seed, number))
-        masks = found.masks[number - 1, used]
-        parameters = visible_parameters(rng, images[used], masks, settings.least_change, ranges=settings.ranges)
-        fields = (proposal.area, proposal.stability, proposal.predicted_iou, proposal.box)
-        regions.append(RegionRecipe(number, parameters, *fields))
-    views = tuple(_view_recipe(view, name, found, used, regions, settings, seed) for view, name in enumerate(names))
-    return SceneRecipe(seed, source, tuple(regions), views, found.rejected)
-
-
-def carry_out(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
-    """The processed views, recoloured alike."""
-    parameters = [region.parameters for region in recipe.regions]
-    return _each_view(recipe, "recolour", lambda view: recolored(images[[view]], masks[:, [view]], parameters)[0])
-
-
-def carry_out_with_faults(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
-    """The processed views as a 2D editor might have returned them: the same edit, with every view's faults."""
-
-    def augmented(view: int) -> Tensor:
-        faults = [recipe.views[view].faults.get(region.id, Fault()) for region in recipe.regions]
-        own = torch.stack([with_outline(mask, fault.outline) for mask, fault in zip(masks[:, view], faults)])
-        parameters = [fault.parameters or region.parameters for region, fault in zip(recipe.regions, faults)]
-        return recolored(images[[view]], own[:, None], parameters)[0]
-
-    return _each_view(recipe, "augment", augmented)
-
-
-def _each_view(recipe: SceneRecipe, text: str, picture) -> Images:
-    return torch.stack([picture(view) for view in track(recipe.processed, text)])
 
 
 def _choose(
@@ -133,28 +172,60 @@ def _found(proposals: Sequence[Proposal], tracks: Tracks, rejected: dict[str, in
     return FoundRegions(tuple(proposals), masks, active_objects(tracks), rejected)
 
 
-def _view_recipe(
-    view: int,
-    name: str,
-    found: FoundRegions,
-    used: list[int],
-    regions: Sequence[RegionRecipe],
-    settings: RecoloringSettings,
-    seed: int,
-) -> ViewRecipe:
-    before = max([other for other in used if other < view], default=view)
-    shown = [region for region, here in zip(regions, found.active[view].tolist()) if here]
-    faults = {region.id: _fault(region.parameters, settings, (seed, region.id, view)) for region in shown}
-    return ViewRecipe(
-        name,
-        tuple(region.id for region in shown),
-        overlap_ratio(found.active[view], found.active[before]),
-        view in used,
-        {number: fault for number, fault in faults.items() if fault != Fault() and view in used},
-    )
+def make_recipe(
+    images: Images, names: Sequence[str], found: FoundRegions, settings: RecoloringSettings, seed: int, source: str
+) -> SceneRecipe:
+    """Draw the parameters of every region, and what augmented images get wrong, from `seed` alone."""
+    used = processed_views(found.active, settings.least_overlap)
+    regions = []
+    for number, proposal in enumerate(found.proposals, start=1):
+        rng = np.random.default_rng((seed, number))
+        masks, least = found.masks[number - 1, used], settings.least_change
+        parameters = recoloring.visible_parameters(rng, images[used], masks, least, ranges=settings.ranges)
+        fields = (proposal.area, proposal.stability, proposal.predicted_iou, proposal.box)
+        regions.append(RegionRecipe(number, parameters, *fields))
+    views = []
+    for view, name in enumerate(names):
+        before = max([other for other in used if other < view], default=view)
+        overlap = overlap_ratio(found.active[view], found.active[before])
+        shown = [region for region, here in zip(regions, found.active[view].tolist()) if here]
+        faults = _draw_faults(view, shown, settings, seed) if view in used else {}
+        views.append(ViewRecipe(name, tuple(region.id for region in shown), overlap, view in used, faults))
+    return SceneRecipe(seed, source, tuple(regions), tuple(views), found.rejected)
 
 
-def _fault(parameters: RecolorParameters, settings: RecoloringSettings, seed: tuple[int, int, int]) -> Fault:
-    rng = np.random.default_rng(seed)
-    outline = draw_outline(rng) if rng.random() < settings.mask_jitter else "exact"
-    return Fault(outline, perturbed(parameters, rng) if rng.random() < settings.palette_jitter else None)
+def _draw_faults(view: int, shown: Sequence[RegionRecipe], settings: RecoloringSettings, seed: int) -> dict[int, Fault]:
+    """Draw the faults of the regions that one view shows, by their ids; those without a fault are left out."""
+    faults = {}
+    for region in shown:
+        rng = np.random.default_rng((seed, region.id, view))
+        outline = recoloring.draw_outline(rng) if rng.random() < settings.mask_jitter else "exact"
+        is_off = rng.random() < settings.palette_jitter
+        faults[region.id] = Fault(outline, recoloring.perturbed(region.parameters, rng) if is_off else None)
+    return {number: fault for number, fault in faults.items() if fault != Fault()}
+
+
+def carry_out(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
+    """Recolour the processed views alike."""
+    parameters = [region.parameters for region in recipe.regions]
+
+    def recolored(view: int) -> Float[Tensor, "3 height width"]:
+        return recoloring.recolored(images[[view]], masks[:, [view]], parameters)[0]
+
+    return _each_view(recipe, "recolour", recolored)
+
+
+def carry_out_with_faults(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
+    """Recolour the processed views as a 2D editor might have: the same edit, with every view's faults."""
+
+    def augmented(view: int) -> Float[Tensor, "3 height width"]:
+        faults = [recipe.views[view].faults.get(region.id, Fault()) for region in recipe.regions]
+        own = torch.stack([recoloring.with_outline(m, fault.outline) for m, fault in zip(masks[:, view], faults)])
+        parameters = [fault.parameters or region.parameters for region, fault in zip(recipe.regions, faults)]
+        return recoloring.recolored(images[[view]], own[:, None], parameters)[0]
+
+    return _each_view(recipe, "augment", augmented)
+
+
+def _each_view(recipe: SceneRecipe, text: str, draw: Callable[[int], Float[Tensor, "3 height width"]]) -> Images:
+    return torch.stack([draw(view) for view in track(recipe.processed, text)])

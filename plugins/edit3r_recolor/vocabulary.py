@@ -1,13 +1,49 @@
-"""The words the prompt reader knows. Everything it does not find here it must not guess."""
+"""The words that the prompt reader knows: colours, changes and fillers. What is not here it must not guess."""
 
-from edit3r_recolor.wish import Adjust
+import colorsys
+
+from PIL import ImageColor
+
+from edit3r_recolor.steps import Adjust
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-_DIRECTIONS = {
+_BASIC_NAMES = """
+    red orange yellow green blue purple pink brown black white grey turquoise cyan magenta gold silver beige navy teal
+    olive maroon violet
+"""
+BASIC_COLOURS = tuple(_BASIC_NAMES.split())
+"""The colours that messages suggest; every CSS name is understood."""
+
+_EVERYDAY_COLOURS = {
+    "bronze": "#cd7f32",
+    "burgundy": "#800020",
+    "charcoal": "#36454f",
+    "copper": "#b87333",
+    "cream": "#fffdd0",
+    "emerald": "#50c878",
+    "golden": "#ffd700",
+    "lilac": "#c8a2c8",
+    "mint": "#98ff98",
+    "mustard": "#e1ad01",
+    "ochre": "#cc7722",
+    "rose": "#ff007f",
+    "ruby": "#9b111e",
+    "scarlet": "#ff2400",
+    "silvery": "#c0c0c0",
+    "terracotta": "#e2725b",
+    # As a painter would mix them: CSS's pure primaries are lamps, and its green is very dark.
+    "red": "#dc1414",
+    "green": "#1e9632",
+    "blue": "#1e50dc",
+    "yellow": "#ffdc00",
+}
+_TONES = {"light": 0.45, "pale": 0.6, "pastel": 0.55, "bright": 0.12, "dark": -0.4, "deep": -0.25}
+
+_ADJUSTMENT_WORDS = {
     ("brightness", 1.0): "brighter lighter brighten lighten bright",
     ("brightness", -1.0): "darker dimmer darken dim dark",
     ("warmth", 1.0): "warm warmer",
@@ -20,16 +56,15 @@ _DIRECTIONS = {
     ("sepia", 1.0): "sepia",
     ("invert", 1.0): "invert inverted",
 }
-ADJUSTMENTS = {word: Adjust(what, amount) for (what, amount), words in _DIRECTIONS.items() for word in words.split()}
-"""One word, one adjustment."""
+ADJUSTMENTS = {word: Adjust(*step) for step, words in _ADJUSTMENT_WORDS.items() for word in words.split()}
+"""Words that say one adjustment each."""
 
-_PROPERTY_WORDS = {
-    "brightness": "brightness exposure light",
+PROPERTIES = {
+    **dict.fromkeys(("brightness", "exposure", "light"), "brightness"),
     "contrast": "contrast",
-    "saturation": "saturation colour color colours colors",
+    **dict.fromkeys(("saturation", "colour", "color", "colours", "colors"), "saturation"),
     "warmth": "warmth",
 }
-PROPERTIES = {word: what for what, words in _PROPERTY_WORDS.items() for word in words.split()}
 """Nouns that "more" and "less" can stand before."""
 
 MORE = _words("more increase increased raise boost higher add stronger")
@@ -82,3 +117,38 @@ KEPT_ANYWAY = _words(
     "are was intact untouched original its shape texture shading structure lighting light details all other objects"
 )
 """A clause of only these words ("keep the background unchanged") asks for what a recolouring does in any case."""
+
+
+def read_colour(words: list[str]) -> tuple[str, tuple[float, float, float], int] | None:
+    """Read the colour at the start of `words`: its name, sRGB in [0, 1], and how many words it takes; None: none.
+
+    The longest reading wins: "light sea green" is one colour.
+    """
+    for length in (3, 2, 1):
+        rgb = _toned_colour(words[:length]) if len(words) >= length else None
+        if rgb is not None:
+            return " ".join(words[:length]), rgb, length
+    return None
+
+
+def _toned_colour(words: list[str]) -> tuple[float, float, float] | None:
+    """sRGB of a colour's name, which may begin with "light", "dark" and the like."""
+    rgb = _named_colour("".join(words))
+    if rgb is not None or len(words) == 1 or words[0] not in _TONES:
+        return rgb
+    rgb, tone = _named_colour("".join(words[1:])), _TONES[words[0]]
+    if rgb is None:
+        return None
+    hue, lightness, saturation = colorsys.rgb_to_hls(*rgb)
+    lightness = lightness + tone * (1 - lightness) if tone > 0 else lightness * (1 + tone)
+    return colorsys.hls_to_rgb(hue, lightness, saturation)
+
+
+def _named_colour(name: str) -> tuple[float, float, float] | None:
+    given = _EVERYDAY_COLOURS.get(name) or (name if name in ImageColor.colormap or name.startswith("#") else None)
+    if given is None:
+        return None
+    try:
+        return tuple(level / 255 for level in ImageColor.getrgb(given)[:3])
+    except ValueError:  # "#" and letters that are no colour
+        return None

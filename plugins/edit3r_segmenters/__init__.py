@@ -9,12 +9,12 @@ EDIT3R_API = 1
 def register_segmenters():
     classical = Component(
         name="classical",
-        target="edit3r_segmenters.classical.segmenter:ClassicalSegmenter",
+        target="edit3r_segmenters.classical:ClassicalSegmenter",
         summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
     )
     sam2 = Component(
         name="sam2",
-        target="edit3r_segmenters.segmenter:Sam2Segmenter",
+        target="edit3r_segmenters.sam2:Sam2Segmenter",
         summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights (0.2 to 0.9 GB)",
         requires=("transformers",),
         extra="transformers",

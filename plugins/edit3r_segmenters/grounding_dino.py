@@ -80,7 +80,7 @@ def without(special_tokens: Iterable[str], label: str) -> str:
 def ranked(
     labels: list[str], scores: Tensor, boxes: Float[Tensor, "n 4"], size: tuple[int, int]
 ) -> tuple[Detection, ...]:
-    """Detections inside a picture of `size` from corner boxes (x0, y0, x1, y1) [pixels], best first."""
+    """Make detections inside an image of `size` from corner boxes (x0, y0, x1, y1) [pixels], best first."""
     height, width = size
     corners = boxes.cpu().clamp(min=0).minimum(torch.tensor([width, height, width, height]).to(boxes.cpu()))
     found = [

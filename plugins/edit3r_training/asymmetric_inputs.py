@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from edit3r_editors.mock_diffusion import apply_look, disagreeing, sample_look
-from edit3r_recolor.augmentation import draw_outline, perturbed, with_outline
-from edit3r_recolor.recoloring import recolored, visible_parameters
+from edit3r_recolor.api import draw_outline, perturbed, recolored, visible_parameters, with_outline
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from edit3r_recolor.recoloring import recolored, visible_parameters
+from edit3r_recolor.api import recolored, visible_parameters
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from edit3r import EditRequest, Views
+from edit3r import Views
 from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.mask_from_prompt import confine, object_of
+from edit3r.mask_from_prompt import masks_from_prompt, object_in_prompt
 from edit3r.reporting import Report, collecting
 
 
@@ -59,12 +59,11 @@ VIEWS = Views(torch.rand(1, 3, 3, 24, 32), torch.eye(3).expand(1, 3, 3, 3))
     ],
 )
 def test_the_object_of_an_instruction(instruction, thing):
-    assert object_of(instruction) == thing
+    assert object_in_prompt(instruction) == thing
 
 
 def test_the_named_object_is_masked_and_followed():
-    confined = confine(EditRequest("paint the bike red"), VIEWS, Reader(bike=(6, 8)))
-    masks = confined.masks[0]
+    masks = masks_from_prompt("paint the bike red", VIEWS, Reader(bike=(6, 8)))[0]
     assert masks.shape == (3, 24, 32)
     for view in range(3):
         assert (masks[view, 6:10, 8 + view : 12 + view] == 1).all()
@@ -74,13 +73,13 @@ def test_the_named_object_is_masked_and_followed():
 def test_the_segmenters_prompt_goes_before_the_instruction():
     report = Report()
     with collecting(report):
-        masks = confine(EditRequest("paint the bike red"), VIEWS, Reader("the car", bike=(6, 8), car=(15, 20))).masks
+        masks = masks_from_prompt("paint the bike red", VIEWS, Reader("the car", bike=(6, 8), car=(15, 20)))
     assert masks[0, 0, 16, 21] == 1 and masks[0, 0, 7, 9] == 0
     assert report.notes["edit.confined_to"] == "the car"
 
 
 def test_all_that_the_words_name_is_in_the_mask():
-    masks = confine(EditRequest("x"), VIEWS, Reader("the bike. the car.", bike=(2, 2), car=(15, 20))).masks
+    masks = masks_from_prompt("x", VIEWS, Reader("the bike. the car.", bike=(2, 2), car=(15, 20)))
     assert masks[0, 0, 3, 3] == 1 and masks[0, 0, 16, 21] == 1
 
 
@@ -88,7 +87,7 @@ def test_a_view_where_it_is_lost_stays_unedited_and_is_told():
     reader, report = Reader(bike=(6, 8)), Report()
     reader.lost = (2,)
     with collecting(report):
-        masks = confine(EditRequest("paint the bike red"), VIEWS, reader).masks
+        masks = masks_from_prompt("paint the bike red", VIEWS, reader)
     assert masks[0, 2].max() == 0 and masks[0, 1].max() == 1
     assert "views [2]" in report.warnings[0]
 
@@ -104,10 +103,11 @@ class Mute(Reader):
         ("make it winter", Reader(bike=(6, 8)), "names no one object"),
         ("paint the bike red", Reader(car=(6, 8)), "'the bike' was not found"),
         ("paint the bike red", Mute(), "cannot look up 'the bike'"),
+        ("paint the bike red", Mute(), "use a segmenter that reads words"),
     ],
 )
 def test_what_cannot_be_found_confines_nothing_and_is_told(prompt, segmenter, says):
-    request, report = EditRequest(prompt), Report()
+    report = Report()
     with collecting(report):
-        assert confine(request, VIEWS, segmenter) is request
+        assert masks_from_prompt(prompt, VIEWS, segmenter) is None
     assert says in report.warnings[0]

@@ -6,7 +6,7 @@ from edit3r_diffusers import depth
 
 def test_near_is_white_far_is_black_and_the_scale_is_shared_by_the_views():
     disparity = torch.linspace(0, 1, 64 * 64).view(1, 64, 64)
-    pictures = depth.control_pictures(torch.cat((disparity, disparity / 2)), (64, 64))
+    pictures = depth.control_images(torch.cat((disparity, disparity / 2)), (64, 64))
     assert pictures.shape == (2, 3, 64, 64)
     assert pictures.min() == 0 and pictures.max() == 1
     assert pictures[0, 0, -1, -1] == 1 and pictures[0, 0, 0, 0] == 0
@@ -14,7 +14,7 @@ def test_near_is_white_far_is_black_and_the_scale_is_shared_by_the_views():
 
 
 def test_a_flat_scene_gives_a_finite_picture():
-    assert torch.isfinite(depth.control_pictures(torch.ones(2, 8, 8), (16, 16))).all()
+    assert torch.isfinite(depth.control_images(torch.ones(2, 8, 8), (16, 16))).all()
 
 
 def test_a_monocular_network_is_fed_multiples_of_its_patch(tiny):

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 import torch
-from edit3r_diffusers import blending, inversion
+from edit3r_diffusers import latents
 from edit3r_diffusers.loading import NO_SAFETY_CHECKER
 
 
@@ -36,8 +36,8 @@ def round_trip_error(pipeline, views, steps: int, start: torch.Tensor | None = N
     """Relative error of the latents after inverting them (or from `start`) and denoising without guidance."""
     images, control = views.images[0], torch.full_like(views.images[0], 0.5)
     with torch.no_grad():
-        clean = blending.encode(pipeline.vae, images)
-        trajectory = inversion.invert(pipeline, clean, control, "a bike", steps, 1.0)
+        clean = latents.encode(pipeline.vae, images)
+        trajectory = latents.invert(pipeline, clean, control, "a bike", steps, 1.0)
         pipeline.scheduler.set_timesteps(steps)
         back = pipeline(
             prompt=["a bike"] * len(images),
@@ -67,8 +67,8 @@ def test_denoising_an_inversion_leads_back_where_random_noise_does_not(pipeline,
 def test_every_timestep_of_the_denoising_has_its_latents(pipeline, two_views):
     images = two_views.images[0]
     with torch.no_grad():
-        clean = blending.encode(pipeline.vae, images)
-        trajectory = inversion.invert(pipeline, clean, images, "", 4, 1.0)
+        clean = latents.encode(pipeline.vae, images)
+        trajectory = latents.invert(pipeline, clean, images, "", 4, 1.0)
     pipeline.scheduler.set_timesteps(4)
     assert sorted(trajectory) == sorted(int(t) for t in pipeline.scheduler.timesteps)
     assert all(latents.shape == clean.shape for latents in trajectory.values())

@@ -1,6 +1,6 @@
 import pytest
-from edit3r_recolor.prompt import read_prompt
-from edit3r_recolor.wish import Adjust, Paint, Sample, Tint
+from edit3r_recolor.prompt import parse_prompt
+from edit3r_recolor.steps import Adjust, Paint, Sample, Tint
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,9 +24,11 @@ from edit3r.errors import PromptError
     ],
 )
 def test_paints(prompt, colour, subject):
-    wish = read_prompt(prompt)
-    assert [step.colour for step in wish.steps if isinstance(step, Paint)] == [colour] and len(wish.steps) == 1
-    assert (wish.scope, tuple(word for word in wish.subject)) == ("object", subject)
+    instruction = parse_prompt(prompt)
+    assert [step.colour for step in instruction.steps if isinstance(step, Paint)] == [colour] and len(
+        instruction.steps
+    ) == 1
+    assert (instruction.scope, instruction.subject) == ("object", subject)
 
 
 @pytest.mark.parametrize(
@@ -46,32 +48,32 @@ def test_paints(prompt, colour, subject):
     ],
 )
 def test_adjustments(prompt, what, sign, scope):
-    wish = read_prompt(prompt)
-    assert wish.scope == scope and len(wish.steps) == 1
-    step = wish.steps[0]
+    instruction = parse_prompt(prompt)
+    assert instruction.scope == scope and len(instruction.steps) == 1
+    step = instruction.steps[0]
     assert isinstance(step, Adjust) and step.what == what and step.amount * sign > 0
 
 
 def test_degrees_scale_an_adjustment():
-    weak, plain, strong = (read_prompt(p).steps[0].amount for p in ("slightly brighter", "brighter", "a lot brighter"))
+    weak, plain, strong = (parse_prompt(p).steps[0].amount for p in ("slightly brighter", "brighter", "a lot brighter"))
     assert 0 < weak < plain < strong
 
 
 def test_tints():
     for prompt in ("bluer", "make it more blue"):
-        step = read_prompt(prompt).steps[0]
+        step = parse_prompt(prompt).steps[0]
         assert isinstance(step, Tint) and step.colour == "blue"
 
 
 def test_steps_of_several_clauses_are_taken_together_paint_first():
-    wish = read_prompt("make the bike darker and paint the bike red")
-    assert [type(step) for step in wish.steps] == [Paint, Adjust]
-    assert len(read_prompt("make it brighter and warmer").steps) == 2
+    instruction = parse_prompt("make the bike darker and paint the bike red")
+    assert [type(step) for step in instruction.steps] == [Paint, Adjust]
+    assert len(parse_prompt("make it brighter and warmer").steps) == 2
 
 
 @pytest.mark.parametrize("prompt", ["", "   ", "recolor the bike", "recolour"])
 def test_without_a_colour_a_recolouring_is_sampled(prompt):
-    assert read_prompt(prompt).steps == (Sample(),)
+    assert parse_prompt(prompt).steps == (Sample(),)
 
 
 @pytest.mark.parametrize(
@@ -101,13 +103,13 @@ def test_without_a_colour_a_recolouring_is_sampled(prompt):
 )
 def test_what_it_cannot_do_is_an_error_that_says_what_it_can(prompt):
     with pytest.raises(PromptError) as caught:
-        read_prompt(prompt)
+        parse_prompt(prompt)
     assert any(way in str(caught.value) for way in ("paint the bike red", "one region at a time", "name one"))
 
 
 def test_a_misspelt_colour_is_suggested():
     with pytest.raises(PromptError, match="Did you mean 'purple'"):
-        read_prompt("paint the bike purpel")
+        parse_prompt("paint the bike purpel")
 
 
 KNOWN = "paint make turn the bike wall red light blue darker warmer more less it everything and , not background very"
@@ -117,7 +119,7 @@ KNOWN = "paint make turn the bike wall red light blue darker warmer more less it
 @given(st.one_of(st.text(max_size=30), st.lists(st.sampled_from(KNOWN.split()), max_size=9).map(" ".join)))
 def test_any_text_is_read_or_refused(text):
     try:
-        wish = read_prompt(text)
+        instruction = parse_prompt(text)
     except PromptError:
         return
-    assert wish.steps and "not" not in text.split() and "less red" not in text
+    assert instruction.steps and "not" not in text.split() and "less red" not in text

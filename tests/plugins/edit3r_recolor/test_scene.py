@@ -2,17 +2,16 @@ from typing import ClassVar
 
 import pytest
 import torch
-from edit3r_recolor.blend import renormalize
-from edit3r_recolor.recipe import SceneRecipe
+from edit3r_recolor.recoloring import recolor, renormalize
 from edit3r_recolor.scene import (
     RecoloringSettings,
+    SceneRecipe,
     carry_out,
     carry_out_with_faults,
     find_regions,
     given_regions,
     make_recipe,
 )
-from edit3r_recolor.transform import recolor
 
 from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
@@ -86,7 +85,7 @@ def test_pixels_outside_every_region_keep_their_exact_value():
 
 
 def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
-    found, recipe = _recipe(seed=3)
+    found, recipe = _recipe(3, SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0}))
     recipe.save(tmp_path / "recolor.json")
     again = SceneRecipe.load(tmp_path / "recolor.json")
     assert again == recipe
@@ -140,4 +139,12 @@ def test_a_file_that_is_no_recipe_is_refused_by_name(tmp_path, content):
     path = tmp_path / "recolor.json"
     path.write_text(content)
     with pytest.raises(InputError, match=r"recolor\.json: not a recipe"):
+        SceneRecipe.load(path)
+
+
+def test_a_misspelt_key_in_a_recipe_is_named(tmp_path):
+    path = tmp_path / "recolor.json"
+    _recipe()[1].save(path)
+    path.write_text(path.read_text().replace('"hue"', '"hew"', 1))
+    with pytest.raises(InputError, match=r"not a recipe .*regions\.0\.parameters\.hew"):
         SceneRecipe.load(path)

@@ -1,10 +1,9 @@
 import kornia
 import pytest
 import torch
-from edit3r_recolor.colours import BASIC, read_colour
-from edit3r_recolor.parameters import RecolorParameters
-from edit3r_recolor.steps import apply_step, paint, tint, weighted_median
-from edit3r_recolor.wish import Adjust
+from edit3r_recolor.recoloring import RecolorParameters
+from edit3r_recolor.steps import Adjust, apply_step, paint, tint, weighted_median
+from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,7 +24,7 @@ def hue(rgb: torch.Tensor) -> float:
     return float(kornia.color.rgb_to_hsv(rgb.reshape(1, 3, 1, 1))[0, 0, 0, 0]) / (2 * torch.pi)
 
 
-@pytest.mark.parametrize("colour", BASIC)
+@pytest.mark.parametrize("colour", BASIC_COLOURS)
 @pytest.mark.parametrize("surface", [(0.5, 0.4, 0.3), (0.05, 0.05, 0.06), (0.95, 0.95, 0.9), (0.1, 0.2, 0.8)])
 def test_paint_keeps_the_order_of_light_and_shade(colour, surface):
     before, after = lightness(shaded(surface)), lightness(paint(shaded(surface), ONES, read_colour([colour])[1]))

@@ -5,7 +5,7 @@ import pytest
 from edit3r.testing import CONTRACTS, claims, contract_for
 
 # Whether a black picture shows the object is knowledge, which random weights do not have; that a lost object's logits
-# are not positive is tested in test_segmenter.py.
+# are not positive is tested in test_sam2.py.
 LEARNED = "test_lost_objects_are_reported"
 
 

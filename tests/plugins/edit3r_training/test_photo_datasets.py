@@ -5,9 +5,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from edit3r_recolor.mask_folder import write_masks
-from edit3r_recolor.parameters import RecolorParameters
-from edit3r_recolor.recipe import RegionRecipe, SceneRecipe, ViewRecipe
+from edit3r_recolor.api import RecolorParameters, RegionRecipe, SceneRecipe, ViewRecipe, write_masks
 from edit3r_training.photo_dataset import DrawnPhotos
 from edit3r_training.procedural_dataset import ProceduralDataset
 from edit3r_training.re10k_dataset import Re10kDataset

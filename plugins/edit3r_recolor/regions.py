@@ -1,0 +1,175 @@
+"""Which regions are recoloured: the paper's filter of proposals, tracks through the views, and the marked object."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field, field_validator
+from torch import Tensor
+
+from edit3r import reporting
+from edit3r.config import Settings
+from edit3r.errors import InputError
+from edit3r.interfaces import Proposal, Segmenter, Tracks
+from edit3r.stage_checks import component_name
+from edit3r_recolor.prompt import Instruction
+
+FAINT = 0.01
+"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
+
+Box = tuple[float, float, float, float]
+ADVICE = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
+
+
+class ProposalFilter(Settings):
+    """The paper's five criteria of a region (section 3.2).
+
+    The paper gives its thresholds in an appendix that is not public; these defaults are this project's own. They let
+    through what the `classical` segmenter thinks of plain objects, whose stability and quality are proxies; with
+    `sam2` raise them (0.92 and 0.85 are usual for it).
+    """
+
+    min_area: float = Field(0.01, ge=0, le=1, description="least share of the first picture")
+    min_stability: float = Field(0.8, ge=0, le=1, description="least overlap of the mask under two thresholds")
+    min_predicted_iou: float = Field(0.4, ge=0, le=1, description="least quality that the mask believes it has")
+    aspect: tuple[float, float] = Field((0.2, 5.0), description="least and most width / height of the box")
+    margin: int = Field(2, ge=0, description="least distance of the box to the border [pixels]")
+
+    @field_validator("aspect")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0 < value[0] <= value[1]:
+            raise ValueError("expected [least, most] with 0 < least <= most")
+        return value
+
+    def objection(self, proposal: Proposal, image_size: tuple[int, int]) -> str | None:
+        """Name the first criterion that `proposal` fails on an image of (height, width) pixels; None: it is kept."""
+        x, y, width, height = proposal.box
+        margin = min(x, y, image_size[1] - (x + width), image_size[0] - (y + height))
+        aspect = width / height if height > 0 else 0.0
+        checks = {
+            "area": proposal.area >= self.min_area,
+            "stability": proposal.stability >= self.min_stability,
+            "predicted IoU": proposal.predicted_iou >= self.min_predicted_iou,
+            "aspect": self.aspect[0] <= aspect <= self.aspect[1],
+            "margin": margin >= self.margin,
+        }
+        return next((name for name, passed in checks.items() if not passed), None)
+
+
+def kept_proposals(
+    proposals: Sequence[Proposal], image_size: tuple[int, int], criteria: ProposalFilter
+) -> tuple[list[Proposal], dict[str, int]]:
+    """Return those that pass, in their order, and how many failed each criterion (by the first one they fail)."""
+    objections = [criteria.objection(proposal, image_size) for proposal in proposals]
+    kept = [proposal for proposal, objection in zip(proposals, objections) if objection is None]
+    return kept, dict(Counter(objection for objection in objections if objection is not None))
+
+
+def active_objects(tracks: Tracks) -> Bool[Tensor, "view object"]:
+    """O_v: the objects that a view shows, those with a logit above zero."""
+    return tracks.present & (tracks.logits > 0).flatten(2).any(2)
+
+
+def overlap_ratio(one: Bool[Tensor, "object"], other: Bool[Tensor, "object"]) -> float:
+    """Compute |A and B| / max(|A|, |B|) of two sets of objects; 0 when both are empty."""
+    return float((one & other).sum() / max(int(one.sum()), int(other.sum()), 1))
+
+
+def processed_views(active: Bool[Tensor, "view object"], least: float = 0.5) -> list[int]:
+    """List the views whose objects overlap by at least `least` with the most recently processed one's, from view 0.
+
+    Against identity drift (section 3.2): a view that shows other objects is left out of everything that follows.
+    """
+    chosen = [0]
+    for view in range(1, len(active)):
+        if overlap_ratio(active[view], active[chosen[-1]]) >= least:
+            chosen.append(view)
+    return chosen
+
+
+def soft_masks(tracks: Tracks) -> Float[Tensor, "object view height width"]:
+    """Turn logits into foreground probabilities; exactly 0 where faint, and in views that do not show the object."""
+    masks = tracks.logits.sigmoid() * active_objects(tracks)[..., None, None]
+    return torch.where(masks < FAINT, 0, masks).transpose(0, 1)
+
+
+def tracks_of_masks(masks: Float[Tensor, "object view height width"]) -> Tracks:
+    """Turn the data's own masks in [0, 1] into tracks; `soft_masks` gives them back to 8 bits."""
+    present = (masks > 0.5).flatten(2).any(2).T
+    return Tracks(masks.transpose(0, 1).logit(1e-3), present)
+
+
+def proposals_of_masks(masks: Float[Tensor, "object height width"]) -> list[Proposal]:
+    """Turn the data's own masks of the first view into proposals: stable and sure, since they are given."""
+    inside = [mask > 0.5 for mask in masks]
+    boxes = [tuple(map(float, cv2.boundingRect(one.byte().cpu().numpy()))) for one in inside]
+    return [Proposal(mask, float(i.float().mean()), 1.0, 1.0, box) for mask, i, box in zip(masks, inside, boxes)]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Soft masks of one region in every view of a scene, and how it was found."""
+
+    masks: Float[Tensor, "view height width"]  # in [0, 1]
+    source: str  # "masks", "point", "box", "everything", "named object", "most salient object" or "background"
+
+
+def choose_region(
+    images: Float[Tensor, "view 3 height width"],
+    given: Float[Tensor, "view height width"] | None,
+    instruction: Instruction,
+    segmenter: Segmenter,
+    point: tuple[float, float] | None = None,
+    box: Box | None = None,
+) -> Region:
+    """Take the given masks, else a point or box on view 0 (normalised), else what the instruction says."""
+    if given is not None:
+        return Region(given.to(images), "masks")
+    if point is not None or box is not None:
+        first = segmenter.segment(images[0], [point] if point is not None else (), box)
+        how = "point" if point is not None else "box"
+    elif instruction.scope == "everything":
+        return Region(torch.ones_like(images[:, 0]), "everything")
+    else:
+        first, how = _object(images[0], instruction, segmenter)
+    masks = _follow(images, first, segmenter)
+    return Region(1 - masks, f"all but the {how}") if instruction.scope == "background" else Region(masks, how)
+
+
+def _object(
+    image: Float[Tensor, "3 height width"], instruction: Instruction, segmenter: Segmenter
+) -> tuple[Proposal, str]:
+    """Find the object on view 0 by its name where the segmenter reads text, else by salience, and say which."""
+    prompt = getattr(getattr(segmenter, "settings", None), "prompt", "")
+    named = prompt or " ".join(instruction.subject)
+    found = segmenter.segment_text(image, named) if named else None
+    if found:
+        return found[0], "named object"
+    if found is not None:
+        raise InputError(f"{named!r} was not found on the first view; use other words, or {ADVICE}.")
+    proposals = segmenter.propose(image)
+    if not proposals:
+        raise InputError(f"No object stands out on the first view; {ADVICE}.")
+    name = component_name(segmenter)
+    why = f"Segmenter {name!r} does not understand {named!r}" if named else "No object is named or marked"
+    reporting.warn(f"{why}: the most salient object is taken, which is a guess; {ADVICE}.")
+    return proposals[0], "most salient object"
+
+
+def _follow(
+    images: Float[Tensor, "view 3 height width"], first: Proposal, segmenter: Segmenter
+) -> Float[Tensor, "view height width"]:
+    """Follow the object of view 0 through all views; its mask is zero, with a warning, where it is lost."""
+    if len(images) == 1:
+        return first.soft_mask[None].to(images)
+    tracks = segmenter.track(images, first.soft_mask[None].to(images))
+    lost = [str(view + 1) for view in range(len(images)) if not bool(tracks.present[view, 0])]
+    if lost:
+        reporting.warn(f"The object was not found again in view {', '.join(lost)}; it keeps its colours there.")
+    masks = soft_masks(tracks)[0].to(images)
+    masks[0] = first.soft_mask.to(images)
+    return masks

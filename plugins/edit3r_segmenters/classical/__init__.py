@@ -1,1 +1,0 @@
-"""The classical segmenter: superpixels, merging, salience and tracking, without learned weights."""

@@ -1,0 +1,86 @@
+"""How much a region looks like an object and like the image's subject: proxies for what SAM2's network predicts."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edit3r_segmenters.masks import distance_to
+from edit3r_segmenters.superpixels import PALETTE, Superpixels
+
+MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the image that an object may cover to be proposed
+USUAL_AREA = 0.15  # share that photographers give their subject; a factor of e**1.5 off is one deviation
+CENTRE_SPREAD = 0.22  # deviation of a subject from the middle [image widths and heights]
+BORDER_SPREAD = 0.12  # share of the image's border an object may touch
+
+
+@dataclass(frozen=True)
+class Objectness:
+    """Cues of one region, each in [0, 1]."""
+
+    separation: float  # Bhattacharyya distance of its colours from those around it
+    outline: float  # mean edge strength along its outline
+    solidity: float  # share of its convex hull that it fills
+    centredness: float
+    size: float
+    inside: float  # 1: does not touch the image's border
+    foreground: float  # 1 minus its mean background weight
+
+    @property
+    def quality(self) -> float:
+        """How good an outline it has, wherever it lies: the proxy for a predicted IoU."""
+        return float(np.sqrt(self.separation * self.outline))
+
+    @property
+    def as_part(self) -> float:
+        """How much it is one thing, wherever it lies and whatever its size: for an object that somebody points at."""
+        return self.separation * np.sqrt(self.outline * self.solidity) * self.inside
+
+    @property
+    def salience(self) -> float:
+        """How much it looks like the subject of the image."""
+        return self.as_part * self.centredness * self.size * (0.25 + self.foreground)
+
+
+def measure(
+    mask: np.ndarray, superpixels: Superpixels, background: np.ndarray, areas: tuple[float, float]
+) -> Objectness | None:
+    """Measure the cues of a bool mask `[H, W]`, None for one whose share of the image is outside `areas`.
+
+    `background` `[H, W]` is the background weight per pixel.
+    """
+    area = float(mask.mean())
+    if not areas[0] <= area <= areas[1] or not mask.any():
+        return None
+    bits = mask.astype(np.uint8)
+    rows, columns = np.nonzero(mask)
+    height, width = mask.shape
+    off_x, off_y = (columns.mean() + 0.5) / width - 0.5, (rows.mean() + 0.5) / height - 0.5
+    touched = np.concatenate([bits[0], bits[-1], bits[:, 0], bits[:, -1]]).mean()
+    hull = cv2.convexHull(np.stack([columns, rows], 1).astype(np.int32))
+    return Objectness(
+        separation=_separation(mask, superpixels.palette_index),
+        outline=_outline(bits, superpixels.edges),
+        solidity=min(1.0, len(rows) / max(cv2.contourArea(hull), 1)),
+        centredness=float(np.exp(-(off_x**2 + off_y**2) / (2 * CENTRE_SPREAD**2))),
+        size=float(np.exp(-((np.log(area / USUAL_AREA) / 1.5) ** 2) / 2)),
+        inside=float(np.exp(-((touched / BORDER_SPREAD) ** 2) / 2)),
+        foreground=1 - float(background[mask].mean()),
+    )
+
+
+def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
+    """Bhattacharyya distance of the palette colours inside a mask and in a ring around it, both maps `[H, W]`."""
+    reach = 0.35 * np.sqrt(mask.sum())
+    ring = (distance_to(mask) <= reach) & ~mask
+    inside = np.bincount(palette_index[mask], minlength=PALETTE) / mask.sum()
+    outside = np.bincount(palette_index[ring], minlength=PALETTE) / max(1, ring.sum())
+    return float(1 - np.sqrt(inside * outside).sum())
+
+
+def _outline(bits: np.ndarray, edges: np.ndarray) -> float:
+    """Mean edge strength on the inner outline, the image's own border left out."""
+    outline = bits > cv2.erode(bits, np.ones((3, 3), np.uint8))
+    outline[[0, -1]] = False
+    outline[:, [0, -1]] = False
+    return float(edges[outline].mean()) if outline.any() else 0.0
