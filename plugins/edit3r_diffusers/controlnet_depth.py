@@ -12,6 +12,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.cache import remembered
 from edit3r.config import PartChoice
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor, Matcher
@@ -46,6 +47,7 @@ class ControlNetDepthEditor(Editor):
         self._pipeline: Any = None
         self._depth_model: Any = None
 
+    @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:
         if not request.prompt.strip():
             raise PromptError("controlnet-depth needs a description of the edited scene; give one with --prompt.")

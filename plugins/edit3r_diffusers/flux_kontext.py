@@ -8,6 +8,7 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
+from edit3r.cache import remembered
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
 from edit3r.io.pretrained import pick_device
@@ -43,6 +44,7 @@ class FluxKontextEditor(Editor):
         self.settings = settings
         self._pipeline: Any = None
 
+    @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:
         if not request.prompt.strip():
             raise PromptError("flux-kontext needs an instruction; give one with --prompt.")

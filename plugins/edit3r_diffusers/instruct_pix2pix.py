@@ -10,6 +10,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.cache import remembered
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
 from edit3r.io.pretrained import pick_device
@@ -37,6 +38,7 @@ class InstructPix2PixEditor(Editor):
         self.settings = settings
         self._pipeline: Any = None
 
+    @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:
         return self._edited(views, request, None, 1.0)
 

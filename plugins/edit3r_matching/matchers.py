@@ -9,6 +9,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import reporting
+from edit3r.cache import remembered
 from edit3r.config import PartChoice
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import from_pixels, relative_to_first
@@ -50,6 +51,7 @@ class ClassicalMatcher(Matcher):
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
+    @remembered
     def match(self, views: Views) -> MatchedGeometry:
         require_matchable(views, MIN_SIZE)
         scenes = [self._match_scene(views, scene) for scene in range(views.images.shape[0])]
@@ -100,6 +102,7 @@ class PosedMatcher(Matcher):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
+    @remembered
     def match(self, views: Views) -> MatchedGeometry:
         if views.c2w is None:
             return self.matcher.match(views)

@@ -7,6 +7,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
+from edit3r.cache import remembered
 from edit3r.errors import MatchingError
 from edit3r.geometry.upsampling import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
@@ -45,6 +46,7 @@ class NetworkMatcher(Matcher):
         self.matching_network: MatchingNetwork = load_network(settings.weights)
 
     @torch.no_grad()
+    @remembered
     def match(self, views: Views) -> MatchedGeometry:
         require_matchable(views, MIN_SIZE)
         small = resize(views.images, network_size(views.image_size, self.settings.network_size))

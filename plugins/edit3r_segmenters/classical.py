@@ -15,6 +15,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.cache import remembered
 from edit3r.config import Settings
 from edit3r.interfaces import Proposal, Segmenter, Tracks
 from edit3r_segmenters import tracking
@@ -58,6 +59,7 @@ class ClassicalSegmenter(Segmenter):
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
+    @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         rgb = _to_numpy(image)
         analysis = _analyse(rgb, self.settings.size)
@@ -91,6 +93,7 @@ class ClassicalSegmenter(Segmenter):
         moved = snapped(larger, enlarged, *SNAP_FINE, rounds=2)
         return moved if overlap(moved, enlarged) > 0.7 else enlarged
 
+    @remembered
     def track(
         self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
     ) -> Tracks:

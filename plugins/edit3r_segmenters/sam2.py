@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.cache import remembered
 from edit3r.config import PartChoice, Settings
 from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Detector, Proposal, Segmenter, Tracks
@@ -50,6 +51,7 @@ class Sam2Segmenter(Segmenter):
         self.settings, self.detector = settings, detector
         self._models: dict[str, Any] = {}
 
+    @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         if self.settings.prompt:
             return self._named(image, self.settings.prompt)
@@ -62,6 +64,7 @@ class Sam2Segmenter(Segmenter):
                 for logits, iou in zip(found.logits, found.predicted_iou)
             )
 
+    @remembered
     def segment(
         self,
         image: Float[Tensor, "3 height width"],
@@ -86,6 +89,7 @@ class Sam2Segmenter(Segmenter):
             logits = enlarge(output.pred_masks[0, 0, best : best + 1], tuple(image.shape[-2:]))[0]
         return proposal(logits, float(output.iou_scores[0, 0, best]))
 
+    @remembered
     def track(
         self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
     ) -> Tracks:
@@ -97,6 +101,7 @@ class Sam2Segmenter(Segmenter):
             tracks = _follow(model, images.to(model.device), masks.to(model.device, torch.float32))
         return Tracks(tracks.logits.to(images.device), tracks.present.to(images.device))
 
+    @remembered
     def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
         height, width = image.shape[-2:]
         boxes = [detection.box for detection in self.detector.detect(image, text)]

@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from edit3r_recolor.recipe import SceneRecipe
-from edit3r_recolor.recolored_folder import MASKS, RECIPE
+from edit3r_recolor.api import MASKS, RECIPE, SceneRecipe
 from jaxtyping import Float
 from PIL import Image
 from pydantic import Field

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from edit3r.quality import PRESETS, best_within
 
 
-
 @dataclass(frozen=True)
 class Rated:
     """One point's cost and accuracy on every kind of scene; all points of a choice share the kinds."""
