@@ -129,20 +129,18 @@ def _relative(found, expected) -> float:
 
 def _reconstructor(size: str, settings: dict):
     """The network of one mode, as the reconstructor runs it."""
-    from edit3r_model.backbone import AsymmetricViT
-    from edit3r_model.head import DptGaussianHead
-    from edit3r_model.reconstructor import NoPoSplatReconstructor as Reconstructor
+    import edit3r
 
-    backbone_settings, head_settings, _ = SIZES[size]
-    backbone = AsymmetricViT(AsymmetricViT.Settings(**backbone_settings, seed=None))
-    head = DptGaussianHead(DptGaussianHead.Settings(**head_settings, seed=None), backbone)
-    built = Reconstructor(Reconstructor.Settings(weights="random", device="cpu", **settings), backbone, head)
+    backbone, head, _ = SIZES[size]
+    built = edit3r.build(
+        "reconstructor", "noposplat", weights="random", device="cpu", backbone=backbone, head=head, **settings
+    )
     return built.network
 
 
 def _plain(size: str) -> Callable:
     """The baseline, as a function from pictures to Gaussians."""
-    from edit3r_model.gaussians import assemble
+    from edit3r_model.gaussian_adapter import adapt
     from plain_noposplat import PlainNetwork
 
     network = _reconstructor(size, {"engine": "eager"})
@@ -151,7 +149,7 @@ def _plain(size: str) -> Callable:
 
     def run(images, intrinsics):
         points, parameters = plain(images[0], intrinsics[0])
-        return assemble(points[None], parameters[None], 0.001, 0.3, 4)
+        return adapt(points[None], parameters[None], 0.001, 0.3, 4)
 
     return run
 

@@ -125,10 +125,9 @@ class AsymmetricViT(Backbone):
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
         grid = self._grid(images)
         has_token = self.settings.intrinsics == "token"
-        width = _head_width(self.settings.width, self.heads, "heads")
-        decoder_width = _head_width(self.settings.decoder_width, self.decoder_heads, "decoder_heads")
-        tokens = self._encode(images, intrinsics, self._rotation(grid, width, images))
-        levels = self._decode(tokens, self._rotation(grid, decoder_width, images), wanted)
+        tokens = self._encode(images, intrinsics, self._rotation(grid, self.settings.width // self.heads, images))
+        width = self.settings.decoder_width // self.decoder_heads
+        levels = self._decode(tokens, self._rotation(grid, width, images), wanted)
         kept = slice(None, -1) if has_token else slice(None)
         return Features(tuple(level[:, :, kept] for level in levels), grid)
 
@@ -228,7 +227,9 @@ def _rotation(grid: tuple[int, int], extra_token: bool, head_width: int, base: f
 
 
 def _heads(settings: AsymmetricViT.Settings, name: str, width_name: str) -> int:
-    """Number of attention heads; raises SettingsError where the channels do not divide into that many.
+    """Number of attention heads; raises SettingsError where the channels do not divide into that many heads.
+
+    The rotation needs the width of a head to be a multiple of 4.
 
     A network that waits for a checkpoint (it has no seed) and was given no width will get the checkpoint's: the number
     is then checked when the network is built again at that width.
@@ -239,15 +240,9 @@ def _heads(settings: AsymmetricViT.Settings, name: str, width_name: str) -> int:
             f"backbone.{name}: {width} channels do not divide into heads of {HEAD_WIDTH}; say how many heads there are."
         )
     heads = given or width // HEAD_WIDTH
-    if settings.seed is not None or width_name in settings.model_fields_set:
-        _head_width(width, heads, name)
-    return heads
-
-
-def _head_width(width: int, heads: int, name: str) -> int:
-    """Channels per attention head; a multiple of 4 for the rotation, else SettingsError."""
-    if width % heads or width // heads % 4:
+    width_is_known = settings.seed is not None or width_name in settings.model_fields_set
+    if width_is_known and (width % heads or width // heads % 4):
         raise SettingsError(
             f"backbone.{name}: {width} channels in {heads} heads; expected a head width that is a multiple of 4."
         )
-    return width // heads
+    return heads

@@ -112,6 +112,9 @@ class NoPoSplatReconstructor(Reconstructor):
         Differentiable only while the network is in training mode. Raises InputError for views that cannot be used,
         RunError when memory ends.
         """
+        differentiable = self._network.training and torch.is_grad_enabled()
+        if differentiable and self.settings.engine == "packed" and self.device.type == "cpu":
+            raise SettingsError("reconstructor.engine: packed layers cannot be trained; set engine=eager.")
         check_views(views, self.min_views)
         backbone = self._network.backbone
         fitted = fit_views(views, backbone.patch_size, self.resolution, self.settings.fit)
@@ -119,7 +122,7 @@ class NoPoSplatReconstructor(Reconstructor):
         what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
         check_fits(estimate_bytes(backbone, len(views.images), views.count, size), self.device, what)
         note("reconstructor.network_input_size", list(size))
-        with explaining_exhaustion(what), torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
+        with explaining_exhaustion(what), torch.set_grad_enabled(differentiable):
             inputs = fitted.views.to(self.device, torch.float32)
             gaussians = self._network(inputs.images, inputs.intrinsics).to(views.images.device)
         _require_finite(gaussians)
@@ -138,6 +141,8 @@ def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> 
     device = choose_device(settings.device)
     plan = make_plan(settings.precision, settings.head_precision, settings.engine == "packed", device)
     if settings.weights == RANDOM:
+        if any(value.is_meta for value in backbone.parameters()):  # empty: its own sizes are now those that count
+            backbone = _resized(backbone, _config_of(backbone), RANDOM, "backbone")
         network = _network_of(backbone, head, settings.resolution or RESOLUTION)
         warn("the network's weights are random: the result is noise, of use for tests and speed only.")
         note("reconstructor.weights", {"source": RANDOM})
@@ -168,10 +173,11 @@ def choose_device(name: str) -> torch.device:
 
 def _network_of(backbone: Backbone, head: GaussianHead, resolution: int) -> GaussianNetwork:
     """The parts as one network that can say how to build it."""
-    parts = (
-        PartConfig(part.offer.component.name, part.settings.model_dump(exclude={"seed"})) for part in (backbone, head)
-    )
-    return GaussianNetwork(backbone, head, NetworkConfig(*parts, resolution))
+    return GaussianNetwork(backbone, head, NetworkConfig(_config_of(backbone), _config_of(head), resolution))
+
+
+def _config_of(part: Backbone | GaussianHead) -> PartConfig:
+    return PartConfig(part.offer.component.name, part.settings.model_dump(exclude={"seed"}))
 
 
 def _sized_like(loaded: LoadedWeights, backbone: Backbone, head: GaussianHead) -> GaussianNetwork:

@@ -7,10 +7,11 @@ import pickle
 
 import pytest
 import torch
+import yaml
 from edit3r_model.checkpoints import LoadedWeights, convert, is_hub_id, load_weights
 from edit3r_model.full_network import empty_network
 from edit3r_model.official_checkpoints import infer_config, is_unused, official_names, parameter_names
-from noposplat_reference import FULL, official_shapes
+from noposplat_reference import FULL, Sizes, official_shapes, random_state
 from safetensors.torch import save_file
 
 import edit3r
@@ -18,6 +19,7 @@ from edit3r.cli.main import main
 from edit3r.errors import InputError, MissingDependencyError, SettingsError
 
 HEADS = {"heads": 2, "decoder_heads": 3}
+DEPTHS = {"depth": 1, "decoder_depth": 4}
 
 
 def build(weights, **settings):
@@ -223,3 +225,57 @@ def test_a_hub_id_without_the_library_says_what_to_install(monkeypatch):
 def test_loaded_weights_tell_a_manifest_where_they_come_from(checkpoint):
     facts = load_weights(checkpoint).facts()
     assert set(facts) == {"source", "kind", "sha256", "licence"} and isinstance(load_weights(checkpoint), LoadedWeights)
+
+
+def test_given_heads_are_checked_against_the_files_width(tmp_path, checkpoint):
+    with pytest.raises(SettingsError, match="64 channels in 3 heads"):
+        build(checkpoint, backbone={"heads": 3})
+    sizes = Sizes(96, 1, 3, 48, 4, 3, 16, 12, (8, 12, 16, 20))
+    wide = lightning(tmp_path / "wide.ckpt", random_state(sizes, seed=0))
+    assert build(wide, backbone={"heads": 3}).network.backbone.heads == 3  # does not divide the default's 1024
+
+
+def test_given_heads_without_a_file_are_checked_against_the_networks_own_width():
+    sizes = {"heads": 3, "decoder_width": 32, "decoder_heads": 2, **DEPTHS}
+    head = {"feature_width": 8, "point_width": 8, "layer_widths": (8, 8, 8, 8)}
+    with pytest.raises(SettingsError, match="1024 channels in 3 heads"):
+        edit3r.build("reconstructor", "noposplat", weights="random", backbone=sizes, head=head)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder `best` that `edit3r train` leaves of a tiny network, whose sizes no default and no shape tells."""
+    out = tmp_path_factory.mktemp("training")
+    config = {
+        "trainer": {"name": "recolor", "steps": 1, "batch": 1, "render_every": 1, "validate_every": 1},
+        "reconstructor": {
+            "name": "noposplat",
+            "weights": "random",
+            "engine": "eager",
+            "resolution": 32,
+            "backbone": {"width": 32, "heads": 2, "decoder_width": 32, "decoder_heads": 8, **DEPTHS},
+            "head": {"feature_width": 8, "point_width": 8, "layer_widths": [8, 8, 8, 8]},
+        },
+        "rasterizer": "torch",
+        "train_data": {"name": "procedural", "image_size": 32, "scenes": 1, "targets": 1},
+        "losses": {"mse": {"weight": 1.0}},
+        "out": str(out),
+    }
+    (out / "tiny.yaml").write_text(yaml.safe_dump(config))
+    assert main(["train", str(out / "tiny.yaml")]) == 0
+    return out / "best"
+
+
+def test_a_trained_network_needs_no_further_settings(trained):
+    network = edit3r.build("reconstructor", "noposplat", weights=str(trained), engine="eager").network
+    assert network.backbone.settings.width == 32 and network.backbone.decoder_heads == 8
+    assert network.config.resolution == 32
+    stored = load_weights(trained).state
+    assert all(torch.equal(value, stored[name]) for name, value in network.named_parameters())
+
+
+def test_a_trained_network_is_converted(trained, tmp_path, capsys):
+    assert main(["convert", str(trained), str(tmp_path / "ours")]) == 0
+    assert json.loads((tmp_path / "ours" / "config.json").read_text())["backbone"]["settings"]["decoder_heads"] == 8
+    loaded, original = load_weights(tmp_path / "ours"), load_weights(trained)
+    assert loaded.config == original.config and set(loaded.state) == set(original.state)

@@ -111,6 +111,22 @@ def test_gradients_reach_every_parameter_and_are_finite():
     assert all(value.grad.isfinite().all() for value in network.parameters())
 
 
+def test_the_reconstructor_passes_gradients_on_while_its_network_is_in_training_mode():
+    reconstructor = build(engine="eager")
+    views = views_of(torch.rand(1, 2, 3, 16, 16))
+    assert not reconstructor(views).gaussians.means.requires_grad
+    reconstructor.network.train()
+    reconstructor(views).gaussians.means.sum().backward()
+    assert reconstructor.network.backbone.patch_embed.weight.grad.abs().sum() > 0
+
+
+def test_packed_layers_in_training_mode_are_an_error_that_says_what_to_set():
+    packed = build()
+    packed.network.train()
+    with pytest.raises(SettingsError, match="engine=eager"):
+        packed(views_of(torch.rand(1, 2, 3, 16, 16)))
+
+
 def test_one_view_is_an_error_that_asks_for_another(reconstructor):
     with pytest.raises(InputError, match="at least 2, got 1"):
         reconstructor(views_of(torch.rand(1, 1, 3, 32, 32)))

@@ -175,7 +175,8 @@ def test_shipped_weights_are_recorded_with_hash_and_licence():
 
 def test_weights_in_half_precision_are_read_at_the_width_on_their_card(tmp_path):
     network = SmallNetwork(width=16)
-    save_file({name: tensor.half() for name, tensor in network.state_dict().items()}, tmp_path / "own.safetensors")
+    state = {name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}
+    save_file(state, tmp_path / "own.safetensors")
     (tmp_path / "own.json").write_text('{"width": 16}')
     loaded = load_network(str(tmp_path / "own.safetensors"))
     for name, tensor in network.state_dict().items():
