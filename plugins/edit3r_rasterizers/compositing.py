@@ -248,7 +248,7 @@ def _load_planes(scratch, place):
 
 @inlined
 def _start_rest(scratch, place, seen):
-    """From a block's images (`seen`) and their gradients: the gradient by weighted depth, and `rest`."""
+    """Compute the gradient by weighted depth, and `rest`, from a block's images (`seen`) and their gradients."""
     red, green, blue, depth, left = seen
     by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
     by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))

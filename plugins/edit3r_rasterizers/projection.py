@@ -50,7 +50,7 @@ from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum
 from edit3r_rasterizers.simd_memory import flat, shifted, store
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
-"""The records' squares are exponents of two: standard deviations times this."""
+"""Factor from standard deviations to the records' unit, whose squares are exponents of two."""
 _DEVIATIONS = 1 / UNIT
 
 _X, _Y, _X_PER_Y, _INV_STD_X, _INV_STD_Y, _Y_PER_X, _LOG_OPACITY, _CUTOFF, _DEPTH = (
@@ -119,7 +119,7 @@ def project(
 
 @inlined
 def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
-    """Eight staged Gaussians to their results; returns which are visible and which are finite, as bits."""
+    """Project eight staged Gaussians; returns which are visible and which are finite, as bits."""
     total = broadcast(0.0)
     for row in range(INPUTS):
         total += staged_row(staged, row) * 0.0  # stays 0 unless something is not finite
@@ -180,7 +180,7 @@ def _all_finite(harmonics, i, count):
 
 @inlined
 def _write_box(boxes, i, results, lane):
-    """First and last tile; first > last when no pixel centre lies between the bounds."""
+    """Write the first and last tile; first > last when no pixel centre lies between the bounds."""
     left, top = math.ceil(results[_LEFT * GROUP + lane]), math.ceil(results[_TOP * GROUP + lane])
     right, bottom = math.floor(results[_RIGHT * GROUP + lane]), math.floor(results[_BOTTOM * GROUP + lane])
     if left > right or top > bottom:
@@ -213,7 +213,7 @@ def _write_geometry(records, i, results, lane):
 
 @inlined
 def _write_colour(records, i, results, lane, harmonics, count):
-    """Colour seen from the camera; returns whether the harmonics are finite."""
+    """Write the colour seen from the camera; returns whether the harmonics are finite."""
     record, first = i * U(RECORD), U(3) * count * i
     red = DC * np.float64(harmonics[first])
     green = DC * np.float64(harmonics[first + U(1)])

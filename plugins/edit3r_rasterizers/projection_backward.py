@@ -1,4 +1,4 @@
-"""From a splat's sums over its pixels to gradients of the Gaussian it came from, eight at a time, in float64."""
+"""Turn a splat's sums over its pixels into gradients of its Gaussian, eight at a time, in float64."""
 
 import math
 
@@ -153,7 +153,7 @@ def _add_up(totals, lane, start, end, positions, sums):
 
 @inlined
 def _differentiate_group(staged, camera, eps2d):
-    """Gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
+    """Compute gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
     dx, dy, dz = offset_from_camera(staged, camera)
     x, y, z = camera_position(camera, dx, dy, dz)
     per_z = 1.0 / z
@@ -214,7 +214,7 @@ def _differentiate_group(staged, camera, eps2d):
 
 @inlined
 def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
-    """Chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
+    """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
     gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
     gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
@@ -230,7 +230,7 @@ def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h
 def _differentiate_colour(
     i, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
 ):
-    """Add the colour's share: to the harmonics, and through the direction seen to the mean."""
+    """Add the gradients by the harmonics, and those by the mean through the direction in which it is seen."""
     record, first = i * U(RECORD), U(3) * count * i
     red = _unless_clamped(records[record + U(RED)], scratch[(_TOTALS + U(SUM_RED)) * GROUP + lane])
     green = _unless_clamped(records[record + U(GREEN)], scratch[(_TOTALS + U(SUM_GREEN)) * GROUP + lane])

@@ -1,4 +1,4 @@
-"""The projection's maths for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
+"""Maths of the projection for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
 
 Gaussians are staged first: eight of them side by side in scratch memory, one row per number, so that a row is a vector.
 """
@@ -32,13 +32,13 @@ def stage(staged, lane, i, means, scales, quats, opacities):
 
 @inlined
 def staged_row(staged, row):
-    """Eight lanes of one row."""
+    """Return the eight lanes of one row."""
     return load(staged, row * GROUP)
 
 
 @inlined
 def offset_from_camera(staged, camera):
-    """World offset of the means from the camera's centre; subtracted first, which is exact far from the origin."""
+    """Return the offset of the means from the camera's centre; subtracting first is exact far from the origin."""
     x = staged_row(staged, MEAN) - camera[CENTRE]
     y = staged_row(staged, MEAN + U(1)) - camera[CENTRE + 1]
     z = staged_row(staged, MEAN + U(2)) - camera[CENTRE + 2]
@@ -47,7 +47,7 @@ def offset_from_camera(staged, camera):
 
 @inlined
 def camera_position(camera, dx, dy, dz):
-    """Camera coordinates of a world offset from the camera's centre."""
+    """Rotate a world offset from the camera's centre to camera coordinates."""
     x = dx * camera[0] + dy * camera[3] + dz * camera[6]
     y = dx * camera[1] + dy * camera[4] + dz * camera[7]
     z = dx * camera[2] + dy * camera[5] + dz * camera[8]
@@ -56,7 +56,7 @@ def camera_position(camera, dx, dy, dz):
 
 @inlined
 def image_rows(camera, u, v, per_z):
-    """Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
+    """Return the Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
     u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
     v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
     gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
@@ -67,7 +67,7 @@ def image_rows(camera, u, v, per_z):
 
 @inlined
 def unit_quats(staged):
-    """Unit quaternions and 1 / norm, or the identity and 0 for one not longer than SHORTEST_QUAT."""
+    """Return unit quaternions and 1 / norm; the identity and 0 for one not longer than SHORTEST_QUAT."""
     a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
     c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
     norm = square_root(a * a + b * b + c * c + d * d)
@@ -78,7 +78,7 @@ def unit_quats(staged):
 
 @inlined
 def rotation_matrix(a, b, c, d):
-    """Rotation matrix, row-major, of a unit wxyz quaternion."""
+    """Return the rotation matrix, row-major, of a unit wxyz quaternion."""
     r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
     r3, r4, r5 = 2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)
     r6, r7, r8 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)
@@ -87,8 +87,9 @@ def rotation_matrix(a, b, c, d):
 
 @inlined
 def factorised_conic(a0, a1, a2, b0, b1, b2, eps2d):
-    """(x_per_y, inv_std_x, inv_std_y, variance_x, variance_y) of the covariance of rows a (x) and b (y).
+    """Factorise the conic of the covariance of rows a (x) and b (y).
 
+    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `records`.
     The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
     """
     square = a0 * a0 + a1 * a1 + a2 * a2

@@ -1,4 +1,4 @@
-"""Which splats each tile has to draw, and in which order: sorted by depth, then listed per tile."""
+"""List the splats that each tile has to draw: sort them by depth, then distribute them over the tiles."""
 
 from dataclasses import dataclass
 
@@ -66,7 +66,7 @@ def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndar
 
 
 def _sort(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Indices of the splats that have a box, front to back."""
+    """Return the indices of the splats that have a box, front to back."""
     index, values, other_index, other_values = (
         np.empty(len(keys), kind) for kind in (np.int32, np.uint32, np.int32, np.uint32)
     )
@@ -126,7 +126,7 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
 
 @inlined
 def touches_tile(record, column, row):
-    """Whether the splat's ellipse reaches the pixel centres of a tile: the smallest exponent over the rectangle."""
+    """Tell whether the splat's ellipse reaches the pixel centres of a tile, by the smallest exponent over them."""
     left = np.float64(column * U(TILE)) + 0.5 - np.float64(record[X])
     top = np.float64(row * U(TILE)) + 0.5 - np.float64(record[Y])
     right, bottom = left + (TILE - 1), top + (TILE - 1)
@@ -144,7 +144,7 @@ def _exponent(record, x, y):
 
 @kernel
 def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
-    """For the chunks [first, last): how many of its splats are on each tile, and on how many tiles each splat is.
+    """Count for the chunks [first, last) the splats on each tile, and the tiles of each splat.
 
     Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
     `numbers` [splats].
@@ -174,7 +174,7 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
 
 @kernel
 def list_entries(first, last, bounds, order, boxes, records, columns, cursors, splat_offsets, entries, positions):
-    """For the chunks [first, last): put each splat at the end of its tiles' lists.
+    """Put each splat of the chunks [first, last) at the end of its tiles' lists.
 
     `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
     entries grouped by tile, front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat

@@ -1,4 +1,4 @@
-"""What the forward and the backward kernel share: a tile's blocks, and which of them a splat reaches.
+"""What the forward and the backward kernel share: the blocks of a tile, and the splats at their pixels.
 
 A tile's state lies in a scratch buffer that stays in the L1 cache: per block `stride` floats, that is planes of sixteen
 lanes. Plane 0 is the transmittance left, negative once the pixel has ended; 1 and 2 are the pixel centres' x and y
@@ -64,7 +64,7 @@ def open_tile(scratch, stride, width, height):
 
 @inlined
 def live_blocks(scratch, stride):
-    """The blocks with a pixel that has not ended."""
+    """Return the blocks with a pixel that has not ended, as bits."""
     live = U(0)
     for block in range(BLOCKS):
         if mask_bits(load(scratch, block * stride + TRANSMITTANCE) > F(0)):
@@ -92,7 +92,7 @@ def place_splat(records, start, tile_x, tile_y):
 
 @inlined
 def splat_exponent(scratch, place, ellipse):
-    """The two terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
+    """Return the terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
     inv_std_x, shear, shift_x, inv_std_y, shift_y, log_opacity = ellipse
     pixel_y = load(scratch, place + PIXEL_Y)
     across = load(scratch, place + PIXEL_X) * inv_std_x + (broadcast(shift_x) - pixel_y * shear)
@@ -102,7 +102,7 @@ def splat_exponent(scratch, place, ellipse):
 
 @inlined
 def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
-    """Into `touched`: for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits.
+    """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits in `touched`.
 
     One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean, where x nearest or
     y nearest is given and the other follows from the ellipse's axes.
@@ -135,7 +135,7 @@ def _squares(across, down, inv_std_x, inv_std_y):
 
 @inlined
 def write_block(scratch, place, image, target, width, columns, rows):
-    """Copy columns x rows pixels of a plane to flat index `target` of a image `width` wide."""
+    """Copy columns x rows pixels of a plane to flat index `target` of an image `width` wide."""
     if columns == U(BLOCK) and rows == U(BLOCK):
         store_block(image, target, width, load(scratch, place))
         return
@@ -146,7 +146,7 @@ def write_block(scratch, place, image, target, width, columns, rows):
 
 @inlined
 def read_block(scratch, place, image, source, width, columns, rows):
-    """Copy columns x rows pixels of a image `width` wide from flat index `source` to a plane, zero elsewhere."""
+    """Copy columns x rows pixels of an image `width` wide from flat index `source` to a plane, zero elsewhere."""
     if columns == U(BLOCK) and rows == U(BLOCK):
         store(scratch, place, load_block(image, source, width))
         return
