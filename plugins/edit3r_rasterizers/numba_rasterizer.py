@@ -13,9 +13,9 @@ from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
 from edit3r_rasterizers.compositing import BACKWARD_SCRATCH, FORWARD_SCRATCH, differentiate_tiles, shade_tiles
 from edit3r_rasterizers.kernels import aligned_empty, even_bounds, run_slices, scratch, thread_count
+from edit3r_rasterizers.layout import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
 from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
-from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
 from edit3r_rasterizers.tile_lists import TileLists, list_tiles
 from edit3r_rasterizers.tiles import BATCH
@@ -98,7 +98,7 @@ class Frame:
     """What `project_scene` prepares for drawing, and the forward pass leaves for the backward pass."""
 
     grid: TileGrid
-    camera: np.ndarray  # see records.CAMERA
+    camera: np.ndarray  # see layout.CAMERA
     records: np.ndarray  # [G, RECORD]
     lists: TileLists
     transmittances: np.ndarray  # [H, W], filled by `draw`

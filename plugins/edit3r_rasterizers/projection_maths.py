@@ -5,8 +5,8 @@ Gaussians are staged first: eight of them side by side in scratch memory, one ro
 
 import numpy as np
 
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined
-from edit3r_rasterizers.records import CENTRE, FOCAL_X, FOCAL_Y, HIGH_X, HIGH_Y, LOW_X, LOW_Y
 from edit3r_rasterizers.simd import broadcast, maximum, minimum, select, square_root
 from edit3r_rasterizers.simd_memory import load
 
@@ -39,9 +39,9 @@ def staged_row(staged, row):
 @inlined
 def offset_from_camera(staged, camera):
     """Return the offset of the means from the camera's centre; subtracting first is exact far from the origin."""
-    x = staged_row(staged, MEAN) - camera[CENTRE]
-    y = staged_row(staged, MEAN + U(1)) - camera[CENTRE + 1]
-    z = staged_row(staged, MEAN + U(2)) - camera[CENTRE + 2]
+    x = staged_row(staged, MEAN) - camera[layout.CENTRE]
+    y = staged_row(staged, MEAN + U(1)) - camera[layout.CENTRE + 1]
+    z = staged_row(staged, MEAN + U(2)) - camera[layout.CENTRE + 2]
     return x, y, z
 
 
@@ -57,9 +57,9 @@ def camera_position(camera, dx, dy, dz):
 @inlined
 def image_rows(camera, u, v, per_z):
     """Return the Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
-    u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
-    v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
-    gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
+    u = minimum(maximum(u, camera[layout.LOW_X]), camera[layout.HIGH_X])
+    v = minimum(maximum(v, camera[layout.LOW_Y]), camera[layout.HIGH_Y])
+    gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
     j0, j1, j2 = (camera[0] - u * camera[2]) * gx, (camera[3] - u * camera[5]) * gx, (camera[6] - u * camera[8]) * gx
     k0, k1, k2 = (camera[1] - v * camera[2]) * gy, (camera[4] - v * camera[5]) * gy, (camera[7] - v * camera[8]) * gy
     return j0, j1, j2, k0, k1, k2
@@ -89,7 +89,7 @@ def rotation_matrix(a, b, c, d):
 def factorised_conic(a0, a1, a2, b0, b1, b2, eps2d):
     """Factorise the conic of the covariance of rows a (x) and b (y).
 
-    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `records`.
+    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `layout`.
     The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
     """
     square = a0 * a0 + a1 * a1 + a2 * a2
