@@ -1,4 +1,4 @@
-"""Rasterizers: 3D Gaussians and cameras to pictures. One convention, three implementations, and one that chooses."""
+"""Rasterizers turn 3D Gaussians and cameras into images: three implementations, and one that chooses."""
 
 from edit3r import Component, hookimpl
 

@@ -16,14 +16,14 @@ from edit3r_rasterizers.settings import RasterizerSettings
 
 @dataclass(frozen=True)
 class Choice:
-    """Which rasterizer, and why, in words for the run's manifest."""
+    """The rasterizer that is used, and why, in words for the run's manifest."""
 
     name: str  # "numba" or "gsplat"
     reason: str
 
 
 def choose(device: torch.device, has_gsplat: bool) -> Choice:
-    """gsplat for Gaussians on a CUDA device where it is installed, numba for all else."""
+    """Choose gsplat for Gaussians on a CUDA device where it is installed, and numba for all else."""
     if device.type == "cpu":
         return Choice("numba", "the Gaussians are on the CPU")
     if device.type == "cuda" and has_gsplat:

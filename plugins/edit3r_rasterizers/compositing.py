@@ -9,7 +9,7 @@ write to one number.
 import numpy as np
 
 from edit3r_rasterizers.kernels import inlined, kernel
-from edit3r_rasterizers.records import BLOCK, RECORD, SUMS, TILE
+from edit3r_rasterizers.layout import BLOCK, RECORD, SUMS, TILE
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
 from edit3r_rasterizers.simd import broadcast, exp2, flag_negative, lowest_bit, magnitude, maximum, minimum, select
 from edit3r_rasterizers.simd_memory import flat, load, store, store_sums
@@ -149,7 +149,7 @@ def differentiate_tiles(
     depth_gradients,
     sums,
 ):
-    """Fill `sums[e]` (see `records`) for every entry of the tiles [first_tile, last_tile)."""
+    """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile)."""
     height, width = depths.shape
     offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
     touched, sums = flat(touched), flat(sums)
@@ -248,7 +248,7 @@ def _load_planes(scratch, place):
 
 @inlined
 def _start_rest(scratch, place, seen):
-    """From a block's images (`seen`) and their gradients: the gradient by weighted depth, and `rest`."""
+    """Compute the gradient by weighted depth, and `rest`, from a block's images (`seen`) and their gradients."""
     red, green, blue, depth, left = seen
     by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
     by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))

@@ -25,7 +25,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _digest_of_sources() -> str:
-    """Changes whenever a file of this folder does."""
+    """Return a hash that changes whenever a file of this folder does."""
     content = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     return hashlib.sha256(content).hexdigest()[:12]
 
@@ -34,7 +34,7 @@ _SOURCES = _digest_of_sources()
 
 
 def kernel(function: Callable) -> Callable:
-    """A loop called from Python: kept on disk once compiled, and run without the GIL, so that threads overlap.
+    """Compile a loop that is called from Python; it is kept on disk, and runs without the GIL, so that threads overlap.
 
     numba names its files after the function and looks at that function's own file for changes; with the digest in the
     name, a change of what the kernel inlines from elsewhere compiles it anew instead of running what was.
@@ -57,12 +57,12 @@ these parts do."""
 
 
 def thread_count(wanted: int) -> int:
-    """`wanted`, or for 0 what the process was told: the smaller of torch's and numba's number of threads."""
+    """Return `wanted`, or for 0 the smaller of torch's and numba's number of threads."""
     return wanted or max(1, min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
 
 
 def run_slices(kernel: Callable, bounds: Sequence[int], threads: int, *arguments) -> list:
-    """`kernel(bounds[k], bounds[k + 1], *arguments)` for every k, in any order; the results in order.
+    """Call `kernel(bounds[k], bounds[k + 1], *arguments)` for every k, in any order; returns the results in order.
 
     A callable argument is called once per slice for the value to pass (scratch memory).
     """
@@ -86,12 +86,12 @@ def even_bounds(count: int, threads: int, least: int = 4096) -> list[int]:
 
 
 def scratch(count: int, dtype: type) -> Callable[[], np.ndarray]:
-    """Work space that `run_slices` makes anew for every slice."""
+    """Return a function that allocates work memory, which `run_slices` calls once per slice."""
     return lambda: aligned_empty((count,), dtype)
 
 
 def aligned_empty(shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-    """Uninitialised memory that starts on a cache line, so that no vector straddles two."""
+    """Allocate uninitialised memory that starts on a cache line, so that no vector straddles two."""
     count, size = int(np.prod(shape)), np.dtype(dtype).itemsize
     memory = np.empty(count + 64 // size, dtype)
     start = (-memory.ctypes.data % 64) // size

@@ -13,9 +13,9 @@ from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
 from edit3r_rasterizers.compositing import BACKWARD_SCRATCH, FORWARD_SCRATCH, differentiate_tiles, shade_tiles
 from edit3r_rasterizers.kernels import aligned_empty, even_bounds, run_slices, scratch, thread_count
+from edit3r_rasterizers.layout import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
 from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
-from edit3r_rasterizers.records import RECORD, SUMS, TileGrid, pack_camera
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
 from edit3r_rasterizers.tile_lists import TileLists, list_tiles
 from edit3r_rasterizers.tiles import BATCH
@@ -28,7 +28,7 @@ class NumbaSettings(RasterizerSettings):
 
 
 class NumbaRasterizer(Rasterizer):
-    """Renders float32 Gaussians on the CPU; the same bits for any number of threads.
+    """Renders float32 Gaussians on the CPU, with the same bits for any number of threads.
 
     float64 is computed from float32 copies and returned as float64; another device is refused. Cameras get no
     gradient: use `torch` to differentiate poses.
@@ -86,7 +86,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class CameraImages:
-    """What a camera sees, or the gradient by it."""
+    """The images of one camera, or the gradients by them, as contiguous float32 arrays."""
 
     image: np.ndarray  # [3, H, W]
     alpha: np.ndarray  # [H, W]
@@ -98,14 +98,14 @@ class Frame:
     """What `project_scene` prepares for drawing, and the forward pass leaves for the backward pass."""
 
     grid: TileGrid
-    camera: np.ndarray  # see records.CAMERA
+    camera: np.ndarray  # see layout.CAMERA
     records: np.ndarray  # [G, RECORD]
     lists: TileLists
     transmittances: np.ndarray  # [H, W], filled by `draw`
 
 
 class _Rasterize(torch.autograd.Function):
-    """B scenes with C cameras each, one after the other."""
+    """Renders B scenes with C cameras each, one after the other, and differentiates that."""
 
     @staticmethod
     def forward(ctx, settings, cameras, means, scales, quats, opacities, harmonics, backgrounds):
@@ -150,7 +150,7 @@ def _by_background(by_image: Tensor, frame: Frame) -> Float[Tensor, "3"]:
 
 
 def _images_of(outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int) -> CameraImages:
-    """One camera's images; views of the tensors' memory where that is contiguous."""
+    """Return one camera's images, as views of the tensors' memory where that is contiguous."""
     image, alpha, depth = (_array(output[scene, camera]) for output in outputs)
     return CameraImages(image, alpha[0], depth[0])
 
@@ -162,7 +162,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 def project_scene(
     settings: RasterizerSettings, threads: int, scene: Scene, camera: np.ndarray, grid: TileGrid
 ) -> Frame | None:
-    """Records and tile lists of one camera; None when a Gaussian is not finite."""
+    """Compute the records and tile lists of one camera; returns None when a Gaussian is not finite."""
     count = len(scene.means)
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
@@ -245,7 +245,7 @@ def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
 
 
 def _tile_bounds(frame: Frame, threads: int) -> list[int]:
-    """Slices of tiles with about equal numbers of entries."""
+    """Cut the tiles into slices with about equal numbers of entries."""
     if threads == 1:
         return [0, frame.grid.count]
     slices = min(frame.grid.count, 8 * threads)

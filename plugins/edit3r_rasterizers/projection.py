@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from edit3r.geometry.harmonics import DC
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection_maths import (
     GROUP,
@@ -21,36 +22,13 @@ from edit3r_rasterizers.projection_maths import (
     staged_row,
     unit_quats,
 )
-from edit3r_rasterizers.records import (
-    BLUE,
-    CENTRE_X,
-    CENTRE_Y,
-    CUTOFF,
-    DEPTH,
-    FOCAL_X,
-    FOCAL_Y,
-    GREEN,
-    INV_STD_X,
-    INV_STD_Y,
-    LOG_OPACITY,
-    RECORD,
-    RED,
-    TILE,
-    X_PER_Y,
-    X_PER_Y_REST,
-    X_REST,
-    Y_PER_X,
-    Y_REST,
-    X,
-    Y,
-)
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum, square_root
 from edit3r_rasterizers.simd_memory import flat, shifted, store
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
-"""The records' squares are exponents of two: standard deviations times this."""
+"""Factor from standard deviations to the records' unit, whose squares are exponents of two."""
 _DEVIATIONS = 1 / UNIT
 
 _X, _Y, _X_PER_Y, _INV_STD_X, _INV_STD_Y, _Y_PER_X, _LOG_OPACITY, _CUTOFF, _DEPTH = (
@@ -119,7 +97,7 @@ def project(
 
 @inlined
 def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
-    """Eight staged Gaussians to their results; returns which are visible and which are finite, as bits."""
+    """Project eight staged Gaussians; returns which are visible and which are finite, as bits."""
     total = broadcast(0.0)
     for row in range(INPUTS):
         total += staged_row(staged, row) * 0.0  # stays 0 unless something is not finite
@@ -139,7 +117,10 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
     x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
-    mean_x, mean_y = u * camera[FOCAL_X] + camera[CENTRE_X], v * camera[FOCAL_Y] + camera[CENTRE_Y]
+    mean_x, mean_y = (
+        u * camera[layout.FOCAL_X] + camera[layout.CENTRE_X],
+        v * camera[layout.FOCAL_Y] + camera[layout.CENTRE_Y],
+    )
 
     opacity = maximum(opacity, min_alpha)
     log_opacity = log2(opacity)
@@ -180,14 +161,14 @@ def _all_finite(harmonics, i, count):
 
 @inlined
 def _write_box(boxes, i, results, lane):
-    """First and last tile; first > last when no pixel centre lies between the bounds."""
+    """Write the first and last tile; first > last when no pixel centre lies between the bounds."""
     left, top = math.ceil(results[_LEFT * GROUP + lane]), math.ceil(results[_TOP * GROUP + lane])
     right, bottom = math.floor(results[_RIGHT * GROUP + lane]), math.floor(results[_BOTTOM * GROUP + lane])
     if left > right or top > bottom:
         _write_empty_box(boxes, i)
         return
-    boxes[U(4) * i], boxes[U(4) * i + U(1)] = U(left) // U(TILE), U(top) // U(TILE)
-    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = U(right) // U(TILE), U(bottom) // U(TILE)
+    boxes[U(4) * i], boxes[U(4) * i + U(1)] = U(left) // U(layout.TILE), U(top) // U(layout.TILE)
+    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = U(right) // U(layout.TILE), U(bottom) // U(layout.TILE)
 
 
 @inlined
@@ -197,24 +178,24 @@ def _write_empty_box(boxes, i):
 
 @inlined
 def _write_geometry(records, i, results, lane):
-    record = i * U(RECORD)
+    record = i * U(layout.RECORD)
     x, y, x_per_y = results[_X * GROUP + lane], results[_Y * GROUP + lane], results[_X_PER_Y * GROUP + lane]
-    records[record + U(X)], records[record + U(Y)], records[record + U(X_PER_Y)] = x, y, x_per_y
-    records[record + U(X_REST)] = x - np.float64(np.float32(x))
-    records[record + U(Y_REST)] = y - np.float64(np.float32(y))
-    records[record + U(X_PER_Y_REST)] = x_per_y - np.float64(np.float32(x_per_y))
-    records[record + U(INV_STD_X)] = results[_INV_STD_X * GROUP + lane]
-    records[record + U(INV_STD_Y)] = results[_INV_STD_Y * GROUP + lane]
-    records[record + U(LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
-    records[record + U(Y_PER_X)] = results[_Y_PER_X * GROUP + lane]
-    records[record + U(CUTOFF)] = results[_CUTOFF * GROUP + lane]
-    records[record + U(DEPTH)] = results[_DEPTH * GROUP + lane]
+    records[record + U(layout.X)], records[record + U(layout.Y)], records[record + U(layout.X_PER_Y)] = x, y, x_per_y
+    records[record + U(layout.X_REST)] = x - np.float64(np.float32(x))
+    records[record + U(layout.Y_REST)] = y - np.float64(np.float32(y))
+    records[record + U(layout.X_PER_Y_REST)] = x_per_y - np.float64(np.float32(x_per_y))
+    records[record + U(layout.INV_STD_X)] = results[_INV_STD_X * GROUP + lane]
+    records[record + U(layout.INV_STD_Y)] = results[_INV_STD_Y * GROUP + lane]
+    records[record + U(layout.LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
+    records[record + U(layout.Y_PER_X)] = results[_Y_PER_X * GROUP + lane]
+    records[record + U(layout.CUTOFF)] = results[_CUTOFF * GROUP + lane]
+    records[record + U(layout.DEPTH)] = results[_DEPTH * GROUP + lane]
 
 
 @inlined
 def _write_colour(records, i, results, lane, harmonics, count):
-    """Colour seen from the camera; returns whether the harmonics are finite."""
-    record, first = i * U(RECORD), U(3) * count * i
+    """Write the colour seen from the camera; returns whether the harmonics are finite."""
+    record, first = i * U(layout.RECORD), U(3) * count * i
     red = DC * np.float64(harmonics[first])
     green = DC * np.float64(harmonics[first + U(1)])
     blue = DC * np.float64(harmonics[first + U(2)])
@@ -230,7 +211,7 @@ def _write_colour(records, i, results, lane, harmonics, count):
             red += basis[k] * np.float64(harmonics[first + U(3) * k])
             green += basis[k] * np.float64(harmonics[first + U(3) * k + U(1)])
             blue += basis[k] * np.float64(harmonics[first + U(3) * k + U(2)])
-    records[record + U(RED)] = min(max(red + 0.5, 0.0), MAX_COLOUR)
-    records[record + U(GREEN)] = min(max(green + 0.5, 0.0), MAX_COLOUR)
-    records[record + U(BLUE)] = min(max(blue + 0.5, 0.0), MAX_COLOUR)
+    records[record + U(layout.RED)] = min(max(red + 0.5, 0.0), MAX_COLOUR)
+    records[record + U(layout.GREEN)] = min(max(green + 0.5, 0.0), MAX_COLOUR)
+    records[record + U(layout.BLUE)] = min(max(blue + 0.5, 0.0), MAX_COLOUR)
     return math.isfinite(red + green + blue)

@@ -1,10 +1,11 @@
-"""From a splat's sums over its pixels to gradients of the Gaussian it came from, eight at a time, in float64."""
+"""Turn a splat's sums over its pixels into gradients of its Gaussian, eight at a time, in float64."""
 
 import math
 
 import numpy as np
 
 from edit3r.geometry.harmonics import DC
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
 from edit3r_rasterizers.projection_maths import (
@@ -22,41 +23,16 @@ from edit3r_rasterizers.projection_maths import (
     staged_row,
     unit_quats,
 )
-from edit3r_rasterizers.records import (
-    BLUE,
-    CENTRE,
-    FOCAL_X,
-    FOCAL_Y,
-    GREEN,
-    HIGH_X,
-    HIGH_Y,
-    LOOKAHEAD,
-    LOW_X,
-    LOW_Y,
-    RECORD,
-    RED,
-    SUM_BLUE,
-    SUM_DEPTH,
-    SUM_GREEN,
-    SUM_RED,
-    SUM_V,
-    SUM_VS,
-    SUM_VSS,
-    SUM_VST,
-    SUM_VT,
-    SUM_VTT,
-    SUMS,
-)
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
 from edit3r_rasterizers.simd_memory import flat, prefetch, shifted, store
 
 _PER_UNIT = 1.0 / UNIT
-_AHEAD = U(LOOKAHEAD)
+_AHEAD = U(layout.LOOKAHEAD)
 _MEAN, _SCALE, _QUAT, _OPACITY = INPUTS, INPUTS + U(3), INPUTS + U(6), INPUTS + U(10)
 _TOTALS = INPUTS + U(11)
-_BASIS = _TOTALS + U(SUMS)
+_BASIS = _TOTALS + U(layout.SUMS)
 _WEIGHTS = _BASIS + U(4)
 """Rows of the scratch memory after the staged inputs, one lane per Gaussian: gradients, then sums over pixels. The last
 two hold one direction's harmonics basis, and the gradient by it."""
@@ -142,18 +118,18 @@ def project_backward(
 @inlined
 def _add_up(totals, lane, start, end, positions, sums):
     """Sum a splat's rows of `sums`, in the order of its tiles, into one lane."""
-    for k in range(U(SUMS)):
+    for k in range(U(layout.SUMS)):
         totals[(_TOTALS + k) * GROUP + lane] = 0.0
     for place in range(U(start), U(end)):
-        prefetch(sums, U(positions[place + _AHEAD]) * U(SUMS))
-        row = U(positions[place]) * U(SUMS)
-        for k in range(U(SUMS)):
+        prefetch(sums, U(positions[place + _AHEAD]) * U(layout.SUMS))
+        row = U(positions[place]) * U(layout.SUMS)
+        for k in range(U(layout.SUMS)):
             totals[(_TOTALS + k) * GROUP + lane] += np.float64(sums[row + k])
 
 
 @inlined
 def _differentiate_group(staged, camera, eps2d):
-    """Gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
+    """Compute gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
     dx, dy, dz = offset_from_camera(staged, camera)
     x, y, z = camera_position(camera, dx, dy, dz)
     per_z = 1.0 / z
@@ -170,9 +146,9 @@ def _differentiate_group(staged, camera, eps2d):
     x_per_y, inv_std_x, inv_std_y, _, _ = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
 
     # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
-    ss = staged_row(staged, _TOTALS + U(SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
-    st = staged_row(staged, _TOTALS + U(SUM_VST)) * (_PER_UNIT * _PER_UNIT)
-    tt = staged_row(staged, _TOTALS + U(SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
+    ss = staged_row(staged, _TOTALS + U(layout.SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
+    st = staged_row(staged, _TOTALS + U(layout.SUM_VST)) * (_PER_UNIT * _PER_UNIT)
+    tt = staged_row(staged, _TOTALS + U(layout.SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
     p0, p1, p2 = inv_std_x * (a0 - x_per_y * b0), inv_std_x * (a1 - x_per_y * b1), inv_std_x * (a2 - x_per_y * b2)
     q0, q1, q2 = inv_std_y * b0, inv_std_y * b1, inv_std_y * b2
     f0, f1, f2 = inv_std_x * (ss * p0 + st * q0), inv_std_x * (ss * p1 + st * q1), inv_std_x * (ss * p2 + st * q2)
@@ -192,29 +168,29 @@ def _differentiate_group(staged, camera, eps2d):
     # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
     f0, f1, f2 = f0 * r0 + f1 * r1 + f2 * r2, f0 * r3 + f1 * r4 + f2 * r5, f0 * r6 + f1 * r7 + f2 * r8
     g0, g1, g2 = g0 * r0 + g1 * r1 + g2 * r2, g0 * r3 + g1 * r4 + g2 * r5, g0 * r6 + g1 * r7 + g2 * r8
-    by_x = inv_std_x * staged_row(staged, _TOTALS + U(SUM_VS)) * _PER_UNIT
-    by_y = inv_std_y * staged_row(staged, _TOTALS + U(SUM_VT)) * _PER_UNIT - x_per_y * by_x
-    by_u, by_v = by_x * camera[FOCAL_X], by_y * camera[FOCAL_Y]
-    inside_x = (u >= camera[LOW_X]) & (u <= camera[HIGH_X])
-    inside_y = (v >= camera[LOW_Y]) & (v <= camera[HIGH_Y])
+    by_x = inv_std_x * staged_row(staged, _TOTALS + U(layout.SUM_VS)) * _PER_UNIT
+    by_y = inv_std_y * staged_row(staged, _TOTALS + U(layout.SUM_VT)) * _PER_UNIT - x_per_y * by_x
+    by_u, by_v = by_x * camera[layout.FOCAL_X], by_y * camera[layout.FOCAL_Y]
+    inside_x = (u >= camera[layout.LOW_X]) & (u <= camera[layout.HIGH_X])
+    inside_y = (v >= camera[layout.LOW_Y]) & (v <= camera[layout.HIGH_Y])
     along_f, along_g = (
         f0 * camera[2] + f1 * camera[5] + f2 * camera[8],
         g0 * camera[2] + g1 * camera[5] + g2 * camera[8],
     )
-    tilt_u = by_u - select(inside_x, along_f * per_z * camera[FOCAL_X], 0.0)
-    tilt_v = by_v - select(inside_y, along_g * per_z * camera[FOCAL_Y], 0.0)
+    tilt_u = by_u - select(inside_x, along_f * per_z * camera[layout.FOCAL_X], 0.0)
+    tilt_v = by_v - select(inside_y, along_g * per_z * camera[layout.FOCAL_Y], 0.0)
     jacobian = j0 * f0 + j1 * f1 + j2 * f2 + k0 * g0 + k1 * g1 + k2 * g2
     gx, gy = tilt_u * per_z, tilt_v * per_z
-    gz = staged_row(staged, _TOTALS + U(SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
+    gz = staged_row(staged, _TOTALS + U(layout.SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
     for axis in range(U(3)):
         world = gx * camera[U(3) * axis] + gy * camera[U(3) * axis + U(1)] + gz * camera[U(3) * axis + U(2)]
         store(staged, (_MEAN + axis) * GROUP, world)
-    store(staged, _OPACITY * GROUP, staged_row(staged, _TOTALS + U(SUM_V)) / staged_row(staged, OPACITY))
+    store(staged, _OPACITY * GROUP, staged_row(staged, _TOTALS + U(layout.SUM_V)) / staged_row(staged, OPACITY))
 
 
 @inlined
 def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
-    """Chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
+    """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
     gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
     gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
@@ -230,19 +206,19 @@ def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h
 def _differentiate_colour(
     i, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
 ):
-    """Add the colour's share: to the harmonics, and through the direction seen to the mean."""
-    record, first = i * U(RECORD), U(3) * count * i
-    red = _unless_clamped(records[record + U(RED)], scratch[(_TOTALS + U(SUM_RED)) * GROUP + lane])
-    green = _unless_clamped(records[record + U(GREEN)], scratch[(_TOTALS + U(SUM_GREEN)) * GROUP + lane])
-    blue = _unless_clamped(records[record + U(BLUE)], scratch[(_TOTALS + U(SUM_BLUE)) * GROUP + lane])
+    """Add the gradients by the harmonics, and those by the mean through the direction in which it is seen."""
+    record, first = i * U(layout.RECORD), U(3) * count * i
+    red = _unless_clamped(records[record + U(layout.RED)], scratch[(_TOTALS + U(layout.SUM_RED)) * GROUP + lane])
+    green = _unless_clamped(records[record + U(layout.GREEN)], scratch[(_TOTALS + U(layout.SUM_GREEN)) * GROUP + lane])
+    blue = _unless_clamped(records[record + U(layout.BLUE)], scratch[(_TOTALS + U(layout.SUM_BLUE)) * GROUP + lane])
     harmonic_gradients[first] += DC * red
     harmonic_gradients[first + U(1)] += DC * green
     harmonic_gradients[first + U(2)] += DC * blue
     if count == U(1):
         return
-    dx = np.float64(means[U(3) * i]) - camera[CENTRE]
-    dy = np.float64(means[U(3) * i + U(1)]) - camera[CENTRE + 1]
-    dz = np.float64(means[U(3) * i + U(2)]) - camera[CENTRE + 2]
+    dx = np.float64(means[U(3) * i]) - camera[layout.CENTRE]
+    dy = np.float64(means[U(3) * i + U(1)]) - camera[layout.CENTRE + 1]
+    dz = np.float64(means[U(3) * i + U(2)]) - camera[layout.CENTRE + 2]
     shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx * shorten, dy * shorten, dz * shorten
     basis, weights = shifted(scratch, _BASIS * GROUP), shifted(scratch, _WEIGHTS * GROUP)

@@ -1,12 +1,12 @@
-"""The projection's maths for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
+"""Maths of the projection for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
 
 Gaussians are staged first: eight of them side by side in scratch memory, one row per number, so that a row is a vector.
 """
 
 import numpy as np
 
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined
-from edit3r_rasterizers.records import CENTRE, FOCAL_X, FOCAL_Y, HIGH_X, HIGH_Y, LOW_X, LOW_Y
 from edit3r_rasterizers.simd import broadcast, maximum, minimum, select, square_root
 from edit3r_rasterizers.simd_memory import load
 
@@ -32,22 +32,22 @@ def stage(staged, lane, i, means, scales, quats, opacities):
 
 @inlined
 def staged_row(staged, row):
-    """Eight lanes of one row."""
+    """Return the eight lanes of one row."""
     return load(staged, row * GROUP)
 
 
 @inlined
 def offset_from_camera(staged, camera):
-    """World offset of the means from the camera's centre; subtracted first, which is exact far from the origin."""
-    x = staged_row(staged, MEAN) - camera[CENTRE]
-    y = staged_row(staged, MEAN + U(1)) - camera[CENTRE + 1]
-    z = staged_row(staged, MEAN + U(2)) - camera[CENTRE + 2]
+    """Return the offset of the means from the camera's centre; subtracting first is exact far from the origin."""
+    x = staged_row(staged, MEAN) - camera[layout.CENTRE]
+    y = staged_row(staged, MEAN + U(1)) - camera[layout.CENTRE + 1]
+    z = staged_row(staged, MEAN + U(2)) - camera[layout.CENTRE + 2]
     return x, y, z
 
 
 @inlined
 def camera_position(camera, dx, dy, dz):
-    """Camera coordinates of a world offset from the camera's centre."""
+    """Rotate a world offset from the camera's centre to camera coordinates."""
     x = dx * camera[0] + dy * camera[3] + dz * camera[6]
     y = dx * camera[1] + dy * camera[4] + dz * camera[7]
     z = dx * camera[2] + dy * camera[5] + dz * camera[8]
@@ -56,10 +56,10 @@ def camera_position(camera, dx, dy, dz):
 
 @inlined
 def image_rows(camera, u, v, per_z):
-    """Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
-    u = minimum(maximum(u, camera[LOW_X]), camera[HIGH_X])
-    v = minimum(maximum(v, camera[LOW_Y]), camera[HIGH_Y])
-    gx, gy = per_z * camera[FOCAL_X], per_z * camera[FOCAL_Y]
+    """Return the Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
+    u = minimum(maximum(u, camera[layout.LOW_X]), camera[layout.HIGH_X])
+    v = minimum(maximum(v, camera[layout.LOW_Y]), camera[layout.HIGH_Y])
+    gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
     j0, j1, j2 = (camera[0] - u * camera[2]) * gx, (camera[3] - u * camera[5]) * gx, (camera[6] - u * camera[8]) * gx
     k0, k1, k2 = (camera[1] - v * camera[2]) * gy, (camera[4] - v * camera[5]) * gy, (camera[7] - v * camera[8]) * gy
     return j0, j1, j2, k0, k1, k2
@@ -67,7 +67,7 @@ def image_rows(camera, u, v, per_z):
 
 @inlined
 def unit_quats(staged):
-    """Unit quaternions and 1 / norm, or the identity and 0 for one not longer than SHORTEST_QUAT."""
+    """Return unit quaternions and 1 / norm; the identity and 0 for one not longer than SHORTEST_QUAT."""
     a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
     c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
     norm = square_root(a * a + b * b + c * c + d * d)
@@ -78,7 +78,7 @@ def unit_quats(staged):
 
 @inlined
 def rotation_matrix(a, b, c, d):
-    """Rotation matrix, row-major, of a unit wxyz quaternion."""
+    """Return the rotation matrix, row-major, of a unit wxyz quaternion."""
     r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
     r3, r4, r5 = 2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)
     r6, r7, r8 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)
@@ -87,8 +87,9 @@ def rotation_matrix(a, b, c, d):
 
 @inlined
 def factorised_conic(a0, a1, a2, b0, b1, b2, eps2d):
-    """(x_per_y, inv_std_x, inv_std_y, variance_x, variance_y) of the covariance of rows a (x) and b (y).
+    """Factorise the conic of the covariance of rows a (x) and b (y).
 
+    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `layout`.
     The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
     """
     square = a0 * a0 + a1 * a1 + a2 * a2

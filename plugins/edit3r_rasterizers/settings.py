@@ -1,6 +1,7 @@
 """What every rasterizer shares: the settings, which are the rendering convention, and what it refuses."""
 
 import torch
+from jaxtyping import Float, Shaped
 from pydantic import Field, model_validator
 from torch import Tensor
 
@@ -48,7 +49,7 @@ def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
 
 
 def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
-    """The part of `check_scene` that reads no Gaussian: a few numbers per camera."""
+    """Do the part of `check_scene` that reads no Gaussian, only a few numbers per camera."""
     if cameras.c2w.shape[0] != gaussians.means.shape[0]:
         raise InputError(
             f"Cameras.c2w: got cameras for {cameras.c2w.shape[0]} scenes, but Gaussians of "
@@ -62,15 +63,15 @@ def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
 
 
 def check_finite(gaussians: Gaussians) -> None:
-    """Raise InputError that names the first field with a value that is no number, and how many it has."""
+    """Raise InputError that names the first field with values that are not finite, and how many it has."""
     for name in GAUSSIAN_FIELDS:
         _check_finite(f"Gaussians.{name}", getattr(gaussians, name))
 
 
 def resolve_background(
     background: Tensor | None, default: tuple[float, float, float], gaussians: Gaussians, cameras: Cameras
-) -> Tensor:
-    """The background as `[B, C, 3]` in the Gaussians' dtype: a tensor that broadcasts to it, or the setting."""
+) -> Float[Tensor, "batch camera 3"]:
+    """Return the background in the Gaussians' dtype, from a tensor that broadcasts to its shape, or the setting."""
     means = gaussians.means
     value = means.new_tensor(default) if background is None else background.to(means)
     _check_finite("background", value)
@@ -81,7 +82,7 @@ def resolve_background(
         raise InputError(f"background: expected a shape that fits {list(shape)}, got {list(value.shape)}.") from None
 
 
-def _check_finite(name: str, values: Tensor) -> None:
+def _check_finite(name: str, values: Shaped[Tensor, "*shape"]) -> None:
     wrong = values.numel() - int(torch.isfinite(values.detach()).sum())
     if wrong:
         verb = "is" if wrong == 1 else "are"

@@ -20,7 +20,7 @@ _C4 = tuple(
 
 @inlined
 def evaluate_basis(x, y, z, count, out):
-    """The first `count` (1, 4, 9, 16 or 25) basis functions at a unit direction, into `out`."""
+    """Evaluate the first `count` (1, 4, 9, 16 or 25) basis functions at a unit direction, into `out`."""
     out[0] = _C0
     if count > 1:
         out[1], out[2], out[3] = -_C1 * y, _C1 * z, -_C1 * x
@@ -42,7 +42,7 @@ def evaluate_basis(x, y, z, count, out):
 
 @inlined
 def basis_gradient(x, y, z, w, count):
-    """Gradient (d/dx, d/dy, d/dz) of sum_k w[k] * basis_k(x, y, z), the basis taken as polynomials."""
+    """Return d/dx, d/dy, d/dz of sum_k w[k] * basis_k(x, y, z), the basis taken as polynomials."""
     gx, gy, gz = 0.0, 0.0, 0.0
     if count > 1:
         gx, gy, gz = -_C1 * w[3], -_C1 * w[1], _C1 * w[2]

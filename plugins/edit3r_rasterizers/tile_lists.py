@@ -1,24 +1,13 @@
-"""Which splats each tile has to draw, and in which order: sorted by depth, then listed per tile."""
+"""List the splats that each tile has to draw: sort them by depth, then distribute them over the tiles."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from edit3r.errors import RunError
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import even_bounds, inlined, kernel, run_slices
-from edit3r_rasterizers.records import (
-    CUTOFF,
-    INV_STD_X,
-    INV_STD_Y,
-    LOOKAHEAD,
-    RECORD,
-    TILE,
-    X_PER_Y,
-    Y_PER_X,
-    TileGrid,
-    X,
-    Y,
-)
+from edit3r_rasterizers.layout import TileGrid
 from edit3r_rasterizers.simd_memory import flat, prefetch, shifted
 
 MAX_ENTRIES = 2**31 - 1
@@ -36,8 +25,8 @@ class TileLists:
     """Entries: one for each splat on each tile, grouped by tile, front to back."""
 
     offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
-    entries: np.ndarray  # [E + LOOKAHEAD], splat of each entry
-    positions: np.ndarray  # [E + LOOKAHEAD], entries grouped by splat
+    entries: np.ndarray  # [E + layout.LOOKAHEAD], splat of each entry
+    positions: np.ndarray  # [E + layout.LOOKAHEAD], entries grouped by splat
     splat_offsets: np.ndarray  # [G + 1], where each splat's positions begin
 
 
@@ -59,14 +48,14 @@ def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndar
     offsets = np.zeros(grid.count + 1, np.int64)
     np.cumsum(counts.sum(0), out=offsets[1:])
     cursors = offsets[:-1] + np.cumsum(counts, 0) - counts
-    entries, positions = (np.empty(splat_offsets[-1] + LOOKAHEAD, np.int32) for _ in range(2))
-    entries[-LOOKAHEAD:] = positions[-LOOKAHEAD:] = 0
+    entries, positions = (np.empty(splat_offsets[-1] + layout.LOOKAHEAD, np.int32) for _ in range(2))
+    entries[-layout.LOOKAHEAD :] = positions[-layout.LOOKAHEAD :] = 0
     run_slices(list_entries, slices, threads, *shared, cursors, splat_offsets, entries, positions)
     return TileLists(offsets, entries, positions, splat_offsets)
 
 
 def _sort(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Indices of the splats that have a box, front to back."""
+    """Return the indices of the splats that have a box, front to back."""
     index, values, other_index, other_values = (
         np.empty(len(keys), kind) for kind in (np.int32, np.uint32, np.int32, np.uint32)
     )
@@ -126,25 +115,25 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
 
 @inlined
 def touches_tile(record, column, row):
-    """Whether the splat's ellipse reaches the pixel centres of a tile: the smallest exponent over the rectangle."""
-    left = np.float64(column * U(TILE)) + 0.5 - np.float64(record[X])
-    top = np.float64(row * U(TILE)) + 0.5 - np.float64(record[Y])
-    right, bottom = left + (TILE - 1), top + (TILE - 1)
+    """Tell whether the splat's ellipse reaches the pixel centres of a tile, by the smallest exponent over them."""
+    left = np.float64(column * U(layout.TILE)) + 0.5 - np.float64(record[layout.X])
+    top = np.float64(row * U(layout.TILE)) + 0.5 - np.float64(record[layout.Y])
+    right, bottom = left + (layout.TILE - 1), top + (layout.TILE - 1)
     x, y = min(max(0.0, left), right), min(max(0.0, top), bottom)
-    by_column = _exponent(record, x, min(max(record[Y_PER_X] * x, top), bottom))
-    by_row = _exponent(record, min(max(record[X_PER_Y] * y, left), right), y)
-    return min(by_column, by_row) <= record[CUTOFF] * 1.001 + 0.01
+    by_column = _exponent(record, x, min(max(record[layout.Y_PER_X] * x, top), bottom))
+    by_row = _exponent(record, min(max(record[layout.X_PER_Y] * y, left), right), y)
+    return min(by_column, by_row) <= record[layout.CUTOFF] * 1.001 + 0.01
 
 
 @inlined
 def _exponent(record, x, y):
-    across, down = record[INV_STD_X] * (x - record[X_PER_Y] * y), record[INV_STD_Y] * y
+    across, down = record[layout.INV_STD_X] * (x - record[layout.X_PER_Y] * y), record[layout.INV_STD_Y] * y
     return across * across + down * down
 
 
 @kernel
 def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
-    """For the chunks [first, last): how many of its splats are on each tile, and on how many tiles each splat is.
+    """Count for the chunks [first, last) the splats on each tile, and the tiles of each splat.
 
     Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
     `numbers` [splats].
@@ -160,7 +149,7 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
         for rank in range(U(bounds[chunk]), end):
             prefetch(boxes, U(4) * U(order[min(rank + _AHEAD, end - U(1))]))
             i = U(order[rank])
-            record = shifted(records, i * U(RECORD))
+            record = shifted(records, i * U(layout.RECORD))
             left, top, right, bottom = _box(boxes, i)
             exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
             number = 0
@@ -174,7 +163,7 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
 
 @kernel
 def list_entries(first, last, bounds, order, boxes, records, columns, cursors, splat_offsets, entries, positions):
-    """For the chunks [first, last): put each splat at the end of its tiles' lists.
+    """Put each splat of the chunks [first, last) at the end of its tiles' lists.
 
     `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
     entries grouped by tile, front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat
@@ -191,7 +180,7 @@ def list_entries(first, last, bounds, order, boxes, records, columns, cursors, s
             prefetch(boxes, U(4) * coming)
             prefetch(splat_offsets, coming)
             i = U(order[rank])
-            record = shifted(records, i * U(RECORD))
+            record = shifted(records, i * U(layout.RECORD))
             left, top, right, bottom = _box(boxes, i)
             exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
             done = U(splat_offsets[i])

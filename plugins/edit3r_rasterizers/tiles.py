@@ -1,4 +1,4 @@
-"""What the forward and the backward kernel share: a tile's blocks, and which of them a splat reaches.
+"""What the forward and the backward kernel share: the blocks of a tile, and the splats at their pixels.
 
 A tile's state lies in a scratch buffer that stays in the L1 cache: per block `stride` floats, that is planes of sixteen
 lanes. Plane 0 is the transmittance left, negative once the pixel has ended; 1 and 2 are the pixel centres' x and y
@@ -7,36 +7,16 @@ in the tile.
 
 import numpy as np
 
+from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined
-from edit3r_rasterizers.records import (
-    BLOCK,
-    BLUE,
-    CUTOFF,
-    DEPTH,
-    GREEN,
-    INV_STD_X,
-    INV_STD_Y,
-    LOG_OPACITY,
-    LOOKAHEAD,
-    RECORD,
-    RED,
-    TILE,
-    X_PER_Y,
-    X_PER_Y_REST,
-    X_REST,
-    Y_PER_X,
-    Y_REST,
-    X,
-    Y,
-)
 from edit3r_rasterizers.simd import broadcast, lane_columns, lane_rows, mask_bits, maximum, minimum, select
 from edit3r_rasterizers.simd_memory import load, load_block, prefetch, store, store_block
 
 F = np.float32
 U = np.uint64
 LANES = U(16)
-BLOCKS = U((TILE // BLOCK) ** 2)
-BLOCKS_PER_ROW = U(TILE // BLOCK)
+BLOCKS = U((layout.TILE // layout.BLOCK) ** 2)
+BLOCKS_PER_ROW = U(layout.TILE // layout.BLOCK)
 """Blocks in a row of a tile."""
 TRANSMITTANCE, PIXEL_X, PIXEL_Y, FIRST_FREE = U(0), LANES, U(2) * LANES, U(3) * LANES
 BATCH = U(16)
@@ -50,8 +30,8 @@ def open_tile(scratch, stride, width, height):
     """Prepare the first three planes for a tile of width x height pixels; returns the blocks that have any."""
     live = U(0)
     for block in range(BLOCKS):
-        columns = lane_columns() + F((block % BLOCKS_PER_ROW) * U(BLOCK))
-        rows = lane_rows() + F((block // BLOCKS_PER_ROW) * U(BLOCK))
+        columns = lane_columns() + F((block % BLOCKS_PER_ROW) * U(layout.BLOCK))
+        rows = lane_rows() + F((block // BLOCKS_PER_ROW) * U(layout.BLOCK))
         inside = (broadcast(F(width)) > columns) & (broadcast(F(height)) > rows)
         place = block * stride
         store(scratch, place + TRANSMITTANCE, select(inside, broadcast(F(1)), F(-1)))
@@ -64,7 +44,7 @@ def open_tile(scratch, stride, width, height):
 
 @inlined
 def live_blocks(scratch, stride):
-    """The blocks with a pixel that has not ended."""
+    """Return the blocks with a pixel that has not ended, as bits."""
     live = U(0)
     for block in range(BLOCKS):
         if mask_bits(load(scratch, block * stride + TRANSMITTANCE) > F(0)):
@@ -80,19 +60,19 @@ def place_splat(records, start, tile_x, tile_y):
     log_opacity): log2(alpha) is log_opacity minus the squares of inv_std_x * x - shear * y + shift_x and of
     inv_std_y * y + shift_y. Computed in float64, as the mean may be far away.
     """
-    x = (np.float64(records[start + U(X)]) - tile_x) + np.float64(records[start + U(X_REST)])
-    y = (np.float64(records[start + U(Y)]) - tile_y) + np.float64(records[start + U(Y_REST)])
-    x_per_y = np.float64(records[start + U(X_PER_Y)]) + np.float64(records[start + U(X_PER_Y_REST)])
-    inv_std_x, inv_std_y = records[start + U(INV_STD_X)], records[start + U(INV_STD_Y)]
+    x = (np.float64(records[start + U(layout.X)]) - tile_x) + np.float64(records[start + U(layout.X_REST)])
+    y = (np.float64(records[start + U(layout.Y)]) - tile_y) + np.float64(records[start + U(layout.Y_REST)])
+    x_per_y = np.float64(records[start + U(layout.X_PER_Y)]) + np.float64(records[start + U(layout.X_PER_Y_REST)])
+    inv_std_x, inv_std_y = records[start + U(layout.INV_STD_X)], records[start + U(layout.INV_STD_Y)]
     shift_x, shift_y = F(np.float64(inv_std_x) * (x_per_y * y - x)), F(-np.float64(inv_std_y) * y)
-    ellipse = inv_std_x, inv_std_x * F(x_per_y), shift_x, inv_std_y, shift_y, records[start + U(LOG_OPACITY)]
-    red, green, blue = records[start + U(RED)], records[start + U(GREEN)], records[start + U(BLUE)]
-    return ellipse, red, green, blue, records[start + U(DEPTH)]
+    ellipse = inv_std_x, inv_std_x * F(x_per_y), shift_x, inv_std_y, shift_y, records[start + U(layout.LOG_OPACITY)]
+    red, green, blue = records[start + U(layout.RED)], records[start + U(layout.GREEN)], records[start + U(layout.BLUE)]
+    return ellipse, red, green, blue, records[start + U(layout.DEPTH)]
 
 
 @inlined
 def splat_exponent(scratch, place, ellipse):
-    """The two terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
+    """Return the terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
     inv_std_x, shear, shift_x, inv_std_y, shift_y, log_opacity = ellipse
     pixel_y = load(scratch, place + PIXEL_Y)
     across = load(scratch, place + PIXEL_X) * inv_std_x + (broadcast(shift_x) - pixel_y * shear)
@@ -102,28 +82,28 @@ def splat_exponent(scratch, place, ellipse):
 
 @inlined
 def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
-    """Into `touched`: for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits.
+    """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits in `touched`.
 
     One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean, where x nearest or
     y nearest is given and the other follows from the ellipse's axes.
     """
     for entry in range(first, last):
-        prefetch(records, U(entries[entry + U(LOOKAHEAD)]) * U(RECORD))
-        start = U(entries[entry]) * U(RECORD)
-        x = (records[start + U(X)] - F(tile_x)) + records[start + U(X_REST)]
-        y = (records[start + U(Y)] - F(tile_y)) + records[start + U(Y_REST)]
-        x_per_y, y_per_x = records[start + U(X_PER_Y)], records[start + U(Y_PER_X)]
-        inv_std_x, inv_std_y = records[start + U(INV_STD_X)], records[start + U(INV_STD_Y)]
-        left = lane_columns() * F(BLOCK) + (F(0.5) - x)
-        top = lane_rows() * F(BLOCK) + (F(0.5) - y)
-        right, bottom = left + F(BLOCK - 1), top + F(BLOCK - 1)
+        prefetch(records, U(entries[entry + U(layout.LOOKAHEAD)]) * U(layout.RECORD))
+        start = U(entries[entry]) * U(layout.RECORD)
+        x = (records[start + U(layout.X)] - F(tile_x)) + records[start + U(layout.X_REST)]
+        y = (records[start + U(layout.Y)] - F(tile_y)) + records[start + U(layout.Y_REST)]
+        x_per_y, y_per_x = records[start + U(layout.X_PER_Y)], records[start + U(layout.Y_PER_X)]
+        inv_std_x, inv_std_y = records[start + U(layout.INV_STD_X)], records[start + U(layout.INV_STD_Y)]
+        left = lane_columns() * F(layout.BLOCK) + (F(0.5) - x)
+        top = lane_rows() * F(layout.BLOCK) + (F(0.5) - y)
+        right, bottom = left + F(layout.BLOCK - 1), top + F(layout.BLOCK - 1)
         near_x = minimum(maximum(left, F(0)), right)
         near_y = minimum(maximum(top, F(0)), bottom)
         down = minimum(maximum(near_x * y_per_x, top), bottom)
         by_column = _squares(near_x - down * x_per_y, down, inv_std_x, inv_std_y)
         axis = near_y * x_per_y
         by_row = _squares(minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y)
-        limit = broadcast(records[start + U(CUTOFF)] * F(1.001) + F(1e-2))
+        limit = broadcast(records[start + U(layout.CUTOFF)] * F(1.001) + F(1e-2))
         touched[entry - first] = mask_bits(minimum(by_column, by_row) <= limit)
 
 
@@ -135,22 +115,22 @@ def _squares(across, down, inv_std_x, inv_std_y):
 
 @inlined
 def write_block(scratch, place, image, target, width, columns, rows):
-    """Copy columns x rows pixels of a plane to flat index `target` of a image `width` wide."""
-    if columns == U(BLOCK) and rows == U(BLOCK):
+    """Copy columns x rows pixels of a plane to flat index `target` of an image `width` wide."""
+    if columns == U(layout.BLOCK) and rows == U(layout.BLOCK):
         store_block(image, target, width, load(scratch, place))
         return
     for row in range(rows):
         for column in range(columns):
-            image[target + row * width + column] = scratch[place + row * U(BLOCK) + column]
+            image[target + row * width + column] = scratch[place + row * U(layout.BLOCK) + column]
 
 
 @inlined
 def read_block(scratch, place, image, source, width, columns, rows):
-    """Copy columns x rows pixels of a image `width` wide from flat index `source` to a plane, zero elsewhere."""
-    if columns == U(BLOCK) and rows == U(BLOCK):
+    """Copy columns x rows pixels of an image `width` wide from flat index `source` to a plane, zero elsewhere."""
+    if columns == U(layout.BLOCK) and rows == U(layout.BLOCK):
         store(scratch, place, load_block(image, source, width))
         return
     store(scratch, place, broadcast(F(0)))
     for row in range(rows):
         for column in range(columns):
-            scratch[place + row * U(BLOCK) + column] = image[source + row * width + column]
+            scratch[place + row * U(layout.BLOCK) + column] = image[source + row * width + column]

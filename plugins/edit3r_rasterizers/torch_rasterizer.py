@@ -31,7 +31,7 @@ CHUNK = 4096
 
 @dataclass(frozen=True)
 class Splats:
-    """The Gaussians one camera sees, front to back.
+    """The Gaussians that one camera sees, projected, front to back.
 
     With d = pixel - mean the exponent is (inv_std_x * (d_x - x_per_y * d_y))^2 / 2 + (inv_std_y * d_y)^2 / 2: the conic
     (inverse of the 2D covariance [[a, b], [b, c]]) in factors, d_y with variance c and d_x given d_y with variance
@@ -152,7 +152,7 @@ class TorchRasterizer(Rasterizer):
 
 
 def _centres(count: int, like: Tensor) -> Float[Tensor, "count"]:
-    """Pixel centres 0.5, 1.5, ... [pixels]."""
+    """Return the pixel centres 0.5, 1.5, ... [pixels]."""
     return torch.arange(count, dtype=like.dtype, device=like.device) + 0.5
 
 
@@ -164,7 +164,7 @@ def project_scene(
     image_size: tuple[int, int],
     settings: RasterizerSettings,
 ) -> Splats:
-    """Splats of one scene for one camera with normalised intrinsics; differentiable in all fields of `gaussians`."""
+    """Project one scene into one camera with normalised intrinsics; differentiable in all fields of `gaussians`."""
     work = working_dtype(gaussians.means)
     offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(work)  # subtracting first is exact far from the origin
     rotation = c2w[:3, :3].to(work)
@@ -210,7 +210,7 @@ def _image_rows(
     size: Float[Tensor, "2"],
     rotation: Float[Tensor, "3 3"],
 ) -> Float[Tensor, "splat 2 3"]:
-    """Jacobian of the image position by the world position, at the tangents clamped near the image's border."""
+    """Return the Jacobian of the image position by the world position, at tangents clamped near the image's border."""
     margin = BORDER * 0.5 * size / focal
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
     x, y = tangents.clamp(low, high).unbind(-1)
@@ -222,12 +222,12 @@ def _image_rows(
 def seen_colours(
     harmonics: Float[Tensor, "splat coefficient 3"], offsets: Float[Tensor, "splat 3"]
 ) -> Float[Tensor, "splat 3"]:
-    """Colours seen along `offsets` from the camera centre to the Gaussians."""
+    """Return the colours seen along `offsets` from the camera centre to the Gaussians."""
     degree = round(harmonics.shape[1] ** 0.5) - 1
     values = basis(offsets / offsets.norm(dim=-1, keepdim=True), degree)
     return (torch.einsum("nk,nkc->nc", values, harmonics) + 0.5).clamp(0, MAX_COLOUR)
 
 
 def working_dtype(like: Tensor) -> torch.dtype:
-    """float64, or the tensor's own dtype on a device without (Apple's mps)."""
+    """Return float64, or the tensor's own dtype on a device without it (Apple's mps)."""
     return like.dtype if like.device.type == "mps" else torch.float64

@@ -17,7 +17,9 @@ LOOKAHEAD = 32
 # Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
 # log2(alpha) = LOG_OPACITY - (INV_STD_X * (d_x - X_PER_Y * d_y))^2 - (INV_STD_Y * d_y)^2.
 X, X_REST, Y, Y_REST = 0, 1, 2, 3  # mean as a sum of two float32 [pixels]
-X_PER_Y, INV_STD_X, INV_STD_Y, LOG_OPACITY = 4, 5, 6, 7
+X_PER_Y = 4  # d_x of the highest alpha on a row, per d_y
+INV_STD_X, INV_STD_Y = 5, 6  # 1 / standard deviation of x given y, and of y; units as in `projection.UNIT`
+LOG_OPACITY = 7  # base 2
 RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
 CUTOFF = 12  # the sum of the two squares above which alpha < min_alpha
 Y_PER_X = 13  # d_y of the highest alpha on a column, per d_x
@@ -39,7 +41,7 @@ SUMS = 10
 
 @dataclass(frozen=True)
 class TileGrid:
-    """How an image is cut into tiles."""
+    """The tiles of an image."""
 
     height: int  # [pixels]
     width: int  # [pixels]
@@ -58,7 +60,7 @@ class TileGrid:
 
 
 def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
-    """The camera as the kernels read it; `border`: how far the Jacobian's tangents may leave the image."""
+    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave the image."""
     pose = c2w.detach().to("cpu", torch.float64).numpy()
     matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
     size = np.array([grid.width, grid.height], dtype=np.float64)
