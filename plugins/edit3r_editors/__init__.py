@@ -1,4 +1,4 @@
-"""Editors that need no learned weights: none at all, a stand-in, pictures from elsewhere, any program."""
+"""Editors that need no learned weights: none at all, a stand-in, images from elsewhere, any program."""
 
 from edit3r import Component, hookimpl
 

@@ -1,4 +1,4 @@
-"""Any program as an editor: it is given picture files and told where to write the result.
+"""Any program as an editor: it is given image files and told where to write the result.
 
 The command is split into arguments once and never goes through a shell, so a prompt with quotes or semicolons stays
 one argument. Placeholders:
@@ -27,8 +27,9 @@ from edit3r import reporting
 from edit3r.config import Settings
 from edit3r.errors import RunError, SettingsError
 from edit3r.interfaces import Editor
+from edit3r.io.images import save_image
 from edit3r.types import EditRequest, Views
-from edit3r_editors.pictures import read_picture, view_names, write_mask, write_picture
+from edit3r_editors.folder import read_edit, view_names
 
 PER_VIEW = {"input", "output", "mask"}
 TOGETHER = {"input_dir", "output_dir", "mask_dir"}
@@ -68,37 +69,35 @@ class _Job:
         self, folder: Path, names: list[str], arguments: list[str], request: EditRequest, timeout: float
     ) -> None:
         self.names, self.arguments, self.timeout = names, arguments, timeout
-        self.inputs, self.outputs, self.masks = (folder / kind for kind in ("input", "output", "mask"))
-        for made in (self.inputs, self.outputs, self.masks):
+        self.folders = {kind: folder / kind for kind in ("input", "output", "mask")}
+        for made in self.folders.values():
             made.mkdir()
         self.log = folder / "log.txt"
         self.values = {"prompt": request.prompt, "seed": request.seed}
 
     def write(self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "view height width"]) -> None:
         for name, image, mask in zip(self.names, images, masks):
-            write_picture(self.inputs / f"{name}.png", image)
-            write_mask(self.masks / f"{name}.png", mask)
+            save_image(image, self.folders["input"] / f"{name}.png")
+            save_image(mask.expand(3, -1, -1), self.folders["mask"] / f"{name}.png")
 
     def run_per_view(self) -> None:
         for name in reporting.track(self.names, "external program"):
-            files = {"input": self.inputs, "output": self.outputs, "mask": self.masks}
-            self._call({key: str(folder / f"{name}.png") for key, folder in files.items()})
+            self._call({kind: str(folder / f"{name}.png") for kind, folder in self.folders.items()})
 
     def run_once(self) -> None:
-        self._call(
-            {"input_dir": str(self.inputs), "output_dir": str(self.outputs), "mask_dir": str(self.masks)},
-        )
+        self._call({f"{kind}_dir": str(folder) for kind, folder in self.folders.items()})
 
     def read(self, like: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 height width"]:
-        missing = [name for name in self.names if not (self.outputs / f"{name}.png").is_file()]
-        if missing:
-            written = ", ".join(sorted(file.name for file in self.outputs.iterdir())) or "nothing"
+        outputs = self.folders["output"]
+        files = [outputs / f"{name}.png" for name in self.names]
+        missing = next((file.name for file in files if not file.is_file()), None)
+        if missing is not None:
+            written = ", ".join(sorted(file.name for file in outputs.iterdir())) or "nothing"
             raise RunError(
                 f"editor.command: {self.arguments[0]!r} ended without an error but did not write "
-                f"{missing[0]}.png; it wrote {written}. Write PNG files to the path it is given."
+                f"{missing}; it wrote {written}. Write PNG files to the path it is given."
             )
-        files = [self.outputs / f"{name}.png" for name in self.names]
-        return torch.stack([read_picture(f, image, n) for f, image, n in zip(files, like, self.names)])
+        return torch.stack([read_edit(file, image, name) for file, image, name in zip(files, like, self.names)])
 
     def _call(self, files: dict[str, str]) -> None:
         filled = [argument.format(**self.values, **files) for argument in self.arguments]
@@ -123,7 +122,7 @@ class _Job:
 
 
 def parse_command(command: str) -> tuple[list[str], bool]:
-    """Arguments with their placeholders, and whether one call edits all views; raises SettingsError."""
+    """Split a command into arguments with placeholders; True: one call edits all views. Raises SettingsError."""
     try:
         arguments = shlex.split(command)
         used = {name for argument in arguments for name in _placeholders(argument)}
@@ -147,12 +146,12 @@ def parse_command(command: str) -> tuple[list[str], bool]:
 
 
 def _placeholders(argument: str) -> list[str]:
-    """Names in braces; raises ValueError for unbalanced braces (a literal one is written twice)."""
+    """List the names in braces; raises ValueError for unbalanced braces (a literal one is written twice)."""
     return [name for _, name, _, _ in string.Formatter().parse(argument) if name is not None]
 
 
 def _tail(log: bytes, characters: int = 400) -> str:
-    """The last characters of what a program printed, on one line."""
+    """Return the last characters of what a program printed, on one line."""
     text = " ".join(log.decode("utf-8", errors="replace").split())
     if not text:
         return "it printed no message."

@@ -1,22 +1,25 @@
-"""Bring pictures that were edited elsewhere."""
+"""The editor `folder`: images that were edited elsewhere, and how image files become views again."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from pydantic import Field
+from torch import Tensor
 
 from edit3r import reporting
 from edit3r.config import Settings
 from edit3r.errors import InputError, SettingsError
 from edit3r.interfaces import Editor
-from edit3r.io.images import find_photos
+from edit3r.io.framing import frame_for
+from edit3r.io.images import find_photos, read_image
 from edit3r.types import EditRequest, Views
-from edit3r_editors.pictures import read_picture, view_names
 
 
 class FolderEditor(Editor):
-    """Replaces each view by the picture of its name in a folder, or by natural order when no name fits."""
+    """Replaces each view by the image of its name in a folder, or by natural order when no name fits."""
 
     class Settings(Settings):
         path: str = Field("", description="folder with one edited picture per view, named as the photos are")
@@ -30,14 +33,14 @@ class FolderEditor(Editor):
         if request.prompt.strip():
             reporting.warn("editor 'folder' does not read the prompt: the pictures in the folder are the edit.")
         names = view_names(views)
-        files = match_pictures(_pictures(self.settings.path), names)
+        files = match_files(_images_in(self.settings.path), names)
         reporting.note("editor.files", [str(file) for file in files])
-        images = [read_picture(file, image, name) for file, image, name in zip(files, views.images[0], names)]
+        images = [read_edit(file, image, name) for file, image, name in zip(files, views.images[0], names)]
         return replace(views, images=torch.stack(images)[None])
 
 
-def match_pictures(files: list[Path], names: list[str]) -> list[Path]:
-    """One of `files` (in natural order) per view: by stem if any stem fits, else in order if the numbers agree."""
+def match_files(files: list[Path], names: list[str]) -> list[Path]:
+    """Choose one of `files` (in natural order) per view: by stem if any stem fits, else in order if as many."""
     by_stem: dict[str, list[Path]] = {}
     for file in files:
         by_stem.setdefault(file.stem.lower(), []).append(file)
@@ -67,10 +70,36 @@ def _only(files: list[Path]) -> Path:
     return files[0]
 
 
-def _pictures(path: str) -> list[Path]:
+def _images_in(path: str) -> list[Path]:
     if not path:
         raise SettingsError("editor.path: the editor 'folder' needs a folder, for example --set editor.path=edited/.")
     folder = Path(path).expanduser()
     if not folder.is_dir():
         raise InputError(f"editor.path: {path!r} is not a folder.")
     return find_photos(folder)
+
+
+def view_names(views: Views) -> list[str]:
+    """Give every view a distinct file stem: its name where it has one, else `view_1`, `view_2`, ..."""
+    if not views.names:
+        return [f"view_{index + 1}" for index in range(views.count)]
+    stems = [Path(name).stem for name in views.names]
+    return stems if len(set(stems)) == len(stems) else [f"{stem}_{index + 1}" for index, stem in enumerate(stems)]
+
+
+def read_edit(path: Path, like: Float[Tensor, "3 height width"], name: str) -> Float[Tensor, "3 height width"]:
+    """Read the edit of view `name` from an image file, at the size, dtype and device of `like`.
+
+    Another size is framed as photos are when they are loaded: scaled to cover, cropped around the middle. So an edit
+    of the original photo lands where the photo did.
+    """
+    image = read_image(path)
+    height, width = like.shape[-2:]
+    frame = frame_for((image.height, image.width), (height, width))
+    if frame.cropped > 0.01:
+        reporting.warn(
+            f"{path.name} is {image.width}x{image.height} but view {name!r} is {width}x{height}: of it "
+            f"{frame.cropped:.0%} is cropped away. Right for an edit of the whole photo if that was cropped too."
+        )
+    pixels = np.array(frame.cut(image), dtype=np.float32) / 255
+    return torch.from_numpy(pixels).permute(2, 0, 1).to(like)

@@ -22,7 +22,7 @@ from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
 STEP_RATE = 0.35  # share of the remaining way a step goes: 10 steps leave 1 % of the noise
-TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the picture
+TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the image
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Look:
     gamma: float
     tint: tuple[float, float, float]  # added to RGB
     texture: float  # standard deviation of the added colour texture
-    warp: float  # largest displacement [picture widths]
+    warp: float  # largest displacement [image widths]
     noise_seed: int  # of texture and warp
 
 
@@ -86,7 +86,7 @@ class MockDiffusionEditor(Editor):
 
 
 def sample_look(generator: torch.Generator) -> Look:
-    """A clearly visible change of colour and tone, with texture and warp at the size for full disagreement."""
+    """Draw a clearly visible change of colour and tone, with texture and warp at the size for full disagreement."""
     unit = (2 * torch.rand(6, generator=generator) - 1).tolist()
     return Look(
         hue=0.5 * unit[0],
@@ -100,7 +100,7 @@ def sample_look(generator: torch.Generator) -> Look:
 
 
 def disagreeing(shared: Look, own: Look, amount: float) -> Look:
-    """The look of one view: the shared one at `amount` 0, mostly its own, with texture and warp, at 1."""
+    """Make the look of one view: the shared one at `amount` 0, mostly its own, with texture and warp, at 1."""
 
     def mix(a: float, b: float) -> float:
         return (1 - amount) * a + amount * b
@@ -117,7 +117,7 @@ def disagreeing(shared: Look, own: Look, amount: float) -> Look:
 
 
 def apply_look(images: Float[Tensor, "batch 3 height width"], look: Look) -> Float[Tensor, "batch 3 height width"]:
-    """Warp, recolour and texture pictures; the result is in [0, 1]."""
+    """Warp, recolour and texture images; the result is in [0, 1]."""
     fields = _smooth_noise(look.noise_seed, 5, images)
     result = _warped(images, look.warp * fields[:2].clamp(-1, 1)) if look.warp > 0 else images
     result = kornia.enhance.adjust_hue(result, 2 * torch.pi * look.hue)
@@ -130,21 +130,23 @@ def apply_look(images: Float[Tensor, "batch 3 height width"], look: Look) -> Flo
 def _warped(
     images: Float[Tensor, "batch 3 height width"], shift: Float[Tensor, "2 height width"]
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Pictures resampled at x + shift [picture widths and heights]."""
+    """Resample images at x + shift [image widths and heights]."""
     identity = torch.eye(2, 3, dtype=images.dtype, device=images.device).expand(len(images), 2, 3)
     grid = F.affine_grid(identity, list(images.shape), align_corners=False)
     moved = grid + 2 * shift.permute(1, 2, 0)  # grid_sample counts from -1 to 1
     return F.grid_sample(images, moved, padding_mode="reflection", align_corners=False)
 
 
-def _smooth_noise(seed: int, channels: int, like: Tensor) -> Float[Tensor, "channel height width"]:
-    """Smooth fields of standard deviation about 1, the same at any picture size up to resampling."""
+def _smooth_noise(
+    seed: int, channels: int, like: Float[Tensor, "batch 3 height width"]
+) -> Float[Tensor, "channel height width"]:
+    """Draw smooth fields of standard deviation about 1, the same at any image size up to resampling."""
     coarse = torch.randn(1, channels, TEXTURE_CELLS, TEXTURE_CELLS, generator=torch.Generator().manual_seed(seed))
     fields = F.interpolate(coarse.to(like), size=like.shape[-2:], mode="bicubic", align_corners=False)
     return fields[0] / 0.8  # interpolation between cells lowers the deviation of white noise
 
 
 def _generator(*key: object) -> torch.Generator:
-    """A generator seeded by a hash of `key` that is the same in every process."""
+    """Make a generator seeded by a hash of `key` that is the same in every process."""
     digest = hashlib.sha256(repr(key).encode("utf-8")).digest()
     return torch.Generator().manual_seed(int.from_bytes(digest[:8], "big") >> 1)

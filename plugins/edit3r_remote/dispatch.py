@@ -12,10 +12,8 @@ from torch import Tensor
 from edit3r.errors import Edit3rError, PromptError, RunError
 from edit3r.reporting import note, progress, warn
 from edit3r.types import EditRequest, Views
-from edit3r_remote.cache import AnswerCache
 from edit3r_remote.frames import Frame, decode, encode_mask, encode_png
-from edit3r_remote.service import Answer, ImageService, Request
-from edit3r_remote.settings import RemoteSettings
+from edit3r_remote.service import Answer, AnswerCache, ImageService, RemoteSettings, Request
 
 
 @dataclass(frozen=True)
@@ -26,8 +24,7 @@ class ViewResult:
     remark: str  # for the user; '' if nothing
     cached: bool
     seconds: float  # until the answer was there, retries included
-    input_tokens: int
-    output_tokens: int
+    answer: Answer
 
 
 class Dispatcher:
@@ -38,7 +35,7 @@ class Dispatcher:
         self.cache = AnswerCache(settings.cache)
 
     def edit(self, views: Views, request: EditRequest, offered: Sequence[tuple[int, int]], send_masks: bool) -> Views:
-        """Every view with something to change through the service, as large as one of the sizes `offered`."""
+        """Edit every view with something to change, sent as large as one of the sizes `offered`."""
         if not request.prompt.strip():
             raise PromptError(f"{self.service.label} needs an instruction; give one with --prompt.")
         frame = Frame.around(views.image_size, offered)
@@ -57,14 +54,14 @@ class Dispatcher:
     def _request(self, views: Views, request: EditRequest, frame: Frame, index: int, send_masks: bool) -> Request:
         view = index % views.count
         name = views.names[view] if views.names else f"view {view}"
-        picture = encode_png(frame.enclose(views.images.flatten(0, 1)[index].cpu().float()))
+        image = encode_png(frame.enclose(views.images.flatten(0, 1)[index].cpu().float()))
         mask = None
         if send_masks and request.masks is not None:
             mask = encode_mask(frame.enclose(request.masks.flatten(0, 1)[index][None].cpu().float())[0])
-        return Request(name, request.prompt, request.seed, picture, mask, frame.size)
+        return Request(name, request.prompt, request.seed, image, mask, frame.size)
 
     def _send_all(self, jobs: dict[int, Request], frame: Frame) -> dict[int, ViewResult]:
-        """All answers, or the first error once every view already sent has its answer in the cache."""
+        """Collect all answers, or raise the first error once every view already sent has its answer in the cache."""
         results: dict[int, ViewResult] = {}
         errors: list[Edit3rError] = []
         text = f"asking {self.service.label}"
@@ -91,36 +88,35 @@ class Dispatcher:
         return f" {len(results)} of {len(jobs)} views have their answer in {self.cache.folder} and cost nothing again."
 
     def _answer(self, request: Request, frame: Frame) -> ViewResult:
-        """One view: from the cache, else from the service."""
+        """Get one view from the cache, else from the service."""
         key = self.cache.key(request, self.asked)
         started = time.perf_counter()
         answer = self.cache.find(key)
-        if answer is not None:
-            picture, remark = decode(answer.picture, frame.size, request.name)
-            return ViewResult(frame.extract(picture), remark, True, 0.0, answer.input_tokens, answer.output_tokens)
-        answer = self._ask(request)
-        seconds = time.perf_counter() - started
+        cached = answer is not None
+        answer = answer or self._ask(request)
+        seconds = 0.0 if cached else time.perf_counter() - started
         try:
-            picture, remark = decode(answer.picture, frame.size, request.name)
+            image, remark = decode(answer.image, frame.size, request.name)
         except RunError as error:
+            if cached:
+                raise
             where = self.cache.keep(key, answer, accepted=False)
             raise RunError(f"{self.service.label}: {error}{f' It is kept as {where}.' if where else ''}") from None
-        self.cache.keep(key, answer)
-        return ViewResult(frame.extract(picture), remark, False, seconds, answer.input_tokens, answer.output_tokens)
+        if not cached:
+            self.cache.keep(key, answer)
+        return ViewResult(frame.extract(image), remark, cached, seconds, answer)
 
     def _ask(self, request: Request) -> Answer:
         try:
             return self.service.send(request)
         except Edit3rError:
             raise
-        except (
-            Exception
-        ) as error:  # an SDK and its HTTP library raise dozens of types, and their texts may hold the key
+        except Exception as error:  # an SDK and its HTTP library raise dozens of types; their texts may hold the key
             words = self.service.quote(f"{type(error).__name__}: {error}")
             raise RunError(f"{self.service.label}: no usable answer for {request.name} ({words}).") from None
 
     def _account(self, jobs: dict[int, Request], results: dict[int, ViewResult]) -> None:
-        """Facts for `run.json`: time, tokens and cost of each view; a cached one cost nothing this time."""
+        """Note facts for `run.json`: time, tokens and cost of each view; a cached one cost nothing this time."""
         bills = [self._bill(jobs[index].name, result) for index, result in results.items()]
         note("editor.views", bills)
         note("editor.cost_usd", round(sum(bill["cost_usd"] for bill in bills), 6))
@@ -128,14 +124,13 @@ class Dispatcher:
             warn(f"{self.service.label}: {remark}")
 
     def _bill(self, name: str, result: ViewResult) -> dict[str, Any]:
-        cost = (
-            result.input_tokens * self.settings.input_price + result.output_tokens * self.settings.output_price
-        ) / 1e6
+        tokens = result.answer.input_tokens, result.answer.output_tokens
+        cost = (tokens[0] * self.settings.input_price + tokens[1] * self.settings.output_price) / 1e6
         return {
             "view": name,
             "from_cache": result.cached,
             "seconds": round(result.seconds, 3),
-            "input_tokens": result.input_tokens,
-            "output_tokens": result.output_tokens,
+            "input_tokens": tokens[0],
+            "output_tokens": tokens[1],
             "cost_usd": 0.0 if result.cached else round(cost, 6),
         }

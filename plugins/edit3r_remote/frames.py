@@ -23,16 +23,16 @@ SHAPE_TOLERANCE = 0.05  # relative difference in width / height up to which an a
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a photo lies inside a service's picture; all sizes (height, width) [pixels]."""
+    """Where a photo lies inside a service's image; all sizes (height, width) [pixels]."""
 
     photo: tuple[int, int]
-    size: tuple[int, int]  # of the service's picture
+    size: tuple[int, int]  # of the service's image
     inner: tuple[int, int]  # of the scaled photo inside it
     corner: tuple[int, int]  # row, column of the scaled photo's first pixel
 
     @staticmethod
     def around(photo: tuple[int, int], offered: Sequence[tuple[int, int]]) -> "Frame":
-        """The offered size whose shape is nearest to the photo's, the photo centred in it."""
+        """Take the offered size whose shape is nearest to the photo's, and centre the photo in it."""
         aspect = math.log(photo[1] / photo[0])
         size = min(offered, key=lambda s: abs(math.log(s[1] / s[0]) - aspect))
         scale = min(size[0] / photo[0], size[1] / photo[1])
@@ -41,43 +41,43 @@ class Frame:
         return Frame(photo, size, inner, corner)
 
     def enclose(self, photo: Float[Tensor, "channel h w"]) -> Float[Tensor, "channel height width"]:
-        """The photo scaled into the frame, its border repeated."""
+        """Scale the photo into the frame and repeat its border."""
         scaled = _resize(photo, self.inner)
         top, left = self.corner
         bottom, right = (self.size[0] - self.inner[0] - top, self.size[1] - self.inner[1] - left)
         return F.pad(scaled[None], (left, right, top, bottom), mode="replicate")[0]
 
-    def extract(self, picture: Float[Tensor, "3 height width"]) -> Float[Tensor, "3 h w"]:
-        """The photo's part of a picture of the frame's size, at the photo's size."""
+    def extract(self, image: Float[Tensor, "3 height width"]) -> Float[Tensor, "3 h w"]:
+        """Cut the photo's part out of an image of the frame's size, at the photo's size."""
         top, left = self.corner
-        return _resize(picture[:, top : top + self.inner[0], left : left + self.inner[1]], self.photo)
+        return _resize(image[:, top : top + self.inner[0], left : left + self.inner[1]], self.photo)
 
 
-def encode_png(picture: Float[Tensor, "channel height width"]) -> bytes:
-    """PNG of an RGB or RGBA picture in [0, 1]."""
-    pixels = (picture.detach().cpu().float().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
+def encode_png(image: Float[Tensor, "channel height width"]) -> bytes:
+    """Code an RGB or RGBA image in [0, 1] as PNG; paid answers are kept by a hash of these bytes."""
+    pixels = (image.detach().cpu().float().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)  # sent once: speed before size
     return buffer.getvalue()
 
 
 def encode_mask(mask: Float[Tensor, "height width"]) -> bytes:
-    """PNG of a mask as a service reads it: transparent where the picture may change."""
+    """Code a mask as PNG as a service reads it: transparent where the image may change."""
     keep = (mask <= 0).to(torch.float32)
     return encode_png(torch.stack((keep, keep, keep, keep)))
 
 
-def decode(picture: bytes, size: tuple[int, int], view: str) -> tuple[Float[Tensor, "3 height width"], str]:
-    """A service's picture at the asked size, and what is to be said about it ('' if nothing).
+def decode(content: bytes, size: tuple[int, int], view: str) -> tuple[Float[Tensor, "3 height width"], str]:
+    """Read a service's image at the asked size, and what is to be said about it ('' if nothing).
 
-    Raises RunError for what is no picture, or one of another shape.
+    Raises RunError for what is no image, or one of another shape.
     """
     try:
-        with Image.open(io.BytesIO(picture)) as image:
+        with Image.open(io.BytesIO(content)) as image:
             pixels = np.array(image.convert("RGB"))
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
-        start = picture[:40].decode("utf-8", "replace")
-        raise RunError(f"the answer for {view} is no picture ({len(picture)} bytes, starting {start!r}).") from None
+        start = content[:40].decode("utf-8", "replace")
+        raise RunError(f"the answer for {view} is no picture ({len(content)} bytes, starting {start!r}).") from None
     tensor = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
     given = tuple(tensor.shape[1:])
     if given == size:
@@ -88,8 +88,8 @@ def decode(picture: bytes, size: tuple[int, int], view: str) -> tuple[Float[Tens
     return _resize(tensor, size), f"{text}; it was scaled."
 
 
-def _resize(picture: Float[Tensor, "channel h w"], size: tuple[int, int]) -> Float[Tensor, "channel height width"]:
-    if tuple(picture.shape[1:]) == size:
-        return picture
-    scaled = F.interpolate(picture[None], size, mode="bicubic", antialias=True, align_corners=False)
+def _resize(image: Float[Tensor, "channel h w"], size: tuple[int, int]) -> Float[Tensor, "channel height width"]:
+    if tuple(image.shape[1:]) == size:
+        return image
+    scaled = F.interpolate(image[None], size, mode="bicubic", antialias=True, align_corners=False)
     return scaled[0].clamp(0, 1)

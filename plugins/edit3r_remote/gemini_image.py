@@ -1,6 +1,5 @@
 """Gemini's image model through the Gemini API."""
 
-import os
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -12,8 +11,7 @@ from edit3r.interfaces import Editor
 from edit3r.reporting import note
 from edit3r.types import EditRequest, Views
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import Answer, ImageService, Request, missing_key
-from edit3r_remote.settings import RemoteSettings
+from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request, key_from_environment
 
 KEY_VARIABLES = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
 RETRIED = (408, 429, 500, 502, 503, 504)
@@ -61,9 +59,7 @@ class GeminiImages(ImageService):
         from google import genai
         from google.genai import types
 
-        self.key = next((os.environ[name].strip() for name in KEY_VARIABLES if os.environ.get(name, "").strip()), "")
-        if not self.key:
-            raise missing_key(self.label, *KEY_VARIABLES)
+        self.key = key_from_environment(self.label, *KEY_VARIABLES)
         self.settings, self.types = settings, types
         retries = types.HttpRetryOptions(
             attempts=settings.attempts,
@@ -80,19 +76,16 @@ class GeminiImages(ImageService):
         from google.genai import errors
 
         types = self.types
-        picture = types.Part.from_bytes(data=request.picture, mime_type="image/png")
+        image = types.Part.from_bytes(data=request.image, mime_type="image/png")
         config = types.GenerateContentConfig(
             response_modalities=["IMAGE"],
             seed=request.seed,
             image_config=types.ImageConfig(aspect_ratio=SHAPES[request.size]),
         )
         try:
-            response = self._patiently(
-                self.client.models.generate_content,
-                model=self.settings.model,
-                contents=[request.prompt, picture],
-                config=config,
-            )
+            ask = self.client.models.generate_content
+            contents = [request.prompt, image]
+            response = self._patiently(ask, model=self.settings.model, contents=contents, config=config)
         except errors.APIError as error:
             raise self._refused(error, request) from None
         return self._answer(response, request)
@@ -110,7 +103,7 @@ class GeminiImages(ImageService):
         return retrying(ask, **asked)
 
     def _refused(self, error: Any, request: Request) -> Exception:
-        """The sentence for an HTTP status that retrying did not cure."""
+        """Make the sentence for an HTTP status that retrying did not cure."""
         words = self.quote(error.message or error.status)
         if error.code in (401, 403) or "api key not valid" in words.lower():
             names = " or ".join(KEY_VARIABLES)
@@ -123,18 +116,15 @@ class GeminiImages(ImageService):
         return RunError(f"gemini-image failed on {request.name} with status {error.code}: {words}")
 
     def _answer(self, response: Any, request: Request) -> Answer:
-        """The picture among the answer's parts; raises PromptError with the model's words when there is none."""
+        """Take the image among the answer's parts; raises PromptError with the model's words when there is none."""
         candidate = response.candidates[0] if response.candidates else None
         parts = (candidate.content.parts if candidate and candidate.content else None) or []
-        picture = next((part.inline_data.data for part in parts if part.inline_data and part.inline_data.data), None)
-        if picture is None:
+        image = next((part.inline_data.data for part in parts if part.inline_data and part.inline_data.data), None)
+        if image is None:
             raise PromptError(f"gemini-image sent no picture for {request.name}: {self._reason(response, parts)}")
         usage = response.usage_metadata
-        return Answer(
-            picture,
-            (usage.prompt_token_count or 0) if usage else 0,
-            (usage.candidates_token_count or 0) if usage else 0,
-        )
+        tokens = (usage.prompt_token_count, usage.candidates_token_count) if usage else (0, 0)
+        return Answer(image, *(count or 0 for count in tokens))
 
     def _reason(self, response: Any, parts: list[Any]) -> str:
         text = " ".join(part.text for part in parts if part.text)
@@ -142,13 +132,11 @@ class GeminiImages(ImageService):
         blocked = feedback.block_reason_message or feedback.block_reason if feedback else None
         finish = response.candidates[0].finish_reason if response.candidates else None
         named = getattr(blocked or finish, "value", blocked or finish)
-        return (
-            self.quote(" ".join(filter(None, (f"[{named}]" if named else "", f'"{text}"' if text else ""))))
-            or "no reason"
-        )
+        reasons = ([f"[{named}]"] if named else []) + ([f'"{text}"'] if text else [])
+        return self.quote(" ".join(reasons)) or "no reason"
 
 
 def _broken_connections() -> tuple[type[Exception], ...]:
-    """The exceptions for a connection lost midway, of whichever HTTP library the client uses."""
+    """List the exceptions for a connection lost midway, of whichever HTTP library the client uses."""
     libraries = [sys.modules[name] for name in ("httpx", "httpx2") if name in sys.modules]
     return tuple(error for http in libraries for error in (http.RemoteProtocolError, http.ReadError, http.WriteError))

@@ -1,7 +1,6 @@
 """GPT-Image through OpenAI's image editing service."""
 
 import base64
-import os
 from typing import Any, Literal
 
 from pydantic import Field
@@ -11,8 +10,7 @@ from edit3r.interfaces import Editor
 from edit3r.reporting import note
 from edit3r.types import EditRequest, Views
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import Answer, ImageService, Request, missing_key
-from edit3r_remote.settings import RemoteSettings
+from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request, key_from_environment
 
 KEY_VARIABLE = "OPENAI_API_KEY"
 SIZES = ((1024, 1024), (1024, 1536), (1536, 1024))
@@ -38,12 +36,7 @@ class GptImageEditor(Editor):
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         chosen = self.settings
-        asked = {
-            "service": "openai",
-            "model": chosen.model,
-            "quality": chosen.quality,
-            "input_fidelity": chosen.input_fidelity,
-        }
+        asked = {"service": "openai"} | chosen.model_dump(include={"model", "quality", "input_fidelity"})
         note("editor.seed", "the service takes no seed: equal requests may give other pictures unless cached")
         return Dispatcher(OpenAiImages(chosen), chosen, asked).edit(views, request, SIZES, send_masks=True)
 
@@ -56,9 +49,7 @@ class OpenAiImages(ImageService):
     def __init__(self, settings: GptImageEditor.Settings) -> None:
         from openai import OpenAI
 
-        self.key = os.environ.get(KEY_VARIABLE, "").strip()
-        if not self.key:
-            raise missing_key(self.label, KEY_VARIABLE)
+        self.key = key_from_environment(self.label, KEY_VARIABLE)
         self.settings = settings
         self.client = OpenAI(
             api_key=self.key,
@@ -74,7 +65,7 @@ class OpenAiImages(ImageService):
         try:
             response = self.client.images.edit(
                 model=self.settings.model,
-                image=("view.png", request.picture, "image/png"),
+                image=("view.png", request.image, "image/png"),
                 prompt=request.prompt,
                 size=f"{request.size[1]}x{request.size[0]}",
                 quality=self.settings.quality,
@@ -93,7 +84,7 @@ class OpenAiImages(ImageService):
         return self._answer(response, request)
 
     def _refused(self, error: Any, request: Request) -> Exception:
-        """The sentence for an HTTP status that retrying did not cure."""
+        """Make the sentence for an HTTP status that retrying did not cure."""
         words = self.quote(getattr(error, "message", error))
         if error.status_code == 401:
             return MissingDependencyError(f"gpt-image: the service does not accept the key in {KEY_VARIABLE}.")
@@ -111,6 +102,5 @@ class OpenAiImages(ImageService):
         if not encoded:
             raise RunError(f"gpt-image answered without a picture for {request.name}: {self.quote(response)}")
         usage = response.usage
-        return Answer(
-            base64.b64decode(encoded), usage.input_tokens if usage else 0, usage.output_tokens if usage else 0
-        )
+        tokens = (usage.input_tokens, usage.output_tokens) if usage else (0, 0)
+        return Answer(base64.b64decode(encoded), *tokens)

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from edit3r_remote.cache import AnswerCache
-from edit3r_remote.service import Answer, Request
+from edit3r_remote.service import Answer, AnswerCache, Request
 
 REQUEST = Request("left.png", "paint it red", 0, b"picture", None, (10, 20))
 ANSWER = Answer(b"answer", 3, 4)
