@@ -52,6 +52,12 @@ def test_jittered_masks_spoil_the_input_but_not_the_truth():
     assert not torch.equal(clean.edited[0], jittered.edited[0])
 
 
+def test_a_jittered_palette_spoils_the_input_but_not_the_truth():
+    clean, jittered = (_edit("reference", whole_picture=1, palette_jitter=share) for share in (0, 1))
+    assert torch.equal(clean.truth, jittered.truth) and torch.equal(clean.edited[0], clean.truth[0])
+    assert 0.002 < (jittered.edited[0] - clean.edited[0]).abs().mean() < 0.2
+
+
 def test_data_without_masks_is_edited_as_a_whole():
     bare = replace(SAMPLE, context_masks=None, target_masks=None)
     edit = edit_sample(bare, RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0), np.random.default_rng(0))

@@ -44,7 +44,9 @@ def _job(out, depths: bool):
 
 
 def _batch(job):
-    return make_batch([job.train_data[0]], RegimeShares(), [step_generator(0, 0, 0)])
+    """One scene, edited in its reference view."""
+    shares = RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0)
+    return make_batch([job.train_data[0]], shares, [step_generator(0, 0, 0)])
 
 
 def test_true_depths_are_the_reference_where_there_are_any(tmp_path):
@@ -65,6 +67,23 @@ def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(
     held = reference(batch, moved).means
     assert torch.equal(held, start) and not held.requires_grad
     assert not torch.allclose(held, moved.means)
+
+
+def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
+    class ByColour(MovingReconstructor):
+        """Its centres lie the farther off the brighter the reference is."""
+
+        def __call__(self, views, source=None):
+            answer = super().__call__(views, source)
+            means = answer.gaussians.means + 10 * views.images[:, 0].mean()
+            return replace(answer, gaussians=replace(answer.gaussians, means=means))
+
+    job = _job(tmp_path, depths=False)
+    reconstructor = ByColour(job.reconstructor.inner)
+    reference, batch = GeometricReference.of_start(replace(job, reconstructor=reconstructor)), _batch(job)
+    held = reference(batch, reconstructor(batch.edited).gaussians).means
+    assert torch.equal(held, reconstructor(batch.source).gaussians.means.detach())
+    assert not torch.allclose(held, reconstructor(batch.edited).gaussians.means, atol=1e-3)
 
 
 def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference(tmp_path):

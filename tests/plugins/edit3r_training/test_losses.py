@@ -55,6 +55,12 @@ def test_chamfer_of_two_points_is_twice_their_l1_distance():
     assert float(chamfer_l1(a, b)) == pytest.approx(12)
 
 
+def test_chamfer_counts_the_points_of_both_sets():
+    """The one point of `a` is also in `b`; those of `b` are 0 and 4 from it, 2 in the mean."""
+    a, b = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0, 0], [4, 0, 0]]])
+    assert float(chamfer_l1(a, b)) == float(chamfer_l1(b, a)) == 2
+
+
 def test_geometry_divides_by_views_times_views_less_one():
     """Three views at 0, 1 and 3 on a line: pairs 1, 2 and 3 apart, Chamfer 2, 4 and 6, sum 12, divided by 6."""
     means = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [3, 0, 0]]])

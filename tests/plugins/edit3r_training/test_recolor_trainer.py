@@ -7,14 +7,16 @@ from typing import ClassVar
 import pytest
 import safetensors.torch
 import torch
-from edit3r_training.recolor_trainer import RecolorTrainer
+from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 
-from edit3r.errors import MatchingError
+from edit3r.errors import MatchingError, PluginError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import TrainerContract
+from edit3r.testing.trainer import _tiny_job as tiny_job
 from edit3r.training.checkpoint import LAST
+from edit3r.training.processes import Processes
 
 
 class TestRecolorTrainer(TrainerContract):
@@ -105,6 +107,89 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     assert all(torch.equal(tensor, before[name]) for name, tensor in _weights(job).items())
     assert any("too little in common" in warning for warning in report.warnings)
     assert [json.loads(line)["skipped"] for line in (tmp_path / "log.jsonl").read_text().splitlines()] == [1, 2]
+
+
+class _Spy:
+    """Stands between a recipe and its reconstructor, rasterizer and loss, and keeps what each is given last."""
+
+    def __init__(self, job: TrainingJob, **settings) -> None:
+        self.reconstructor, self.rasterizer, self.network = job.reconstructor, job.rasterizer, job.reconstructor.network
+        job = replace(job, reconstructor=self, rasterizer=self, losses={"spy": (1.0, self.compare)})
+        settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
+        self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
+
+    def __call__(self, views, source=None):
+        self.edited, self.source = views.images, source.images
+        return self.reconstructor(views, source)
+
+    def render(self, gaussians, cameras):
+        self.shown, self.cameras = set(gaussians.view_index.tolist()), cameras.count
+        return self.rasterizer.render(gaussians, cameras)
+
+    def compare(self, inputs):
+        self.wished = inputs.target
+        return (inputs.rendered - inputs.target).square().mean()
+
+    def step(self, number: int = 0) -> None:
+        self.recipe.begin()
+        self.recipe.loss(number, Processes())
+
+
+ONLY_REFERENCE = {"reference": 1, "disagreeing": 0, "agreeing": 0, "unedited": 0, "mask_jitter": 0, "whole_picture": 1}
+
+
+def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
+    spy = _Spy(tiny_job(tmp_path), regimes=ONLY_REFERENCE, drop_first=0)
+    spy.step()
+    assert spy.wished.shape[1] == 3  # two context views and a target view
+    assert torch.equal(spy.wished[:, 0], spy.edited[:, 0])  # the reference is right as it is
+    assert torch.equal(spy.edited[:, 1], spy.source[:, 1])  # the other view is given unedited
+    assert (spy.wished[:, 1] - spy.source[:, 1]).abs().mean() > 0.02  # and must show the edit
+
+
+def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path):
+    spy = _Spy(tiny_job(tmp_path), drop_first=1)
+    spy.step()
+    assert spy.shown == {1} and spy.cameras == spy.wished.shape[1] == 2
+    spy = _Spy(tiny_job(tmp_path), drop_first=0)
+    spy.step()
+    assert spy.shown == {0, 1} and spy.cameras == spy.wished.shape[1] == 3
+
+
+def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
+    spy, dropped = _Spy(tiny_job(tmp_path)), 0  # by default half of the time, as in the paper
+    for number in range(40):
+        spy.step(number)
+        dropped += spy.shown == {1}
+    assert 12 <= dropped <= 28
+
+
+def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
+    class Frozen:
+        network = torch.nn.Linear(2, 2)
+
+        def __call__(self, views, source=None):
+            with torch.no_grad():
+                return inner(views, source)
+
+    job = tiny_job(tmp_path)
+    inner = job.reconstructor
+    with pytest.raises(PluginError, match=r"step 1 does not depend on the network's weights.*torch.no_grad"):
+        _trainer(steps=1).train(replace(job, reconstructor=Frozen()))
+
+
+def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
+    """A run that is killed before its first checkpoint must not be resumed from another one's."""
+    _trainer(steps=1).train(_job(tmp_path))
+    assert (tmp_path / LAST).is_file()
+
+    class Killed:
+        def __call__(self, inputs):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _trainer(steps=2, render_every=1).train(_job(tmp_path, losses={"killed": (1.0, Killed())}))
+    assert not (tmp_path / LAST).exists()
 
 
 def test_training_lowers_the_error_it_is_given(tmp_path):
