@@ -174,8 +174,7 @@ def tiny_job(registry: Registry, config: RunConfig) -> Iterator[Finding]:
 
 def _run_tiny(registry: Registry, config: RunConfig):
     from edit3r import pipeline
-    from edit3r.io.images import load_views
-    from edit3r.io.packaged import packaged_pair
+    from edit3r.io.images import load_views, packaged_pair
     from edit3r.io.ply import save_ply
     from edit3r.reporting import Report, collecting
 

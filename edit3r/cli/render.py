@@ -28,9 +28,10 @@ class RenderCommand(Command):
         from edit3r.config import parse_assignments
         from edit3r.console import StageConsole
         from edit3r.errors import SettingsError
+        from edit3r.io.atomic import atomic_folder
         from edit3r.io.images import save_image
         from edit3r.io.ply import load_ply
-        from edit3r.io.run_folder import RunFolder, atomic_folder
+        from edit3r.io.run_folder import RunFolder
         from edit3r.io.video import save_video
         from edit3r.io.viewer import save_viewer
         from edit3r.registry import default_registry
@@ -74,6 +75,7 @@ def _cameras(args: argparse.Namespace):
 
     from edit3r.errors import InputError
     from edit3r.io.cameras import read_scene_cameras
+    from edit3r.io.images import unique_names
 
     file = Path(args.cameras) if args.cameras else Path(args.scene).parent / "cameras.json"
     cameras, posed = read_scene_cameras(file)
@@ -82,9 +84,4 @@ def _cameras(args: argparse.Namespace):
             raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
         scale = args.size / max(cameras.image_size)
         cameras = replace(cameras, image_size=tuple(max(1, round(side * scale)) for side in cameras.image_size))
-    return cameras, _unique([Path(camera.file).stem for camera in posed])
-
-
-def _unique(names: list[str]) -> list[str]:
-    """Names usable as files: a repeated one gets its position in front."""
-    return [f"{i}_{name}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+    return cameras, unique_names([Path(camera.file).stem for camera in posed])

@@ -63,9 +63,9 @@ class RunCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import pipeline, results
         from edit3r.console import StageConsole
-        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_masks, load_photos
-        from edit3r.io.packaged import packaged_pair
-        from edit3r.io.run_folder import atomic_folder
+        from edit3r.io.atomic import atomic_folder
+        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_photos, packaged_pair
+        from edit3r.io.masks import load_masks
         from edit3r.quality import tell
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting

@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from edit3r_refiners.footprint import Footprint, Outlines, pixels_of
 from edit3r_refiners.keep_outside_mask import VALUES, differing, same_structure
 
-from edit3r.io.images import to_bytes
-from edit3r.io.png import Pixels, decode_png
+from edit3r.io.images import Pixels, decode_png, to_bytes
 from edit3r.reporting import note
 from edit3r.reuse.state import SceneState, frame_file
 from edit3r.types import Cameras, Gaussians, Rendering

@@ -15,7 +15,7 @@ from safetensors.numpy import save
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reuse.fingerprint import fingerprint
 
 FORMAT = "edit3r-reuse"
