@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r_recolor.augmentation import Fault
 from edit3r_recolor.parameters import RecolorParameters
 

@@ -4,7 +4,7 @@ import hashlib
 
 from edit3r_model.small.weights import SHIPPED, load_network
 
-from edit3r.io.manifest import WeightsRecord
+from edit3r.io.run_folder import WeightsRecord
 from edit3r.reporting import Report, collecting
 
 

@@ -8,8 +8,7 @@ from edit3r_refiners.footprint import measured_footprint
 
 import edit3r
 from edit3r.geometry.paths import between_and_around
-from edit3r.io.images import to_bytes
-from edit3r.io.png import encode_png
+from edit3r.io.images import encode_png, to_bytes
 from edit3r.reuse.frames import changed_between, redraw
 
 
