@@ -79,6 +79,15 @@ STARTERS: dict[str, Starter] = {
     "trainer": Starter(
         "Trainer", "TrainerContract", "Adam, one scene a step", "", test_settings='settings = {"steps": 3}'
     ),
+    "refiner": Starter(
+        "Refiner",
+        "RefinerContract",
+        "leaves out the Gaussians that are hardly there",
+        "edit3r run --set 'refiners=[${name}]'",
+    ),
+    "command": Starter(
+        "Command", "CommandContract", "tells what is in a saved scene", "edit3r ${name} edit3r-out/scene.ply"
+    ),
 }
 
 

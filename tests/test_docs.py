@@ -168,7 +168,10 @@ def test_configurations_shown_are_accepted(page):
 def test_options_shown_exist(page):
     """Every `edit3r COMMAND ... --option` in a shell block is an option of that command."""
     text = PAGES.get(page) or (ROOT / page).read_text(encoding="utf-8")
-    helps = dict(re.findall(r"## `edit3r ([\w-]+)`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL))
+    helps: dict[str, str] = {}  # a command's own, and those of its steps
+    shown = re.findall(r"## `edit3r ([\w-]+)[^`]*`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL)
+    for command, help_text in shown:
+        helps[command] = helps.get(command, "") + help_text
     for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
         for command, rest in re.findall(r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE):
             assert command in helps, f"{page}: no command edit3r {command}"

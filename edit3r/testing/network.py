@@ -7,8 +7,7 @@ from torch import Tensor, nn
 
 from edit3r.config import Settings
 from edit3r.interfaces import Backbone, GaussianHead
-from edit3r.testing.contract import Contract
-from edit3r.testing.gaussians import require_valid_gaussians
+from edit3r.testing.contract import Contract, require_valid_gaussians
 from edit3r.testing.scenes import photograph
 from edit3r.types import Features, Views
 
