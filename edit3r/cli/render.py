@@ -6,6 +6,9 @@ from pathlib import Path
 from edit3r.command import Command
 
 
+MADE = ("pictures", "video", "viewer")
+
+
 class RenderCommand(Command):
     """`edit3r render`."""
 
@@ -13,10 +16,10 @@ class RenderCommand(Command):
         add = parser.add_argument
         add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
-        add("--make", nargs="+", choices=("pictures", "video", "viewer"), default=["pictures", "video", "viewer"])
+        add("--make", nargs="+", choices=MADE, default=list(MADE), help="what to write (default: all three)")
         add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
         add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
-        add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
+        add("--rasterizer", metavar="NAME", help="rasterizer (default: that of edit3r run)")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
@@ -37,15 +40,15 @@ class RenderCommand(Command):
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
         from edit3r.results import VIDEO_FPS, path_around, render_each
+        from edit3r.run_config import RunConfig
 
         settings = parse_assignments(args.set)
         if set(settings) - {"rasterizer"}:
             raise SettingsError(
                 f"--set {sorted(settings)[0]}: render has settings of the rasterizer only (rasterizer.KEY)."
             )
-        rasterizer = default_registry(tuple(args.plugin)).build(
-            "rasterizer", args.rasterizer, **settings.get("rasterizer", {})
-        )
+        name = args.rasterizer or RunConfig.model_fields["rasterizer"].default.name
+        rasterizer = default_registry(tuple(args.plugin)).build("rasterizer", name, **settings.get("rasterizer", {}))
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
             with report.stage("read scene"):
                 gaussians = load_ply(args.scene)

@@ -1,5 +1,6 @@
 """Contract of a command."""
 
+import argparse
 import contextlib
 import io
 import subprocess
@@ -51,7 +52,8 @@ class CommandContract(Contract):
         except SystemExit as left:
             self.require(not left.code, f"--help ended with exit code {left.code}; leave it to the parser.")
         self.require("usage:" in said.getvalue(), "--help printed no usage; leave it to the parser.")
-        silent = [action.dest for action in parser._actions if not action.help]
+        steps = argparse._SubParsersAction  # each step of it explains itself
+        silent = [action.dest for action in parser._actions if not action.help and not isinstance(action, steps)]
         self.require(not silent, f"argument {silent[:1]} has no help; say what it is.")
 
     def test_wrong_arguments_end_with_exit_code_2_and_one_sentence(self) -> None:

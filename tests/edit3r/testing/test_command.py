@@ -2,6 +2,8 @@
 
 import pytest
 
+from edit3r.cli import COMMANDS
+from edit3r.cli.main import find_command
 from edit3r.command import Command
 from edit3r.testing import CommandContract
 
@@ -77,3 +79,10 @@ def test_a_command_that_declares_with_torch_is_told(tmp_path):
     bound = type("Bound", (CommandContract,), {"component": "heavy", "plugin_files": (tmp_path / "heavy_command.py",)})
     with pytest.raises(AssertionError, match="declaring its arguments imports torch"):
         bound().test_arguments_are_declared_without_importing_torch()
+
+
+@pytest.mark.parametrize("name", [component.name for component in COMMANDS])
+def test_the_commands_of_the_core_keep_the_contract(name):
+    bound = type("Bound", (CommandContract,), {"build": lambda self: find_command(name)})
+    for claim in (HELP, WRONG):
+        getattr(bound(), claim)()
