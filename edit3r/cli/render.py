@@ -5,7 +5,6 @@ from pathlib import Path
 
 from edit3r.command import Command
 
-
 MADE = ("pictures", "video", "viewer")
 
 
