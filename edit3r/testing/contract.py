@@ -81,6 +81,11 @@ class Contract:
         if not bool(held):
             raise ContractViolation(f"{self.kind} {self.component or type(self).__name__!r}: {change}")
 
+    def require_type(self, what: str, value: Any, expected: type, instead: str) -> None:
+        """`what` ("edit() returned", "gaussians is") says where the value comes from, `instead` what it should be."""
+        __tracebackhide__ = True
+        self.require(isinstance(value, expected), f"{what} a {type(value).__name__}; return {instead}.")
+
     def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call the component; whatever it raises becomes a violation that says for which input."""
         __tracebackhide__ = True
@@ -96,7 +101,7 @@ class Contract:
     ) -> None:
         """A finite tensor of this shape and dtype on the contract's device."""
         __tracebackhide__ = True
-        self.require(isinstance(tensor, torch.Tensor), f"{name} is a {type(tensor).__name__}; return a torch.Tensor.")
+        self.require_type(f"{name} is", tensor, torch.Tensor, "a torch.Tensor")
         given = list(tensor.shape)
         self.require(given == list(shape), f"{name} has shape {given}; return {list(shape)}.")
         self.require(tensor.dtype == dtype, f"{name} has dtype {tensor.dtype}; return the dtype of the input, {dtype}.")
@@ -196,9 +201,7 @@ def _try(contract: type[Contract], claim: str) -> Outcome:
 
 def require_valid_gaussians(contract: Contract, gaussians: Gaussians, batch: int, view_count: int) -> None:
     """Finite, unit quaternions, positive scales, opacities in [0, 1], view numbers of existing views."""
-    contract.require(
-        isinstance(gaussians, Gaussians), f"gaussians is a {type(gaussians).__name__}; return edit3r.Gaussians."
-    )
+    contract.require_type("gaussians is", gaussians, Gaussians, "edit3r.Gaussians")
     contract.require(gaussians.count > 0, "there is not one Gaussian; return at least one per scene.")
     for name in GAUSSIAN_FIELDS:
         tensor = getattr(gaussians, name)

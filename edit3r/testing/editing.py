@@ -29,7 +29,7 @@ class EditorContract(Contract):
         batch, count, _, height, width = views.images.shape
         what = f"edit() of {batch} x {count} photos of {height}x{width}"
         edited = self.call(what, self.subject.edit, views, EditRequest(self.prompt, seed, masks))
-        self.require(isinstance(edited, Views), f"edit() returned a {type(edited).__name__}; return edit3r.Views.")
+        self.require_type("edit() returned", edited, Views, "edit3r.Views")
         return edited
 
     def test_keeps_size_dtype_and_range(self) -> None:
@@ -103,10 +103,7 @@ class SegmenterContract(Contract):
     def test_proposals_are_in_range(self) -> None:
         image = self._photos()[0]
         proposals = self.call("propose()", self.subject.propose, image)
-        self.require(
-            isinstance(proposals, tuple),
-            f"propose() returned a {type(proposals).__name__}; return a tuple of Proposal.",
-        )
+        self.require_type("propose() returned", proposals, tuple, "a tuple of Proposal")
         for index, proposal in enumerate(proposals):
             self._check_proposal(f"proposal {index}", proposal)
 
@@ -166,11 +163,11 @@ class SegmenterContract(Contract):
 
     def _track(self, images: Tensor, masks: Tensor) -> Tracks:
         tracks = self.call("track()", self.subject.track, images, masks)
-        self.require(isinstance(tracks, Tracks), f"track() returned a {type(tracks).__name__}; return Tracks.")
+        self.require_type("track() returned", tracks, Tracks, "Tracks")
         return tracks
 
     def _check_proposal(self, name: str, proposal: Proposal) -> None:
-        self.require(isinstance(proposal, Proposal), f"{name} is a {type(proposal).__name__}; return a Proposal.")
+        self.require_type(f"{name} is", proposal, Proposal, "a Proposal")
         self.require_tensor(f"{name}.soft_mask", proposal.soft_mask, self.image_size)
         self.require_range(f"{name}.soft_mask", proposal.soft_mask, 0, 1, "return probabilities, not logits")
         for field in ("area", "stability", "predicted_iou"):
@@ -229,7 +226,7 @@ class DetectorContract(Contract):
         height, width = self.image_size
         for index, detection in enumerate(found):
             name = f"detection {index}"
-            self.require(isinstance(detection, Detection), f"{name} is a {type(detection).__name__}; return Detection.")
+            self.require_type(f"{name} is", detection, Detection, "Detection")
             self.require(0 <= detection.score <= 1, f"{name}.score is {detection.score:.4g}; it must lie in [0, 1].")
             x, y, w, h = detection.box
             fits = x >= 0 and y >= 0 and w > 0 and h > 0 and x + w <= width + 1 and y + h <= height + 1

@@ -77,9 +77,7 @@ class BackboneContract(Contract):
     def _features(self, views: Views) -> Features:
         with torch.no_grad():
             features = self.call(f"forward() of {views.count} views", self.subject, views.images, views.intrinsics)
-        self.require(
-            isinstance(features, Features), f"forward() returned a {type(features).__name__}; return Features."
-        )
+        self.require_type("forward() returned", features, Features, "Features")
         return features
 
     def _views(self, count: int, batch: int = 1) -> Views:

@@ -34,9 +34,7 @@ class RasterizerContract(Contract):
         """One rendering, its shapes checked."""
         what = f"render() of {gaussians.count} Gaussians and {cameras.count} cameras"
         rendering = self.call(what, self.subject.render, gaussians.to(self.device), cameras.to(self.device))
-        self.require(
-            isinstance(rendering, Rendering), f"render() returned a {type(rendering).__name__}; return Rendering."
-        )
+        self.require_type("render() returned", rendering, Rendering, "Rendering")
         batch, count = cameras.c2w.shape[:2]
         for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
             shape = (batch, count, channels, *cameras.image_size)

@@ -7,9 +7,8 @@ import torch
 from torch import nn
 
 from edit3r.errors import Edit3rError, MatchingError
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.rotations import rotation_angle
+from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor, Refiner
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract, require_same_gaussians, require_valid_gaussians
 from edit3r.testing.rasterizer import reference_rasterizer
@@ -67,8 +66,7 @@ class MatcherContract(Contract):
 
     def _match(self, views: Views) -> MatchedGeometry:
         geometry = self.call("match()", self.subject.match, views)
-        found = type(geometry).__name__
-        self.require(isinstance(geometry, MatchedGeometry), f"match() returned a {found}; return MatchedGeometry.")
+        self.require_type("match() returned", geometry, MatchedGeometry, "MatchedGeometry")
         return geometry
 
 
@@ -92,9 +90,7 @@ class ReconstructorContract(Contract):
         what = f"reconstructing {batch} x {count} photos of {height}x{width}"
         with torch.no_grad():
             result = self.call(what, subject or self.subject, views, source)
-        self.require(
-            isinstance(result, Reconstruction), f"it returned a {type(result).__name__}; return Reconstruction."
-        )
+        self.require_type("it returned", result, Reconstruction, "Reconstruction")
         return result
 
     def test_gaussians_are_valid_and_finite(self) -> None:
@@ -112,9 +108,7 @@ class ReconstructorContract(Contract):
         cameras = self.reconstruct(views).cameras
         if cameras is None:
             return
-        self.require(
-            isinstance(cameras, Cameras), f"cameras is a {type(cameras).__name__}; return edit3r.Cameras or None."
-        )
+        self.require_type("cameras is", cameras, Cameras, "edit3r.Cameras or None")
         self.require_tensor("cameras.c2w", cameras.c2w, (1, views.count, 4, 4))
         self.require(
             tuple(cameras.image_size) == views.image_size,
@@ -186,9 +180,7 @@ class ReconstructorContract(Contract):
         network = self.subject.network
         if network is None:
             return
-        self.require(
-            isinstance(network, nn.Module), f"network is a {type(network).__name__}; return an nn.Module or None."
-        )
+        self.require_type("network is", network, nn.Module, "an nn.Module or None")
         views = self._views()
         before = self.reconstruct(views).gaussians
         fresh = self.build()
@@ -228,8 +220,7 @@ class RefinerContract(Contract):
         request = EditRequest("make it brighter", 3, masks, before)
         edited = replace(before, harmonics=before.harmonics + 0.2)
         refined = self.call("refining", self.subject, edited, scene.cameras, scene.views, request, self._rasterizer)
-        kind = type(refined).__name__
-        self.require(isinstance(refined, Gaussians), f"it returned a {kind}; return edit3r.Gaussians.")
+        self.require_type("it returned", refined, Gaussians, "edit3r.Gaussians")
         return refined
 
     def test_refined_gaussians_are_valid(self) -> None:
@@ -279,14 +270,7 @@ class RefinerContract(Contract):
 
 def _on_surfaces(scene: Photographed) -> Gaussians:
     """One Gaussian per pixel of a scene (batch 1), where the pixel's ray meets the surface, in the pixel's colour."""
-    views, cameras = scene.views, scene.cameras
-    total = views.count * scene.depths[0, 0].numel()
-    depths = scene.depths.to(views.images)
-    return Gaussians(
-        means=unproject(depths, cameras.intrinsics, cameras.c2w).reshape(1, total, 3),
-        scales=(depths.reshape(1, total, 1) / views.image_size[1] * 0.6).repeat(1, 1, 3),
-        quats=depths.new_tensor([1.0, 0, 0, 0]).repeat(1, total, 1),
-        opacities=depths.new_full((1, total), 0.8),
-        harmonics=colour_to_dc(views.images.movedim(2, -1).reshape(1, total, 1, 3)),
-        view_index=torch.arange(views.count, device=depths.device).repeat_interleave(total // views.count),
-    )
+    images = scene.views.images
+    depths = scene.depths.to(images)
+    scales = pixel_scales(depths, scene.cameras.intrinsics, 0.6)
+    return pixels_to_gaussians(images, depths, scene.cameras, scales, torch.full_like(depths, 0.8))

@@ -10,8 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.geometry.unproject import pixels_to_gaussians
 from edit3r.interfaces import Dataset, Loss, LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r.testing.rasterizer import reference_rasterizer
@@ -27,9 +26,7 @@ class DatasetContract(Contract):
 
     def sample(self, index: int = 0, subject: Dataset | None = None) -> SceneSample:
         sample = self.call(f"dataset[{index}]", (subject or self.subject).__getitem__, index)
-        self.require(
-            isinstance(sample, SceneSample), f"dataset[{index}] is a {type(sample).__name__}; return a SceneSample."
-        )
+        self.require_type(f"dataset[{index}] is", sample, SceneSample, "a SceneSample")
         return sample
 
     def test_has_samples(self) -> None:
@@ -61,7 +58,7 @@ class DatasetContract(Contract):
         sample = self.sample()
         for name in ("context", "target"):
             cameras, pictures = getattr(sample, f"{name}_cameras"), getattr(sample, name)
-            self.require(isinstance(cameras, Cameras), f"{name}_cameras is a {type(cameras).__name__}; return Cameras.")
+            self.require_type(f"{name}_cameras is", cameras, Cameras, "Cameras")
             self.require_tensor(f"{name}_cameras.c2w", cameras.c2w, (1, pictures.shape[0], 4, 4))
             size = tuple(pictures.shape[-2:])
             self.require(
@@ -202,7 +199,7 @@ class TrainerContract(Contract):
             job = tiny_job(Path(folder))
             before = job.reconstructor.network.weight.detach().clone()
             best = self.call("train()", self.subject.train, job)
-            self.require(isinstance(best, Path), f"train() returned a {type(best).__name__}; return the folder's Path.")
+            self.require_type("train() returned", best, Path, "the folder's Path")
             inside = best.is_dir() and Path(folder).resolve() in (best.resolve(), *best.resolve().parents)
             self.require(inside, f"train() returned {best}, which is no folder in job.out; write nothing elsewhere.")
             self.require(any(best.iterdir()), f"{best.name}/ is empty; save a checkpoint there.")
@@ -238,18 +235,10 @@ class _PixelReconstructor(Reconstructor):
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         batch, count, _, height, width = views.images.shape
         colours = self._network(views.images.flatten(0, 1)).unflatten(0, (batch, count))
-        c2w = torch.eye(4).expand(batch, count, 4, 4)
+        cameras = Cameras(torch.eye(4).expand(batch, count, 4, 4), views.intrinsics, views.image_size)
         depths = torch.full((batch, count, height, width), 3.0)
-        total = count * height * width
-        gaussians = Gaussians(
-            means=unproject(depths, views.intrinsics, c2w).reshape(batch, total, 3),
-            scales=torch.full((batch, total, 3), 3.0 / width),
-            quats=torch.tensor([1.0, 0, 0, 0]).expand(batch, total, 4),
-            opacities=torch.full((batch, total), 0.6),
-            harmonics=colour_to_dc(colours.movedim(2, -1).reshape(batch, total, 1, 3)),
-            view_index=torch.arange(count).repeat_interleave(height * width),
-        )
-        return Reconstruction(gaussians, Cameras(c2w, views.intrinsics, views.image_size))
+        scales, opacities = torch.full_like(depths, 3.0 / width), torch.full_like(depths, 0.6)
+        return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
 
 
 class _FormulaScenes(Dataset):
