@@ -194,11 +194,11 @@ def _draw(registry: Registry, offer: Offer) -> Finding:
     try:
         started = time.perf_counter()
         rasterizer = registry.build("rasterizer", offer.qualified_name)
-        picture = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
+        image = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
         seconds = time.perf_counter() - started
     except Exception as error:
         return Finding("rasterizers", f"{name}: {_in_words(error)}", False)
-    if not torch.isfinite(picture).all():
+    if not torch.isfinite(image).all():
         return Finding("rasterizers", f"{name}: its picture is not finite", False)
     return Finding("rasterizers", f"{name}: 60 Gaussians on {device} in {seconds:.2f} s, compiling included")
 

@@ -1,4 +1,4 @@
-"""`edit3r render`: pictures, a video or a viewer page from a saved scene."""
+"""`edit3r render`: images, a video or a viewer page from a saved scene."""
 
 import argparse
 from pathlib import Path
@@ -57,8 +57,8 @@ class RenderCommand(Command):
                 with report.stage("render input views"):
                     views = render_each(rasterizer, gaussians, cameras, "views")
                     if "pictures" in args.make:
-                        for name, picture in zip(names, views.images[0]):
-                            save_image(picture.clamp(0, 1), folder.renders / f"{name}.png")
+                        for name, image in zip(names, views.images[0]):
+                            save_image(image.clamp(0, 1), folder.renders / f"{name}.png")
                 if "video" in args.make:
                     with report.stage("render camera path"):
                         frames = render_each(rasterizer, gaussians, path_around(cameras, views, args.frames), "path")
@@ -72,7 +72,7 @@ class RenderCommand(Command):
 
 
 def _cameras(args: argparse.Namespace):
-    """The file's cameras as one scene, at one picture size, and a name for each."""
+    """The file's cameras as one scene, at one image size, and a name for each."""
     from dataclasses import replace
 
     from edit3r.errors import InputError

@@ -1,7 +1,7 @@
 """Camera files: our `cameras.json`, and nerfstudio's `transforms.json` (read only).
 
 `cameras.json` is a list of `{file, width, height, K, c2w}`: `file` relative to the list's folder, `K` 3x3 in pixels of
-the upright picture with the centre of its top-left pixel at (0.5, 0.5), `c2w` 4x4 camera to world with OpenCV axes
+the upright image with the centre of its top-left pixel at (0.5, 0.5), `c2w` 4x4 camera to world with OpenCV axes
 (x right, y down, z forward). `K` and `c2w` may be null.
 """
 
@@ -34,7 +34,7 @@ _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's order
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """What a camera file says of one picture."""
+    """What a camera file says of one image."""
 
     file: str  # as written, relative to the camera file's folder
     width: int  # [pixels]
@@ -73,7 +73,7 @@ def read_cameras(path: str | Path) -> list[PosedCamera]:
 
 
 def read_scene_cameras(path: str | Path) -> tuple[Cameras, list[PosedCamera]]:
-    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's picture size."""
+    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's image size."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such camera file; say where to look from with --cameras FILE.")
     posed = [camera for camera in read_cameras(path) if camera.c2w is not None and camera.K is not None]

@@ -17,7 +17,7 @@ from edit3r.errors import InputError, MissingDependencyError
 from edit3r.reporting import warn
 
 MAX_PIXELS = 1 << 27
-"""Largest picture that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
+"""Largest image that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
 
 READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
 
@@ -39,7 +39,7 @@ class DecodedImage:
 
 
 def decode(path: str | Path) -> DecodedImage:
-    """Read a picture: EXIF orientation applied, colour profile converted to sRGB, alpha laid over white, 16 bits cut
+    """Read an image: EXIF orientation applied, colour profile converted to sRGB, alpha laid over white, 16 bits cut
     to 8, the first frame of several. Raises InputError, or MissingDependencyError for HEIC without the extra."""
     path = Path(path)
     _check_is_file(path)
@@ -58,12 +58,12 @@ def decode(path: str | Path) -> DecodedImage:
 
 
 def read_image(path: str | Path) -> Image.Image:
-    """The upright sRGB pixels of a picture file (mode RGB); see `decode`."""
+    """The upright sRGB pixels of an image file (mode RGB); see `decode`."""
     return decode(path).pixels
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """(height, width) of the upright picture from its header, without decoding the pixels."""
+    """(height, width) of the upright image from its header, without decoding the pixels."""
     path = Path(path)
     _check_is_file(path)
     with _opened(path) as image:
@@ -216,7 +216,7 @@ def _orientation(image: Image.Image, path: Path) -> int:
 
 
 def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
-    """Focal length [pixels of the stored picture] and who says so; (None, "") when nobody does.
+    """Focal length [pixels of the stored image] and who says so; (None, "") when nobody does.
 
     From the 35 mm equivalent, else from focal length and sensor resolution (whose unit may be inches or metric).
     """

@@ -49,7 +49,7 @@ class IntrinsicsFinder:
         self._found: dict[Path, _CameraFile | None] = {}
 
     def find(self, file: Path, image: DecodedImage) -> Intrinsics:
-        """Intrinsics of the upright picture `file`."""
+        """Intrinsics of the upright image `file`."""
         width, height = image.pixels.size
         size = (height, width)
         for camera_file in self._camera_files(file):
@@ -111,7 +111,7 @@ class IntrinsicsFinder:
 
 
 class _CameraFile:
-    """A camera file indexed by where its pictures lie and by what they are called."""
+    """A camera file indexed by where its images lie and by what they are called."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -120,7 +120,7 @@ class _CameraFile:
         for camera in read_cameras(path):
             self._by_path[(path.parent / camera.file).resolve()] = camera
             name = Path(camera.file).name
-            self._by_name[name] = None if name in self._by_name else camera  # None: two pictures of that name
+            self._by_name[name] = None if name in self._by_name else camera  # None: two images of that name
 
     def find(self, file: Path, by_name: bool) -> PosedCamera | None:
         camera = self._by_path.get(file.resolve())

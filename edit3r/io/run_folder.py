@@ -47,7 +47,7 @@ class RunFolder:
 
     @property
     def renders(self) -> Path:
-        """Folder of the pictures of the scene."""
+        """Folder of the images of the scene."""
         return self._made("renders")
 
     def _made(self, name: str) -> Path:

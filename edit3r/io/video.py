@@ -1,6 +1,6 @@
-"""Pictures to a video that browsers play: WebM with VP8 (RFC 6386), every frame a key frame.
+"""Images to a video that browsers play: WebM with VP8 (RFC 6386), every frame a key frame.
 
-Pillow does the coding: the payload of a lossy WebP picture *is* a VP8 key frame, so a video is those payloads in a WebM
+Pillow does the coding: the payload of a lossy WebP image *is* a VP8 key frame, so a video is those payloads in a WebM
 container. That needs no encoder with a GPL or patent licence, takes less than a fifth of the time of OpenCV's VP8 and a
 twentieth of its VP9, gives the same bytes every time, and can be stopped and stepped at any frame; files are larger by
 three quarters.
@@ -45,22 +45,22 @@ def save_video(path: str | Path, frames: Iterable[Frame], fps: float = 24) -> No
         raise InputError(f"{path}: videos are written as .webm.")
     if not 0 < fps <= 1000:
         raise InputError(f"{path}: expected above 0 and at most 1000 frames per second, got {fps}.")
-    pictures = [Image.fromarray(frame if isinstance(frame, np.ndarray) else to_bytes(frame)) for frame in frames]
-    if not pictures:
+    images = [Image.fromarray(frame if isinstance(frame, np.ndarray) else to_bytes(frame)) for frame in frames]
+    if not images:
         raise InputError(f"{path}: a video needs at least one frame.")
-    size = pictures[0].size
-    if any(picture.size != size for picture in pictures) or max(size) > LARGEST_SIDE:
+    size = images[0].size
+    if any(image.size != size for image in images) or max(size) > LARGEST_SIDE:
         raise InputError(f"{path}: the frames of a video must share one size of at most {LARGEST_SIDE} pixels.")
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        content = _webm(list(pool.map(_vp8_frame, pictures)), size, fps)
+        content = _webm(list(pool.map(_vp8_frame, images)), size, fps)
     with atomic_write(path) as partial:
         partial.write_bytes(content)
 
 
-def _vp8_frame(picture: Image.Image) -> bytes:
+def _vp8_frame(image: Image.Image) -> bytes:
     """The VP8 bit stream inside a WebP file: RIFF, size, WEBP, then chunks of name, size, data padded to even."""
     buffer = io.BytesIO()
-    picture.save(buffer, "WEBP", quality=QUALITY, method=EFFORT)
+    image.save(buffer, "WEBP", quality=QUALITY, method=EFFORT)
     data = buffer.getvalue()
     start = 12
     while start < len(data):

@@ -107,7 +107,7 @@ class SegmenterContract(Contract):
         for index, proposal in enumerate(proposals):
             self._check_proposal(f"proposal {index}", proposal)
 
-    def test_a_blank_picture_is_no_error(self) -> None:
+    def test_a_blank_image_is_no_error(self) -> None:
         image = torch.full((3, *self.image_size), 0.5, device=self.device)
         for index, proposal in enumerate(self.call("propose() of a grey picture", self.subject.propose, image)):
             self._check_proposal(f"proposal {index} on a grey picture", proposal)
@@ -143,7 +143,7 @@ class SegmenterContract(Contract):
             )
 
     def test_lost_objects_are_reported(self) -> None:
-        """On a picture that shows nothing of the scene, every object is lost."""
+        """On an image that shows nothing of the scene, every object is lost."""
         images = self._photos()
         images[1] = 0
         tracks = self._track(images, self._masks())
@@ -205,7 +205,7 @@ def _iou(first: Tensor, second: Tensor) -> Tensor:
 
 
 class DetectorContract(Contract):
-    """Boxes inside the picture, scores in [0, 1], best first; nothing found is an empty tuple."""
+    """Boxes inside the image, scores in [0, 1], best first; nothing found is an empty tuple."""
 
     kind = "detector"
     subject: Detector
@@ -216,7 +216,7 @@ class DetectorContract(Contract):
         image = photograph(2, self.image_size).views.images[0, 0].to(self.device)
         self._check(image)
 
-    def test_a_blank_picture_is_no_error(self) -> None:
+    def test_a_blank_image_is_no_error(self) -> None:
         self._check(torch.full((3, *self.image_size), 0.5, device=self.device))
 
     def _check(self, image: torch.Tensor) -> None:

@@ -69,7 +69,7 @@ class RasterizerContract(Contract):
         flat = rendering.images.flatten(-2)
         self.require((flat == flat[..., :1]).all(), "a scene of 0 Gaussians must show the background colour only.")
 
-    def test_same_input_gives_the_same_picture(self) -> None:
+    def test_same_input_gives_the_same_image(self) -> None:
         cloud, cameras = gaussian_cloud(), cameras_around()
         first, second = self.render(cloud, cameras), self.render(cloud, cameras)
         fix = "sort ties by index and sum in a fixed order"

@@ -212,7 +212,7 @@ class RefinerContract(Contract):
     kind = "refiner"
     subject: Refiner
     image_size: tuple[int, int] = (24, 32)  # (height, width) [pixels]
-    largest_change: float = 0.1  # mean difference allowed between pictures before and after, from the same cameras
+    largest_change: float = 0.1  # mean difference allowed between images before and after, from the same cameras
 
     def refine(self, scene: Photographed, masks: torch.Tensor | None = None) -> Gaussians:
         """One refinement of the Gaussians that lie on the surfaces of `scene` (batch 1), edited to be brighter."""
@@ -238,8 +238,8 @@ class RefinerContract(Contract):
         scene = self._scene()
         given = _on_surfaces(scene)
         before = replace(given, harmonics=given.harmonics + 0.2)
-        pictures = [self._rasterizer.render(g, scene.cameras).images for g in (before, self.refine(scene))]
-        far = (pictures[0] - pictures[1]).abs().mean().item()
+        images = [self._rasterizer.render(g, scene.cameras).images for g in (before, self.refine(scene))]
+        far = (images[0] - images[1]).abs().mean().item()
         fix = "keep positions in the frame of view 0 and the unit of the cameras"
         self.require(far < self.largest_change, f"pictures of the refined scene differ by {far:.3g} on average; {fix}.")
 

@@ -57,10 +57,10 @@ class DatasetContract(Contract):
     def test_cameras_are_in_the_frame_of_view_0(self) -> None:
         sample = self.sample()
         for name in ("context", "target"):
-            cameras, pictures = getattr(sample, f"{name}_cameras"), getattr(sample, name)
+            cameras, images = getattr(sample, f"{name}_cameras"), getattr(sample, name)
             self.require_type(f"{name}_cameras is", cameras, Cameras, "Cameras")
-            self.require_tensor(f"{name}_cameras.c2w", cameras.c2w, (1, pictures.shape[0], 4, 4))
-            size = tuple(pictures.shape[-2:])
+            self.require_tensor(f"{name}_cameras.c2w", cameras.c2w, (1, images.shape[0], 4, 4))
+            size = tuple(images.shape[-2:])
             self.require(
                 tuple(cameras.image_size) == size,
                 f"{name}_cameras.image_size is {cameras.image_size}, pictures are {size}.",
@@ -155,7 +155,7 @@ class LossContract(Contract):
         return value
 
     def _inputs(self, distance: float) -> LossInputs:
-        """Pictures and Gaussians that lie `distance` from their targets."""
+        """Images and Gaussians that lie `distance` from their targets."""
         target = photograph(2, self.image_size, batch=2).views.images.to(self.device)
         reference = _dense_gaussians(target.shape[1] * 24).to(self.device)
         generator = torch.Generator().manual_seed(5)
