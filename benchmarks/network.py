@@ -62,7 +62,7 @@ def main() -> None:
     table = _table(rows, args)
     print(table)
     if args.write:
-        from edit3r.io.marked_page import write_between
+        from edit3r.io.atomic import write_between
 
         write_between(args.write, START, END, f"{table}\n")
     if args.json:

@@ -20,13 +20,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from edit3r.reuse.memory import Memory
 from PIL import Image
 
-from edit3r.io.images import load_masks, load_photos
-from edit3r.io.marked_page import write_between
-from edit3r.io.packaged import packaged_pair
+from edit3r.io.atomic import write_between
+from edit3r.io.images import load_photos, packaged_pair
+from edit3r.io.masks import load_masks
 from edit3r.pipeline import run
-from edit3r.reuse.memory import Memory
 
 MOTORCYCLE = ("motorcycle=", "paint the motorcycle blue", "paint the motorcycle green")
 STAGES = {

@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import edit3r
+from edit3r.cli import COMMANDS
+from edit3r.cli.main import find_command
 from edit3r.component import KINDS, hook_name
 from edit3r.description import metadata_lines, settings_lines, yaml_example
 from edit3r.errors import Edit3rError
@@ -103,28 +105,30 @@ def run_page() -> str:
 def commands_page() -> str:
     """The help of every command."""
     sections = ["# Commands"]
-    for name, module in commands().items():
+    for name, summary in commands().items():
         parser = argparse.ArgumentParser(prog=f"edit3r {name}", formatter_class=_Narrow)
-        module.add_arguments(parser)
+        find_command(name).add_arguments(parser)
         sections.append(
-            f"## `edit3r {name}`\n\n{module.HELP[0].upper()}{module.HELP[1:]}.\n\n```text\n{parser.format_help()}```"
+            f"## `edit3r {name}`\n\n{summary[0].upper()}{summary[1:]}.\n\n```text\n{parser.format_help()}```"
         )
+        sections += _steps_of(name, parser)
     return "\n\n".join(sections) + "\n"
 
 
-def commands() -> dict[str, object]:
-    """Command name to its module."""
-    from edit3r import cli
-    from edit3r.cli.main import command_modules
+def _steps_of(name: str, parser: argparse.ArgumentParser) -> list[str]:
+    """The help of `edit3r NAME STEP` for a command that is made of steps."""
+    sections = []
+    for action in parser._actions:
+        for step, inner in action.choices.items() if isinstance(action, argparse._SubParsersAction) else ():
+            inner.formatter_class = _Narrow
+            sections.append(f"## `edit3r {name} {step}`\n\n```text\n{inner.format_help()}```")
+    return sections
 
-    found = {}
-    for name, module in command_modules().items():
-        command = importlib.import_module(f"{cli.__name__}.{module}")
-        inner = command_modules(command) if hasattr(command, "__path__") else {}
-        found |= {f"{name} {sub}": importlib.import_module(f"{command.__name__}.{m}") for sub, m in inner.items()}
-        if not inner:
-            found[name] = command
-    return found
+
+def commands() -> dict[str, str]:
+    """Command name to its summary: the core's own, then those of plugins."""
+    offered = [offer.component for offer in default_registry().offers("command")]
+    return {component.name: component.summary for component in (*COMMANDS, *offered)}
 
 
 class _Narrow(argparse.HelpFormatter):

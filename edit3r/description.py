@@ -14,6 +14,8 @@ from edit3r.plugins import Offer
 BOUNDS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"), ("multiple_of", "multiple of"))
 RUN_KINDS = ("editor", "segmenter", "reconstructor", "rasterizer")
 """Kinds that are top-level keys of a run's configuration."""
+PART_KINDS = ("backbone", "head", "matcher")
+"""Kinds that are keys of a reconstructor."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +131,10 @@ def _comment(line: SettingLine) -> str:
 
 
 def _under_its_key(kind: str, body: list[str]) -> list[str]:
-    """Indent below the key where a configuration chooses this kind."""
-    if kind in RUN_KINDS:
-        return [f"{kind}:", *body]
-    if kind in ("backbone", "head", "matcher"):
+    """Indent below the key where a configuration chooses this kind; a run has a list of refiners."""
+    if kind == "refiner":
+        return ["refiners:", body[0].replace("  ", "  - ", 1), *("  " + line for line in body[1:])]
+    if kind in PART_KINDS:
         return ["reconstructor:", f"  {kind}:", *("  " + line for line in body)]
     return [f"{kind}:", *body]
 

@@ -10,11 +10,9 @@ import torch
 from edit3r.earlier_run import note_views
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, save_pixels, to_bytes
-from edit3r.io.manifest import PluginRecord, RunManifest, WeightsRecord, write_manifest
+from edit3r.io.images import LoadedPhotos, Pixels, save_pixels, to_bytes
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
-from edit3r.io.png import Pixels
-from edit3r.io.run_folder import RunFolder
+from edit3r.io.run_folder import PluginRecord, RunFolder, RunManifest, WeightsRecord, write_manifest
 from edit3r.io.sheet import save_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import save_viewer

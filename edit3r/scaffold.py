@@ -1,6 +1,7 @@
 """Write a plugin package to start from: one module that works at once, its settings, a test, a README.
 
-The texts are in `edit3r/templates`: one module per kind, and what every package has around it.
+The texts are in `edit3r/templates`: one module per kind, what every package has around it, and in `starters.yaml` what
+differs from kind to kind.
 """
 
 import importlib.util
@@ -8,83 +9,26 @@ import keyword
 import re
 import shutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import edit3r
 from edit3r.component import KINDS, hook_name
+from edit3r.config import read_yaml
 from edit3r.errors import InputError, suggest
 from edit3r.hookspecs import API_VERSION
 
 TEMPLATES = Path(__file__).parent / "templates"
+STARTERS: dict[str, dict[str, Any]] = read_yaml(TEMPLATES / "starters.yaml")
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 MAX_NAME = 40
 
 
-@dataclass(frozen=True)
-class Starter:
-    """What the templates of one kind need to know beside the name."""
-
-    suffix: str  # of the class
-    contract: str  # in edit3r.testing
-    summary: str
-    use: str  # a command that uses it
-    declaration: tuple[str, ...] = ()  # further arguments of Component
-    test_settings: str = ""  # settings the contract is run with
-
-
-TWO_VIEWS = ("min_views=2",)
-STARTERS: dict[str, Starter] = {
-    "editor": Starter("Editor", "EditorContract", "tints the photos", "edit3r run --editor ${name}"),
-    "segmenter": Starter(
-        "Segmenter",
-        "SegmenterContract",
-        "an object is what has the colour of a place on it",
-        "edit3r run --editor recolor --segmenter ${name}",
-    ),
-    "detector": Starter("Detector", "DetectorContract", "a box around the colour a text names", ""),
-    "reconstructor": Starter(
-        "Reconstructor",
-        "ReconstructorContract",
-        "lifts every pixel to its matched depth",
-        "edit3r run --recon ${name}",
-        ('parts=("matcher",)', *TWO_VIEWS),
-    ),
-    "backbone": Starter(
-        "Backbone", "BackboneContract", "one small transformer over the patches of all views", "", TWO_VIEWS
-    ),
-    "head": Starter(
-        "Head",
-        "HeadContract",
-        "a linear map from each token to its pixels' Gaussians",
-        "",
-        ('parts=("backbone",)', *TWO_VIEWS),
-    ),
-    "matcher": Starter(
-        "Matcher",
-        "MatcherContract",
-        "SIFT, essential matrix and the depth of the nearest point",
-        "edit3r run --recon classical --set reconstructor.matcher=${name}",
-        TWO_VIEWS,
-    ),
-    "rasterizer": Starter(
-        "Rasterizer",
-        "RasterizerContract",
-        "every Gaussian at every pixel, for small scenes",
-        "edit3r render SCENE.ply --rasterizer ${name}",
-    ),
-    "loss": Starter("Loss", "LossContract", "differences of neighbouring pixels must match", ""),
-    "dataset": Starter("Dataset", "DatasetContract", "two textured balls in front of a wall, by formula", ""),
-    "trainer": Starter(
-        "Trainer", "TrainerContract", "Adam, one scene a step", "", test_settings='settings = {"steps": 3}'
-    ),
-}
-
-
 def new_package(kind: str, name: str, parent: Path) -> Path:
     """Write the package into a new folder in `parent` and return it; nothing that exists is touched."""
-    _check_kind(kind)
+    if kind not in KINDS:
+        raise InputError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
     check_name(name)
     folder = parent / f"edit3r-{name}"
     if folder.exists() or folder.is_symlink():
@@ -115,7 +59,7 @@ def package_files(kind: str, name: str) -> dict[str, str]:
 
 def next_steps(kind: str, name: str, folder: Path) -> tuple[str, ...]:
     """Commands that install, show, use and test the new package."""
-    use = Template(STARTERS[kind].use).substitute(name=name)
+    use = Template(STARTERS[kind].get("use", "")).substitute(name=name)
     steps = (f'pip install -e "{folder}[test]"', f"edit3r describe {kind} {name}", use, f"pytest {folder}")
     return tuple(step for step in steps if step)
 
@@ -134,11 +78,6 @@ def check_name(name: str) -> None:
         raise InputError(f"name {name!r}: a package {package!r} is already installed; choose another name.")
 
 
-def _check_kind(kind: str) -> None:
-    if kind not in KINDS:
-        raise InputError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
-
-
 def _nearest(name: str) -> str:
     """A valid name like the one given."""
     tidy = re.sub(r"[^a-z0-9]+", "-", re.sub(r"([a-z0-9])([A-Z])", r"\1-\2", name).lower()).strip("-")
@@ -151,23 +90,23 @@ def _package(name: str) -> str:
 
 
 def _words(kind: str, name: str) -> dict[str, str]:
+    """What the templates' placeholders stand for."""
     starter = STARTERS[kind]
-    extra = "".join(f"\n            {argument}," for argument in starter.declaration)
-    class_name = "".join(part.title() for part in name.split("-")).removesuffix(starter.suffix) + starter.suffix
-    settings = f"\n    {starter.test_settings}" if starter.test_settings else ""
+    suffix = starter["suffix"]
+    settings = starter.get("test_settings", "")
     return {
         "kind": kind,
         "name": name,
         "package": _package(name),
         "distribution": f"edit3r-{name}",
         "entry_point": name,
-        "class_name": class_name,
-        "contract": starter.contract,
-        "summary": starter.summary,
-        "use": Template(starter.use).substitute(name=name) or f"edit3r list-plugins --kind {kind} --check",
+        "class_name": "".join(part.title() for part in name.split("-")).removesuffix(suffix) + suffix,
+        "contract": f"{suffix}Contract",
+        "summary": starter["summary"],
+        "use": Template(starter.get("use", f"edit3r list-plugins --kind {kind} --check")).substitute(name=name),
         "hook": hook_name(kind),
-        "declaration": extra,
-        "test_settings": settings,
+        "declaration": "".join(f"\n            {argument}," for argument in starter.get("declaration", ())),
+        "test_settings": f"\n    {settings}" if settings else "",
         "article": "An" if kind[0] in "aeiou" else "A",
         "api_version": str(API_VERSION),
         "edit3r_version": edit3r.__version__,

@@ -1,5 +1,6 @@
 """The documentation says all there is, and what it shows is true: examples run, generated parts are current."""
 
+import ast
 import importlib.util
 import re
 import sys
@@ -115,6 +116,35 @@ def test_links_between_pages_lead_somewhere():
 
 # ---- what is shown is true ----
 
+PLACES = re.findall(r"^\| (.+?) \| `([\w/.]+)` \| `([\w.]+)` \|$", PAGES["architecture.md"], re.MULTILINE)
+
+
+def test_the_architecture_page_answers_where_thirty_things_are():
+    assert len(PLACES) >= 30 and len({what for what, _, _ in PLACES}) == len(PLACES)
+
+
+@pytest.mark.parametrize("what, file, symbol", PLACES, ids=[what for what, _, _ in PLACES])
+def test_a_place_that_the_architecture_page_names_is_there(what, file, symbol):
+    assert (ROOT / file).is_file(), f"{file} is gone; where is {what}?"
+    scope = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
+    for name in symbol.split("."):
+        found = [node for node in scope if name in _names_of(node)]
+        assert found, f"{file} has no {symbol}; where is {what}?"
+        scope = getattr(found[0], "body", [])
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:edit3r|tests)/[\w/.]+)`", PAGES["architecture.md"]))))
+def test_a_file_that_the_architecture_page_names_is_there(path):
+    assert (ROOT / path).exists()
+
+
+def _names_of(node: ast.stmt) -> set[str]:
+    """Names that a statement defines."""
+    if isinstance(node, ast.ClassDef | ast.FunctionDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    return {target.id for target in targets if isinstance(target, ast.Name)}
+
 
 def test_the_generated_parts_of_the_pages_are_current():
     for name, text in PAGES.items():
@@ -168,7 +198,10 @@ def test_configurations_shown_are_accepted(page):
 def test_options_shown_exist(page):
     """Every `edit3r COMMAND ... --option` in a shell block is an option of that command."""
     text = PAGES.get(page) or (ROOT / page).read_text(encoding="utf-8")
-    helps = dict(re.findall(r"## `edit3r ([\w-]+)`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL))
+    helps: dict[str, str] = {}  # a command's own, and those of its steps
+    shown = re.findall(r"## `edit3r ([\w-]+)[^`]*`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL)
+    for command, help_text in shown:
+        helps[command] = helps.get(command, "") + help_text
     for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
         for command, rest in re.findall(r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE):
             assert command in helps, f"{page}: no command edit3r {command}"

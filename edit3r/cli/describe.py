@@ -20,7 +20,7 @@ class DescribeCommand(Command):
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.description import metadata_lines, settings_lines, yaml_example
+        from edit3r.description import metadata_lines, yaml_example
         from edit3r.errors import MissingDependencyError
         from edit3r.registry import default_registry
 
@@ -38,13 +38,22 @@ class DescribeCommand(Command):
         elif args.json:
             print(json.dumps(_as_json(offer, settings), indent=2))
         else:
-            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}")
-            print(f"\nSettings:\n{_settings(settings_lines(settings))}")
-            print(
-                f"\nYAML to paste into a configuration (edit3r run --config FILE):\n\n{yaml_example(offer, settings)}"
-            )
-            print(f"\nOne setting on the command line: {_flag(offer.kind, settings_lines(settings))}")
+            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\n{_use(offer, settings)}")
         return 0
+
+
+def _use(offer, settings) -> str:
+    """Settings and how to give them; a command has arguments instead."""
+    from edit3r.description import settings_lines, yaml_example
+
+    if offer.kind == "command":
+        return f"Its arguments: edit3r {offer.component.name} --help"
+    lines = settings_lines(settings)
+    return (
+        f"Settings:\n{_settings(lines)}\n\n"
+        f"YAML to paste into a configuration (edit3r run --config FILE):\n\n{yaml_example(offer, settings)}\n\n"
+        f"One setting on the command line: {_flag(offer, lines)}"
+    )
 
 
 def _title(offer) -> str:
@@ -67,9 +76,15 @@ def _settings(lines) -> str:
     return "\n".join(rows)
 
 
-def _flag(kind: str, lines) -> str:
-    key = f"reconstructor.{kind}" if kind in ("backbone", "head", "matcher") else kind
-    return f"--set {key}.{lines[0].name}={lines[0].default_yaml}" if lines else "there is none to set"
+def _flag(offer, lines) -> str:
+    from edit3r.description import PART_KINDS
+
+    if not lines:
+        return "there is none to set"
+    name, value = lines[0].name, lines[0].default_yaml
+    if offer.kind == "refiner":
+        return f"--set 'refiners=[{{name: {offer.component.name}, {name}: {value}}}]'"
+    return f"--set {'reconstructor.' if offer.kind in PART_KINDS else ''}{offer.kind}.{name}={value}"
 
 
 def _as_json(offer, settings) -> dict:

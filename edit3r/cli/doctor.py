@@ -1,43 +1,73 @@
-"""`edit3r doctor`: is everything in order? Exits with 1 when something is wrong."""
+"""`edit3r doctor`: is this installation sound? Versions, devices, memory, plugins, every rasterizer, and a tiny run.
+
+Exits with 1 when something is wrong.
+"""
 
 import argparse
+import importlib
 import json
+import os
+import platform
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+import edit3r
+from edit3r.checks import check_offer
 from edit3r.command import Command
+from edit3r.hookspecs import API_VERSION
+from edit3r.plugins import Offer
+from edit3r.registry import Registry, default_registry, install_hint
+
+if TYPE_CHECKING:
+    from edit3r.reporting import Report
+    from edit3r.run_config import RunConfig
+
+CORE_MODULES = {
+    "torch": "torch",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "kornia": "kornia",
+    "cv2": "opencv-contrib-python-headless",
+    "skimage": "scikit-image",
+    "numba": "numba",
+    "PIL": "pillow",
+    "safetensors": "safetensors",
+    "pydantic": "pydantic",
+    "pluggy": "pluggy",
+    "yaml": "pyyaml",
+    "jaxtyping": "jaxtyping",
+}
+"""Importable name of each core dependency, and the package that brings it."""
+LEAST_MEMORY_GB, LEAST_DISK_GB = 1.0, 0.5
+JOB_SIZE = 96  # longer side of the tiny job's photos [pixels]
+JOB_PROMPT = "make it blue"
 
 
 class DoctorCommand(Command):
     """`edit3r doctor`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--editor", metavar="NAME", help="editor of the tiny job (default: that of edit3r run)")
-        parser.add_argument(
-            "--recon", metavar="NAME", help="reconstructor of the tiny job (default: that of edit3r run)"
-        )
-        parser.add_argument(
-            "--rasterizer", metavar="NAME", help="rasterizer of the tiny job (default: that of edit3r run)"
-        )
+        for part, dest in (("editor", "editor"), ("recon", "reconstructor"), ("rasterizer", "rasterizer")):
+            default = f"{dest} of the tiny job (default: that of edit3r run)"
+            parser.add_argument(f"--{part}", dest=dest, metavar="NAME", help=default)
         parser.add_argument("--device", metavar="D", help="torch device of the tiny job (default cpu)")
         parser.add_argument("--json", action="store_true", help="machine-readable output")
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
     def main(self, args: argparse.Namespace) -> int:
-        from dataclasses import asdict
-
-        from edit3r import doctor
-        from edit3r.cli.run import DEFAULT_PROMPT
-        from edit3r.registry import default_registry
         from edit3r.run_config import make_run_config
 
-        named = {
-            "editor": args.editor,
-            "reconstructor": args.recon,
-            "rasterizer": args.rasterizer,
-            "device": args.device,
-        }
-        config = make_run_config({"prompt": DEFAULT_PROMPT, **{key: value for key, value in named.items() if value}})
+        named = {key: getattr(args, key) for key in ("editor", "reconstructor", "rasterizer", "device")}
+        config = make_run_config({"prompt": JOB_PROMPT, **{key: value for key, value in named.items() if value}})
         findings = []
-        for finding in doctor.examine(default_registry(tuple(args.plugin)), config):
+        for finding in examine(default_registry(tuple(args.plugin)), config):
             if not args.json:
                 _show(finding, new_area=not findings or findings[-1].area != finding.area)
             findings.append(finding)
@@ -49,8 +79,173 @@ class DoctorCommand(Command):
         return 1 if wrong else 0
 
 
-def _show(finding, new_area: bool) -> None:
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    area: str  # "versions", "devices", "memory", "plugins", "rasterizers", "tiny job"
+    text: str
+    ok: bool | None = True  # None: worth knowing, nothing wrong
+
+
+def _show(finding: Finding, new_area: bool) -> None:
     if new_area:
         print(f"{finding.area}:")
     mark = {True: "ok   ", False: "WRONG", None: "note "}[finding.ok]
     print(f"  {mark} {finding.text}", flush=True)
+
+
+def examine(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
+    """All findings, as they are made; the tiny job runs the components that `config` names."""
+    yield from versions()
+    yield from devices()
+    yield from memory()
+    yield from plugins(registry)
+    yield from rasterizers(registry)
+    yield from tiny_job(registry, config)
+
+
+def versions() -> Iterator[Finding]:
+    """Python, edit3r, and every core dependency imported for real: a package may be there and broken."""
+    python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    yield Finding("versions", f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), {python}")
+    good = []
+    for module, package in CORE_MODULES.items():
+        try:
+            importlib.import_module(module)
+            good.append(f"{package} {metadata.version(package)}")
+        except metadata.PackageNotFoundError:
+            good.append(f"{package} (version unknown)")
+        except Exception as error:
+            cure = f"reinstall it: pip install {package}"
+            yield Finding("versions", f"{package} cannot be imported ({_in_words(error)}); {cure}", False)
+    yield Finding("versions", ", ".join(good))
+
+
+def devices() -> Iterator[Finding]:
+    """What torch can compute on."""
+    import torch
+
+    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads")
+    for index in range(torch.cuda.device_count()):
+        free, total = (size / 2**30 for size in torch.cuda.mem_get_info(index))
+        name = torch.cuda.get_device_name(index)
+        yield Finding("devices", f"cuda:{index}: {name}, {free:.1f} of {total:.1f} GiB free")
+    if torch.backends.mps.is_available():
+        yield Finding("devices", "mps: Apple GPU")
+    if torch.cuda.device_count() == 0 and not torch.backends.mps.is_available():
+        yield Finding("devices", "no GPU; everything that does not declare needs_gpu runs on the CPU", None)
+
+
+def memory() -> Iterator[Finding]:
+    """Free memory and free disk where results are written."""
+    free, disk = free_memory_gb(), shutil.disk_usage(Path.cwd()).free / 2**30
+    if free is None:
+        yield Finding("memory", "this platform does not tell how much memory is free", None)
+    else:
+        enough = free >= LEAST_MEMORY_GB
+        advice = "" if enough else f"; below {LEAST_MEMORY_GB:g} GiB runs may fail, close other programs"
+        yield Finding("memory", f"{free:.1f} GiB of memory free{advice}", enough)
+    enough = disk >= LEAST_DISK_GB
+    advice = "" if enough else f"; results need {LEAST_DISK_GB:g} GiB, free some space"
+    yield Finding("memory", f"{disk:.1f} GiB of disk free here{advice}", enough)
+
+
+def plugins(registry: Registry) -> Iterator[Finding]:
+    """Failed plugins and components that break their promise are wrong; a missing extra is worth knowing."""
+    offers = registry.offers()
+    for failure in registry.failures:
+        yield Finding("plugins", f"{failure.plugin} {failure.version}: {failure.reason}", False)
+    for group in registry.clashes():
+        ways = " or ".join(offer.qualified_name for offer in group)
+        text = f"{group[0].kind} {group[0].component.name!r} is offered by {len(group)} plugins; ask for {ways}"
+        yield Finding("plugins", text, False)
+    problems = {offer: check_offer(registry, offer) for offer in offers}
+    for offer, problem in problems.items():
+        if problem:
+            yield Finding("plugins", problem, False)
+        elif registry.missing(offer):
+            needs = f"{offer.kind} {offer.component.name} needs {', '.join(registry.missing(offer))}"
+            yield Finding("plugins", f"{needs}; {install_hint(offer)}", None)
+    usable = sum(1 for offer, problem in problems.items() if not problem and not registry.missing(offer))
+    count = len({offer.plugin for offer in offers})
+    yield Finding("plugins", f"{usable} of {len(offers)} components from {count} plugins can be used here")
+
+
+def rasterizers(registry: Registry) -> Iterator[Finding]:
+    """Every rasterizer draws one small scene."""
+    for offer in registry.offers("rasterizer"):
+        name = offer.component.name
+        if registry.missing(offer):
+            yield Finding("rasterizers", f"{name}: not here, needs {', '.join(registry.missing(offer))}", None)
+        else:
+            yield _draw(registry, offer)
+
+
+def _draw(registry: Registry, offer: Offer) -> Finding:
+    import torch
+
+    from edit3r.testing.scenes import cameras_around, gaussian_cloud
+
+    name, needs_gpu = offer.component.name, offer.component.needs_gpu
+    if needs_gpu and not torch.cuda.is_available():
+        return Finding("rasterizers", f"{name}: not here, needs a CUDA GPU", None)
+    device = "cuda" if needs_gpu else "cpu"
+    try:
+        started = time.perf_counter()
+        rasterizer = registry.build("rasterizer", offer.qualified_name)
+        image = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
+        seconds = time.perf_counter() - started
+    except Exception as error:
+        return Finding("rasterizers", f"{name}: {_in_words(error)}", False)
+    if not torch.isfinite(image).all():
+        return Finding("rasterizers", f"{name}: its picture is not finite", False)
+    return Finding("rasterizers", f"{name}: 60 Gaussians on {device} in {seconds:.2f} s, compiling included")
+
+
+def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
+    """Photos, edit, reconstruction, rendering and a saved scene, at `JOB_SIZE` pixels."""
+    started = time.perf_counter()
+    try:
+        report, count = _run_tiny(registry, config)
+    except Exception as error:
+        yield Finding("tiny job", _in_words(error), False)
+        return
+    for stage in report.stages:
+        yield Finding("tiny job", f"{stage.name}: {stage.seconds:.2f} s")
+    yield Finding("tiny job", f"{count} Gaussians rendered and saved, {time.perf_counter() - started:.1f} s in all")
+
+
+def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
+    """Run on the packaged photos as small as can be, render and save; the report, and how many Gaussians came."""
+    from edit3r.io.images import load_views, packaged_pair
+    from edit3r.io.ply import save_ply
+    from edit3r.reporting import Report, collecting
+
+    report = Report()
+    with collecting(report), report.stage("read photos"):
+        photos, cameras = packaged_pair()
+        views = load_views(photos, cameras=cameras, size=JOB_SIZE)
+    parts = {"editor": config.editor, "recon": config.reconstructor, "segmenter": config.segmenter}
+    result = edit3r.run(views, config.prompt, **parts, device=config.device, registry=registry, report=report)
+    with collecting(report), report.stage("render and save"), tempfile.TemporaryDirectory() as folder:
+        rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
+        rasterizer.render(result.gaussians, result.cameras)
+        save_ply(Path(folder) / "scene.ply", result.gaussians)
+    return report, result.gaussians.count
+
+
+def _in_words(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def free_memory_gb() -> float | None:
+    """Memory that can be had without swapping [GiB]; None where the platform does not tell."""
+    if sys.platform == "linux":
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        values = {line.split(":")[0]: int(line.split()[1]) for line in lines if len(line.split()) > 1}
+        return values["MemAvailable"] / 2**20
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+    except (AttributeError, ValueError, OSError):  # Windows, macOS
+        return None

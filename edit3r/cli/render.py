@@ -1,9 +1,11 @@
-"""`edit3r render`: pictures, a video or a viewer page from a saved scene."""
+"""`edit3r render`: images, a video or a viewer page from a saved scene."""
 
 import argparse
 from pathlib import Path
 
 from edit3r.command import Command
+
+MADE = ("pictures", "video", "viewer")
 
 
 class RenderCommand(Command):
@@ -13,10 +15,10 @@ class RenderCommand(Command):
         add = parser.add_argument
         add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
-        add("--make", nargs="+", choices=("pictures", "video", "viewer"), default=["pictures", "video", "viewer"])
+        add("--make", nargs="+", choices=MADE, default=list(MADE), help="what to write (default: all three)")
         add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
         add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
-        add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
+        add("--rasterizer", metavar="NAME", help="rasterizer (default: that of edit3r run)")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
@@ -28,24 +30,25 @@ class RenderCommand(Command):
         from edit3r.config import parse_assignments
         from edit3r.console import StageConsole
         from edit3r.errors import SettingsError
+        from edit3r.io.atomic import atomic_folder
         from edit3r.io.images import save_image
         from edit3r.io.ply import load_ply
-        from edit3r.io.run_folder import RunFolder, atomic_folder
+        from edit3r.io.run_folder import RunFolder
         from edit3r.io.video import save_video
         from edit3r.io.viewer import save_viewer
         from edit3r.registry import default_registry
         from edit3r.rendering import path_around, render_each
         from edit3r.reporting import Report, collecting
         from edit3r.results import VIDEO_FPS
+        from edit3r.run_config import RunConfig
 
         settings = parse_assignments(args.set)
         if set(settings) - {"rasterizer"}:
             raise SettingsError(
                 f"--set {sorted(settings)[0]}: render has settings of the rasterizer only (rasterizer.KEY)."
             )
-        rasterizer = default_registry(tuple(args.plugin)).build(
-            "rasterizer", args.rasterizer, **settings.get("rasterizer", {})
-        )
+        name = args.rasterizer or RunConfig.model_fields["rasterizer"].default.name
+        rasterizer = default_registry(tuple(args.plugin)).build("rasterizer", name, **settings.get("rasterizer", {}))
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
             with report.stage("read scene"):
                 gaussians = load_ply(args.scene)
@@ -55,8 +58,8 @@ class RenderCommand(Command):
                 with report.stage("render input views"):
                     views = render_each(rasterizer, gaussians, cameras, "views")
                     if "pictures" in args.make:
-                        for name, picture in zip(names, views.images[0]):
-                            save_image(picture.clamp(0, 1), folder.renders / f"{name}.png")
+                        for name, image in zip(names, views.images[0]):
+                            save_image(image.clamp(0, 1), folder.renders / f"{name}.png")
                 if "video" in args.make:
                     with report.stage("render camera path"):
                         frames = render_each(rasterizer, gaussians, path_around(cameras, views, args.frames), "path")
@@ -70,11 +73,12 @@ class RenderCommand(Command):
 
 
 def _cameras(args: argparse.Namespace):
-    """The file's cameras as one scene, at one picture size, and a name for each."""
+    """The file's cameras as one scene, at one image size, and a name for each."""
     from dataclasses import replace
 
     from edit3r.errors import InputError
     from edit3r.io.cameras import read_scene_cameras
+    from edit3r.io.images import unique_names
 
     file = Path(args.cameras) if args.cameras else Path(args.scene).parent / "cameras.json"
     cameras, posed = read_scene_cameras(file)
@@ -83,9 +87,4 @@ def _cameras(args: argparse.Namespace):
             raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
         scale = args.size / max(cameras.image_size)
         cameras = replace(cameras, image_size=tuple(max(1, round(side * scale)) for side in cameras.image_size))
-    return cameras, _unique([Path(camera.file).stem for camera in posed])
-
-
-def _unique(names: list[str]) -> list[str]:
-    """Names usable as files: a repeated one gets its position in front."""
-    return [f"{i}_{name}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+    return cameras, unique_names([Path(camera.file).stem for camera in posed])

@@ -56,9 +56,9 @@ class RunCommand(Command):
         from edit3r.cache import Cache
         from edit3r.console import StageConsole
         from edit3r.earlier_run import read_earlier_run
-        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_masks, load_photos
-        from edit3r.io.packaged import packaged_pair
-        from edit3r.io.run_folder import atomic_folder
+        from edit3r.io.atomic import atomic_folder
+        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_photos, packaged_pair
+        from edit3r.io.masks import load_masks
         from edit3r.quality import note_quality
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting

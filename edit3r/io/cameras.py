@@ -1,7 +1,7 @@
 """Camera files: our `cameras.json`, and nerfstudio's `transforms.json` (read only).
 
 `cameras.json` is a list of `{file, width, height, K, c2w}`: `file` relative to the list's folder, `K` 3x3 in pixels of
-the upright picture with the centre of its top-left pixel at (0.5, 0.5), `c2w` 4x4 camera to world with OpenCV axes
+the upright image with the centre of its top-left pixel at (0.5, 0.5), `c2w` 4x4 camera to world with OpenCV axes
 (x right, y down, z forward). `K` and `c2w` may be null.
 """
 
@@ -18,8 +18,8 @@ from jaxtyping import Float64
 
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import to_pixels
-from edit3r.io.decode import picture_size
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
+from edit3r.io.decode import image_size
 from edit3r.types import Cameras
 
 __all__ = ["CAMERA_FILES", "PosedCamera", "posed_cameras", "read_cameras", "write_cameras"]
@@ -34,7 +34,7 @@ _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's order
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """What a camera file says of one picture."""
+    """What a camera file says of one image."""
 
     file: str  # as written, relative to the camera file's folder
     width: int  # [pixels]
@@ -73,7 +73,7 @@ def read_cameras(path: str | Path) -> list[PosedCamera]:
 
 
 def read_scene_cameras(path: str | Path) -> tuple[Cameras, list[PosedCamera]]:
-    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's picture size."""
+    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's image size."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such camera file; say where to look from with --cameras FILE.")
     posed = [camera for camera in read_cameras(path) if camera.c2w is not None and camera.K is not None]
@@ -134,7 +134,7 @@ def _from_list_entry(entry: Mapping[str, Any], folder: Path) -> PosedCamera:
 def _from_frame(frame: Mapping[str, Any], folder: Path) -> PosedCamera:
     if frame.get("camera_model") not in _PINHOLE_MODELS:
         raise ValueError(f"camera model {frame['camera_model']}, expected a pinhole; undistort the photos first")
-    file, (height, width) = _picture_of(frame, folder)
+    file, (height, width) = _image_of(frame, folder)
     focal_x = _focal(frame, "fl_x", "camera_angle_x", width)
     focal_y = _focal(frame, "fl_y", "camera_angle_y", height)
     pixels = None
@@ -148,14 +148,14 @@ def _from_frame(frame: Mapping[str, Any], folder: Path) -> PosedCamera:
     return PosedCamera(file, width, height, pixels, c2w, distortion if any(distortion) else ())
 
 
-def _picture_of(frame: Mapping[str, Any], folder: Path) -> tuple[str, tuple[int, int]]:
+def _image_of(frame: Mapping[str, Any], folder: Path) -> tuple[str, tuple[int, int]]:
     """File as named on disk (Blender scenes leave the suffix out) and (height, width), from it if need be."""
     file = str(frame["file_path"])
     if not (folder / file).is_file() and (folder / f"{file}.png").is_file():
         file += ".png"
     if "w" in frame and "h" in frame:
         return file, (int(frame["h"]), int(frame["w"]))
-    return file, picture_size(folder / file)
+    return file, image_size(folder / file)
 
 
 def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float | None:

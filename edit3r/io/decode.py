@@ -1,28 +1,35 @@
-"""One picture file to upright 8-bit sRGB pixels, whatever the format, or one sentence why not."""
+"""Read one image file of any usual format as upright 8-bit sRGB pixels, with the focal length that its EXIF states.
+
+Whatever is wrong with a file becomes one sentence that names it.
+"""
 
 import contextlib
 import io
+import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from edit3r.errors import InputError, MissingDependencyError
-from edit3r.io.exif import exif_focal, orientation
 from edit3r.reporting import warn
 
 MAX_PIXELS = 1 << 27
-"""Largest picture that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
+"""Largest image that is read, 134 megapixels: beyond every phone and camera, well below what fills the memory."""
 
 READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
 
+_FULL_FRAME_DIAGONAL = math.hypot(36, 24)  # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal
+
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # FocalPlaneResolutionUnit: inch, cm, mm, um
+_FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
 
 @dataclass(frozen=True)
-class Picture:
+class DecodedImage:
     """A decoded file: pixels as a viewer would show them, and the focal length its EXIF states."""
 
     pixels: Image.Image  # mode RGB, upright, sRGB
@@ -31,19 +38,19 @@ class Picture:
     transparent: bool = False  # some of it was see-through and now shows white
 
 
-def decode(path: str | Path) -> Picture:
-    """Read a picture: EXIF orientation applied, colour profile converted to sRGB, alpha laid over white, 16 bits cut
+def decode(path: str | Path) -> DecodedImage:
+    """Read an image: EXIF orientation applied, colour profile converted to sRGB, alpha laid over white, 16 bits cut
     to 8, the first frame of several. Raises InputError, or MissingDependencyError for HEIC without the extra."""
     path = Path(path)
     _check_is_file(path)
     with _opened(path) as image:
         if image.width * image.height > MAX_PIXELS:
             raise InputError(_too_large(path, f"{image.width}x{image.height}"))
-        focal, source = exif_focal(image, path)
+        focal, source = _exif_focal(image, path)
         try:
             image.load()
             pixels = _to_srgb(image, path)
-            return Picture(_upright(image, pixels, path), focal, source, _is_transparent(image))
+            return DecodedImage(_upright(image, pixels, path), focal, source, _is_transparent(image))
         except InputError:
             raise
         except Exception as error:  # damaged files make Pillow's decoders raise almost anything
@@ -51,16 +58,16 @@ def decode(path: str | Path) -> Picture:
 
 
 def read_image(path: str | Path) -> Image.Image:
-    """The upright sRGB pixels of a picture file (mode RGB); see `decode`."""
+    """The upright sRGB pixels of an image file (mode RGB); see `decode`."""
     return decode(path).pixels
 
 
-def picture_size(path: str | Path) -> tuple[int, int]:
-    """(height, width) of the upright picture from its header, without decoding the pixels."""
+def image_size(path: str | Path) -> tuple[int, int]:
+    """(height, width) of the upright image from its header, without decoding the pixels."""
     path = Path(path)
     _check_is_file(path)
     with _opened(path) as image:
-        turned = orientation(image, path) in (5, 6, 7, 8)
+        turned = _orientation(image, path) in (5, 6, 7, 8)
         return (image.width, image.height) if turned else (image.height, image.width)
 
 
@@ -87,7 +94,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 def _open(path: Path) -> Image.Image:
     try:
-        return Image.open(path)
+        return Image.open(path, formats=_formats(path))
     except Image.DecompressionBombError:
         raise InputError(_too_large(path, "far too many pixels")) from None
     except UnidentifiedImageError:
@@ -107,12 +114,24 @@ def _reason(error: Exception) -> str:
     return text[:120] or type(error).__name__
 
 
-def _is_heic(path: Path) -> bool:
+def _formats(path: Path) -> Sequence[str]:
+    """What Pillow may take the file for; never one that starts another program, such as EPS, whatever its name."""
+    if _head(path)[4:8] != b"ftyp":
+        return _FORMATS
+    Image.init()  # an older Pillow has no AVIF, and HEIF is there once it is registered
+    return [name for name in ("AVIF", "HEIF") if name in Image.OPEN]
+
+
+def _head(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            head = file.read(12)
+            return file.read(12)
     except OSError:
-        return False  # opening it as a picture gives the reason
+        return b""  # opening it as an image gives the reason
+
+
+def _is_heic(path: Path) -> bool:
+    head = _head(path)
     return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS
 
 
@@ -177,7 +196,7 @@ def _through_profile(image: Image.Image, profile: bytes | None, path: Path) -> I
 
 
 def _upright(image: Image.Image, pixels: Image.Image, path: Path) -> Image.Image:
-    turn = orientation(image, path)
+    turn = _orientation(image, path)
     if turn not in range(2, 9):
         return pixels
     exif = Image.Exif()
@@ -185,3 +204,48 @@ def _upright(image: Image.Image, pixels: Image.Image, path: Path) -> Image.Image
     tagged = pixels.copy()
     tagged.info["exif"] = exif.tobytes()
     return ImageOps.exif_transpose(tagged)
+
+
+def _orientation(image: Image.Image, path: Path) -> int:
+    """Value of tag 274, 1 (upright) when there is none or EXIF cannot be read; then with a warning naming `path`."""
+    try:
+        return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+    except Exception:  # EXIF is a foreign format inside a foreign format
+        warn(f"{path}: its EXIF data cannot be read; the picture is taken as upright.")
+        return 1
+
+
+def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
+    """Focal length [pixels of the stored image] and who says so; (None, "") when nobody does.
+
+    From the 35 mm equivalent, else from focal length and sensor resolution (whose unit may be inches or metric).
+    """
+    try:
+        tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        equivalent = _positive(tags.get(ExifTags.Base.FocalLengthIn35mmFilm))
+        millimetres = _positive(tags.get(ExifTags.Base.FocalLength))
+        density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
+        unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
+        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
+    except Exception:  # see _orientation
+        return None, ""
+    focal, source = None, ""
+    if equivalent:
+        focal = equivalent * math.hypot(*image.size) / _FULL_FRAME_DIAGONAL
+        source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
+    elif millimetres and density and unit:
+        focal = millimetres * density / unit * image.width / recorded
+        source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
+    if focal is not None and not 0.1 < focal / max(image.size) < 50:
+        warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
+        return None, ""
+    return focal, source
+
+
+def _positive(value: object) -> float | None:
+    """An EXIF number if it is one and says something (0, 0/0 and text do not)."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None

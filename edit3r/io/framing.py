@@ -12,37 +12,37 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Frame:
-    """A centred crop of a picture and the size it is resampled to."""
+    """A centred crop of an image and the size it is resampled to."""
 
-    source: tuple[int, int]  # (height, width) of the picture [pixels]
-    box: tuple[float, float, float, float]  # left, top, right, bottom of the crop [pixels of the picture]
+    source: tuple[int, int]  # (height, width) of the image [pixels]
+    box: tuple[float, float, float, float]  # left, top, right, bottom of the crop [pixels of the image]
     target: tuple[int, int]  # (height, width) after resampling [pixels]
 
     @property
     def scale(self) -> float:
-        """Target pixels per picture pixel."""
+        """Target pixels per image pixel."""
         left, _, right, _ = self.box
         return self.target[1] / (right - left)
 
     @property
     def cropped(self) -> float:
-        """Share of the picture's area that is lost, in [0, 1)."""
+        """Share of the image's area that is lost, in [0, 1)."""
         left, top, right, bottom = self.box
         return 1 - (right - left) * (bottom - top) / (self.source[0] * self.source[1])
 
-    def cut(self, picture: Image.Image, smooth: Image.Resampling = Image.Resampling.LANCZOS) -> Image.Image:
-        """Crop and resample in one step, antialiased, on sRGB values. The picture may be of any size of the source's
+    def cut(self, image: Image.Image, smooth: Image.Resampling = Image.Resampling.LANCZOS) -> Image.Image:
+        """Crop and resample in one step, antialiased, on sRGB values. The image may be of any size of the source's
         shape; a crop that changes nothing returns the very pixels."""
         height, width = self.source
-        x, y = picture.width / width, picture.height / height
+        x, y = image.width / width, image.height / height
         left, top, right, bottom = self.box
         # Rounding must not push the box over the edge.
-        box = (left * x, top * y, min(right * x, picture.width), min(bottom * y, picture.height))
+        box = (left * x, top * y, min(right * x, image.width), min(bottom * y, image.height))
         shrinks = self.target[1] < box[2] - box[0]
-        return picture.resize(self.target[::-1], smooth if shrinks else Image.Resampling.BICUBIC, box=box)
+        return image.resize(self.target[::-1], smooth if shrinks else Image.Resampling.BICUBIC, box=box)
 
     def follow(self, intrinsics: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
-        """Normalised intrinsics of the crop, from those of the picture."""
+        """Normalised intrinsics of the crop, from those of the image."""
         height, width = self.source
         left, top, right, bottom = self.box
         stretch = intrinsics.new_tensor([[width / (right - left)], [height / (bottom - top)], [1.0]])

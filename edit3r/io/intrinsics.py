@@ -12,7 +12,7 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import from_pixels, intrinsics_from_fov
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras
-from edit3r.io.decode import Picture
+from edit3r.io.decode import DecodedImage
 from edit3r.reporting import warn
 
 DEFAULT_FOV = 60.0
@@ -48,9 +48,9 @@ class IntrinsicsFinder:
         self.given = None if cameras is None else _CameraFile(Path(cameras))
         self._found: dict[Path, _CameraFile | None] = {}
 
-    def find(self, file: Path, picture: Picture) -> Intrinsics:
-        """Intrinsics of the upright picture `file`."""
-        width, height = picture.pixels.size
+    def find(self, file: Path, image: DecodedImage) -> Intrinsics:
+        """Intrinsics of the upright image `file`."""
+        width, height = image.pixels.size
         size = (height, width)
         for camera_file in self._camera_files(file):
             camera = camera_file.find(file, by_name=camera_file is self.given)
@@ -59,8 +59,8 @@ class IntrinsicsFinder:
                 return Intrinsics(torch.from_numpy(camera.intrinsics), f"camera file {camera_file.path}", c2w)
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
-        if picture.focal is not None:
-            return Intrinsics(_from_focal(picture.focal, size), picture.focal_source)
+        if image.focal is not None:
+            return Intrinsics(_from_focal(image.focal, size), image.focal_source)
         focal = 0.5 * max(size) / math.tan(math.radians(DEFAULT_FOV) / 2)
         source = f"default ({DEFAULT_FOV:g} degrees across the longer side)"
         return Intrinsics(_from_focal(focal, size), source, assumed=True)
@@ -111,7 +111,7 @@ class IntrinsicsFinder:
 
 
 class _CameraFile:
-    """A camera file indexed by where its pictures lie and by what they are called."""
+    """A camera file indexed by where its images lie and by what they are called."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -120,7 +120,7 @@ class _CameraFile:
         for camera in read_cameras(path):
             self._by_path[(path.parent / camera.file).resolve()] = camera
             name = Path(camera.file).name
-            self._by_name[name] = None if name in self._by_name else camera  # None: two pictures of that name
+            self._by_name[name] = None if name in self._by_name else camera  # None: two images of that name
 
     def find(self, file: Path, by_name: bool) -> PosedCamera | None:
         camera = self._by_path.get(file.resolve())

@@ -1,8 +1,7 @@
-"""Mask files to the views' pixels: 1 where a picture may change, 0 where it must not."""
+"""Mask files to the views' pixels: 1 where an image may change, 0 where it must not."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,14 +12,12 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.io.decode import decode
 from edit3r.io.framing import Frame
+from edit3r.io.images import LoadedPhotos
 from edit3r.io.intrinsics import SHAPE_TOLERANCE
 from edit3r.reporting import warn
 
-if TYPE_CHECKING:
-    from edit3r.io.images import LoadedPhotos
 
-
-def load_masks(paths: Sequence[str | Path], photos: "LoadedPhotos") -> Float[Tensor, "1 view height width"]:
+def load_masks(paths: Sequence[str | Path], photos: LoadedPhotos) -> Float[Tensor, "1 view height width"]:
     """One mask per photo, in the photos' order: black 0, white 1, greys between.
 
     A mask has the shape of its original photo (any size), and is then cropped as the photo was, or exactly the size of
@@ -44,17 +41,17 @@ def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
     return fitted_mask(_stretched(decoded.pixels.convert("L"), path), frame, path)
 
 
-def fitted_mask(picture: Image.Image, frame: Frame, path: Path) -> Float[Tensor, "height width"]:
-    """A grey picture, of the photo's shape or the view's size, as the view's mask; `path` is named in errors."""
+def fitted_mask(image: Image.Image, frame: Frame, path: Path) -> Float[Tensor, "height width"]:
+    """A grey image, of the photo's shape or the view's size, as the view's mask; `path` is named in errors."""
     height, width = frame.source
-    if picture.size != frame.target[::-1]:
-        if abs(picture.width / picture.height * height / width - 1) > SHAPE_TOLERANCE:
+    if image.size != frame.target[::-1]:
+        if abs(image.width / image.height * height / width - 1) > SHAPE_TOLERANCE:
             raise InputError(
-                f"{path}: this mask is {picture.width}x{picture.height}; expected the shape of its photo "
+                f"{path}: this mask is {image.width}x{image.height}; expected the shape of its photo "
                 f"({width}x{height}) or the size of its view ({frame.target[1]}x{frame.target[0]})."
             )
-        picture = frame.cut(picture, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
-    return torch.from_numpy(np.array(picture, dtype=np.float32) / 255)
+        image = frame.cut(image, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
+    return torch.from_numpy(np.array(image, dtype=np.float32) / 255)
 
 
 def _stretched(mask: Image.Image, path: Path) -> Image.Image:

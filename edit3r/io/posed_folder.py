@@ -18,7 +18,7 @@ __all__ = ["Photo", "PosedFolder", "read_posed_folder", "undistorted"]
 
 @dataclass(frozen=True)
 class Photo:
-    """One picture ready for evaluation: square, with the camera that took it."""
+    """One image ready for evaluation: square, with the camera that took it."""
 
     image: np.ndarray  # [size, size, 3] sRGB in [0, 1], float32
     intrinsics: np.ndarray  # [3, 3] normalised
@@ -36,10 +36,10 @@ class PosedFolder:
     def load(self, index: int, size: int) -> Photo:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
-        picture = undistorted(read_image(self.path / camera.file), camera)
-        frame = frame_for((picture.height, picture.width), (size, size))
+        image = undistorted(read_image(self.path / camera.file), camera)
+        frame = frame_for((image.height, image.width), (size, size))
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
-        return Photo(np.asarray(frame.cut(picture), np.float32) / 255, intrinsics, camera.c2w)
+        return Photo(np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w)
 
 
 def read_posed_folder(path: str | Path) -> PosedFolder:
@@ -54,10 +54,10 @@ def read_posed_folder(path: str | Path) -> PosedFolder:
     return PosedFolder(path.resolve().name, path, cameras)
 
 
-def undistorted(picture: Image.Image, camera: PosedCamera) -> Image.Image:
-    """The picture (or a mask of its size, mode L) as a plain pinhole would have taken it."""
+def undistorted(image: Image.Image, camera: PosedCamera) -> Image.Image:
+    """The image (or a mask of its size, mode L) as a plain pinhole would have taken it."""
     if not camera.distortion:
-        return picture
-    pixels = camera.intrinsics * np.array([[picture.width], [picture.height], [1.0]])
+        return image
+    pixels = camera.intrinsics * np.array([[image.width], [image.height], [1.0]])
     pixels[:2, 2] -= 0.5  # OpenCV counts from pixel centres
-    return Image.fromarray(cv2.undistort(np.asarray(picture), pixels, np.array(camera.distortion)))
+    return Image.fromarray(cv2.undistort(np.asarray(image), pixels, np.array(camera.distortion)))

@@ -1,175 +1,143 @@
-"""Results appear whole or not at all: files and folders are written under a temporary name and then moved.
+"""The folder that a run leaves: where each result lies in it, and `run.json`, which says how the run was made."""
 
-A kill at any moment leaves the old result or the new one under the final name, never half of one. What a killed run
-had written stays behind in a hidden folder beside it (`.NAME.partial-...`); the next run to the same place removes it.
-"""
-
+import dataclasses
+import importlib.metadata
 import json
-import os
-import secrets
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+import math
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from edit3r.errors import InputError, RunError
-from edit3r.io.exchange import exchange
-from edit3r.io.unfinished import remove_abandoned, unfinished_name, writing
+import edit3r
+from edit3r.io.atomic import atomic_write
+from edit3r.io.images import Photo
+from edit3r.reporting import StageRecord
 
-MARKER = ".edit3r-run"
-"""In every finished run folder: the list of its files. Only a folder that holds nothing else is ever replaced."""
+FORMAT = 1
+"""Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
+
+_PACKAGES = ("torch", "numpy", "pillow", "opencv-contrib-python-headless", "kornia", "scikit-image", "scipy", "numba")
+_SECRET = re.compile(r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
 class RunFolder:
-    """Where each result of a run lies inside its folder."""
+    """Where each result lies inside a run's folder `root`."""
 
-    root: Path
-
-    @property
-    def scene(self) -> Path:
-        """The edited 3D Gaussians."""
-        return self.root / "scene.ply"
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.scene = root / "scene.ply"  # the edited 3D Gaussians
+        self.before_after = root / "before_after.png"  # photo, 2D edit and 3D result of each view on one sheet
+        self.video = root / "video.webm"  # the camera path
+        self.viewer = root / "viewer.html"  # the scene in one page that opens from disk
+        self.cameras = root / "cameras.json"  # intrinsics and poses of the input views
+        self.manifest = root / "run.json"  # how the run was made
 
     @property
     def inputs(self) -> Path:
-        """Folder of the photos as the run used them."""
-        return self._folder("inputs")
+        """Folder of the photos as the run used them; made when asked for, like the two below."""
+        return self._made("inputs")
 
     @property
     def edited(self) -> Path:
         """Folder of the 2D edits."""
-        return self._folder("edited")
+        return self._made("edited")
 
     @property
     def renders(self) -> Path:
-        """Folder of the pictures of the scene."""
-        return self._folder("renders")
+        """Folder of the images of the scene."""
+        return self._made("renders")
 
-    @property
-    def before_after(self) -> Path:
-        """The sheet of photo, 2D edit and 3D result per view."""
-        return self.root / "before_after.png"
-
-    @property
-    def video(self) -> Path:
-        """The camera path as a video."""
-        return self.root / "video.webm"
-
-    @property
-    def viewer(self) -> Path:
-        """The scene in one page that opens from disk."""
-        return self.root / "viewer.html"
-
-    @property
-    def cameras(self) -> Path:
-        """Intrinsics and poses of the input views."""
-        return self.root / "cameras.json"
-
-    @property
-    def manifest(self) -> Path:
-        """How the run was made."""
-        return self.root / "run.json"
-
-    def _folder(self, name: str) -> Path:
+    def _made(self, name: str) -> Path:
         folder = self.root / name
         folder.mkdir(exist_ok=True)
         return folder
 
 
-@contextmanager
-def atomic_folder(out: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` when the block ends well, and vanishes when it raises.
+@dataclass(frozen=True)
+class PluginRecord:
+    """One component that took part."""
 
-    `out` may be new, empty, or an earlier run, which is then replaced in one step. Anything else is refused at once
-    (InputError), so that nobody's files are lost and no minutes are spent before saying so.
-    """
-    final = Path(out).expanduser().resolve()
-    check_replaceable(final)
-    remove_abandoned(final)
-    partial = _make_partial(final)
-    try:
-        with writing(partial):
-            yield partial
-        _list_files(partial)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    _move_into_place(partial, final)
+    kind: str
+    name: str
+    plugin: str
+    version: str
+    licence: str
+    needs_network: bool = False
 
 
-def check_replaceable(out: Path) -> None:
-    """Raise InputError unless a run may write to `out`: new, empty, or an untouched earlier run."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise InputError(f"{out}: --out must be a folder, but a file of that name exists.")
-    if out.is_mount():
-        raise InputError(f"{out}: a mount point cannot be replaced in one step; give --out a folder inside it.")
-    foreign = _foreign_files(out)
-    if foreign:
-        raise InputError(
-            f"{out}: holds files that are not from an earlier run (such as {foreign[0]}); give --out another folder."
-        )
+@dataclass(frozen=True)
+class WeightsRecord:
+    """One weight file that was loaded."""
+
+    file: str
+    sha256: str
+    licence: str
 
 
-@contextmanager
-def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that replaces it when the block ends well, and vanishes when it raises.
+@dataclass(frozen=True)
+class RunManifest:
+    """Everything `run.json` says, in its order."""
 
-    The temporary name keeps the suffix, since many writers choose the format by it. Raises InputError when the
-    folder does not exist or cannot be written to.
-    """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: cannot be written, there is no folder {path.parent}.")
-    if path.is_dir():
-        raise InputError(f"{path}: cannot be written, it is a folder.")
-    partial = path.with_name(f".{path.stem}.partial-{secrets.token_hex(4)}{path.suffix}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    except PermissionError:
-        raise InputError(f"{path}: no permission to write there.") from None
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def _make_partial(final: Path) -> Path:
-    partial = unfinished_name(final)
-    try:
-        partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"{final}: cannot be created ({error.strerror}); give --out another folder.") from None
-    return partial
+    prompt: str
+    seed: int
+    device: str
+    settings: Mapping[str, Any]  # resolved, as JSON data
+    plugins: Sequence[PluginRecord]
+    inputs: Sequence[Photo]
+    masks: Mapping[str, str]  # file: sha256
+    weights: Sequence[WeightsRecord]
+    verdict: Any  # `edit3r.verdict.Verdict`
+    gaussians: int
+    harmonics_degree: int
+    stages: Sequence[StageRecord]
+    warnings: Sequence[str]
+    notes: Mapping[str, Any]
+    frame: str = "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; the length unit is arbitrary"
+    versions: Mapping[str, str] = field(default_factory=lambda: installed_versions())
+    format: int = FORMAT
 
 
-def _move_into_place(partial: Path, final: Path) -> None:
-    try:
-        check_replaceable(final)
-        if final.exists():
-            exchange(partial, final)
-            shutil.rmtree(partial, ignore_errors=True)
-        else:
-            os.rename(partial, final)
-    except (InputError, OSError) as error:
-        raise RunError(f"{error} The finished results are in {partial}.") from None
+def write_manifest(path: str | Path, manifest: RunManifest) -> None:
+    """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite as null."""
+    content = {item.name: recorded(getattr(manifest, item.name)) for item in dataclasses.fields(manifest)}
+    with atomic_write(path) as partial:
+        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+        partial.write_text(text + "\n", encoding="utf-8")
 
 
-def _files(folder: Path) -> list[str]:
-    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
+def installed_versions() -> dict[str, str]:
+    """Versions of Python, edit3r and the packages that results depend on, and the platform."""
+    versions = {"edit3r": edit3r.__version__, "python": platform.python_version(), "platform": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
 
 
-def _list_files(folder: Path) -> None:
-    files = [name for name in _files(folder) if name != MARKER]
-    (folder / MARKER).write_text(json.dumps({"files": files}, indent=1) + "\n", encoding="utf-8")
-
-
-def _foreign_files(folder: Path) -> list[str]:
-    try:
-        listed = json.loads((folder / MARKER).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
-        listed = []
-    known = {MARKER, *(name for name in listed if isinstance(name, str))}
-    return [name for name in _files(folder) if name not in known]
+def recorded(value: Any, name: str = "") -> Any:
+    """JSON data of nested dataclasses, mappings, sequences and settings; secrets are blanked."""
+    if isinstance(value, str) and value and _SECRET.search(name):
+        return "(not recorded)"
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "get_secret_value"):  # pydantic's SecretStr
+        return "(not recorded)"
+    if hasattr(value, "model_dump"):
+        return recorded(value.model_dump())
+    if dataclasses.is_dataclass(value):
+        return {item.name: recorded(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): recorded(value[key], str(key)) for key in sorted(value, key=str)}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = sorted(value) if isinstance(value, (set, frozenset)) else value
+        return [recorded(item) for item in items]
+    if hasattr(value, "tolist"):  # numpy and torch
+        return recorded(value.tolist())
+    return str(value)

@@ -20,14 +20,14 @@ COLUMNS = ("photo", "2D edit", "3D result")
 _PAPER, _INK, _FAINT, _RULE = (250, 249, 247), (28, 28, 30), (122, 120, 116), (222, 219, 213)
 _TITLE, _CAPTION = 26, 17  # text sizes [pixels]
 _MARGIN, _GAP, _BLOCK_GAP = 32, 8, 28
-_LONGEST_CELL = 512  # [pixels]; pictures are reduced to this and enlarged to half of it
+_LONGEST_CELL = 512  # [pixels]; images are reduced to this and enlarged to half of it
 _LARGEST_SHEET = 2600  # [pixels] in either direction; cells shrink for many views
 
 
 @dataclass(frozen=True)
 class _Layout:
-    cell: tuple[int, int]  # (width, height) of every picture
-    columns: int  # pictures of one view beside each other
+    cell: tuple[int, int]  # (width, height) of every image
+    columns: int  # images of one view beside each other
     across: int  # views beside each other
     down: int  # views below each other
 
@@ -67,9 +67,9 @@ def draw_before_after(
     title: str = "",
     subtitle: str = "",
 ) -> Image.Image:
-    """The sheet as a picture: one block a view, blocks arranged so that the sheet is nearest to 3:2."""
+    """The sheet as an image: one block a view, blocks arranged so that the sheet is nearest to 3:2."""
     views = len(photos)
-    if not views or any(len(pictures) != views for pictures in (edited, rendered)):
+    if not views or any(len(images) != views for images in (edited, rendered)):
         raise ValueError(f"the sheet needs as many edits and results as photos, got {len(edited)}, {len(rendered)}")
     names = names or [f"view {index}" for index in range(views)]
     layout = _layout(views, photos.shape[-2:])
@@ -90,7 +90,7 @@ def draw_before_after(
 
 def _layout(views: int, image_size: tuple[int, int]) -> _Layout:
     height, width = image_size
-    # Small pictures are enlarged to half a cell, so that captions fit and pixels can be seen.
+    # Small images are enlarged to half a cell, so that captions fit and pixels can be seen.
     scale = min(_LONGEST_CELL, max(_LONGEST_CELL // 2, max(height, width))) / max(height, width)
     cell = (max(16, round(width * scale)), max(16, round(height * scale)))
     candidates = [_Layout(cell, len(COLUMNS), across, math.ceil(views / across)) for across in range(1, views + 1)]
@@ -116,13 +116,13 @@ def _draw_text(draw: ImageDraw.ImageDraw, heading: list[str], notes: list[str], 
 
 
 def _draw_view(
-    sheet: Image.Image, corner: tuple[int, int], layout: _Layout, name: str, pictures: tuple[Tensor, Tensor, Tensor]
+    sheet: Image.Image, corner: tuple[int, int], layout: _Layout, name: str, images: tuple[Tensor, Tensor, Tensor]
 ) -> None:
     draw = ImageDraw.Draw(sheet)
     font = _font(_CAPTION)
-    for column, (label, picture) in enumerate(zip(COLUMNS, pictures)):
+    for column, (label, image) in enumerate(zip(COLUMNS, images)):
         x, y = corner[0] + column * (layout.cell[0] + _GAP), corner[1]
-        sheet.paste(Image.fromarray(to_bytes(picture)).resize(layout.cell, Image.Resampling.LANCZOS), (x, y))
+        sheet.paste(Image.fromarray(to_bytes(image)).resize(layout.cell, Image.Resampling.LANCZOS), (x, y))
         below = y + layout.cell[1] + 4
         room = layout.cell[0]
         draw.text((x, below), label, _INK, font)

@@ -18,7 +18,7 @@ import torch
 from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import basis
 from edit3r.geometry.rotations import normalise_quats
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reporting import warn
 from edit3r.types import Cameras, Gaussians
 

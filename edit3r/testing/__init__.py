@@ -15,31 +15,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from edit3r.testing.command import CommandContract
 from edit3r.testing.contract import Contract, ContractViolation, Outcome, claims, run_contract
-from edit3r.testing.dataset import DatasetContract
-from edit3r.testing.detector import DetectorContract
-from edit3r.testing.editor import EditorContract
-from edit3r.testing.loss import LossContract
-from edit3r.testing.matcher import MatcherContract
+from edit3r.testing.editing import DetectorContract, EditorContract, SegmenterContract
 from edit3r.testing.network import BackboneContract, HeadContract, TinyBackbone
 from edit3r.testing.rasterizer import RasterizerContract
-from edit3r.testing.reconstructor import ReconstructorContract
+from edit3r.testing.reconstruction import MatcherContract, ReconstructorContract, RefinerContract
 from edit3r.testing.scenes import Photographed, broad_gaussians, cameras_around, gaussian_cloud, photograph
-from edit3r.testing.segmenter import SegmenterContract
-from edit3r.testing.trainer import TrainerContract
+from edit3r.testing.training import DatasetContract, LossContract, TrainerContract
 
 CONTRACTS: dict[str, type[Contract]] = {
-    "editor": EditorContract,
-    "segmenter": SegmenterContract,
-    "detector": DetectorContract,
-    "reconstructor": ReconstructorContract,
-    "backbone": BackboneContract,
-    "head": HeadContract,
-    "matcher": MatcherContract,
-    "rasterizer": RasterizerContract,
-    "loss": LossContract,
-    "dataset": DatasetContract,
-    "trainer": TrainerContract,
+    contract.kind: contract
+    for contract in (
+        *(EditorContract, SegmenterContract, DetectorContract),
+        *(MatcherContract, BackboneContract, HeadContract, ReconstructorContract),
+        *(RasterizerContract, RefinerContract),
+        *(DatasetContract, LossContract, TrainerContract),
+        CommandContract,
+    )
 }
 """The contract of each kind."""
 
@@ -70,6 +63,7 @@ def check(
 __all__ = [
     "CONTRACTS",
     "BackboneContract",
+    "CommandContract",
     "Contract",
     "ContractViolation",
     "DatasetContract",
@@ -82,6 +76,7 @@ __all__ = [
     "Photographed",
     "RasterizerContract",
     "ReconstructorContract",
+    "RefinerContract",
     "SegmenterContract",
     "TinyBackbone",
     "TrainerContract",

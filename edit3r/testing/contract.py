@@ -19,9 +19,12 @@ from edit3r.errors import Edit3rError
 from edit3r.hookspecs import API_VERSION
 from edit3r.plugins import Offer
 from edit3r.registry import Registry, default_registry, install_hint
+from edit3r.types import Gaussians
 
 HEAVY = ("torch", "numpy", "cv2", "kornia", "skimage", "scipy", "numba", "transformers", "diffusers")
 """Modules a plugin's declaration must not import: every command would wait for them."""
+
+GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
 class ContractViolation(AssertionError):
@@ -78,6 +81,11 @@ class Contract:
         if not bool(held):
             raise ContractViolation(f"{self.kind} {self.component or type(self).__name__!r}: {change}")
 
+    def require_type(self, what: str, value: Any, expected: type, instead: str) -> None:
+        """`what` ("edit() returned", "gaussians is") says where the value comes from, `instead` what it should be."""
+        __tracebackhide__ = True
+        self.require(isinstance(value, expected), f"{what} a {type(value).__name__}; return {instead}.")
+
     def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call the component; whatever it raises becomes a violation that says for which input."""
         __tracebackhide__ = True
@@ -93,7 +101,7 @@ class Contract:
     ) -> None:
         """A finite tensor of this shape and dtype on the contract's device."""
         __tracebackhide__ = True
-        self.require(isinstance(tensor, torch.Tensor), f"{name} is a {type(tensor).__name__}; return a torch.Tensor.")
+        self.require_type(f"{name} is", tensor, torch.Tensor, "a torch.Tensor")
         given = list(tensor.shape)
         self.require(given == list(shape), f"{name} has shape {given}; return {list(shape)}.")
         self.require(tensor.dtype == dtype, f"{name} has dtype {tensor.dtype}; return the dtype of the input, {dtype}.")
@@ -189,3 +197,36 @@ def _try(contract: type[Contract], claim: str) -> Outcome:
     except Exception as error:
         return Outcome(claim, False, f"{type(error).__name__}: {' '.join(str(error).split())}")
     return Outcome(claim, True)
+
+
+def require_valid_gaussians(contract: Contract, gaussians: Gaussians, batch: int, view_count: int) -> None:
+    """Finite, unit quaternions, positive scales, opacities in [0, 1], view numbers of existing views."""
+    contract.require_type("gaussians is", gaussians, Gaussians, "edit3r.Gaussians")
+    contract.require(gaussians.count > 0, "there is not one Gaussian; return at least one per scene.")
+    for name in GAUSSIAN_FIELDS:
+        tensor = getattr(gaussians, name)
+        contract.require_tensor(f"Gaussians.{name}", tensor, (batch, *tensor.shape[1:]))
+    norms = gaussians.quats.norm(dim=-1)
+    contract.require_range(
+        "norms of Gaussians.quats", norms, 0.999, 1.001, "normalise them, F.normalize(quats, dim=-1)"
+    )
+    contract.require_range("Gaussians.opacities", gaussians.opacities, 0, 1, "squash them, for example with .sigmoid()")
+    least = gaussians.scales.min().item()
+    contract.require(least > 0, f"the least of Gaussians.scales is {least:.4g}; use exp or softplus, they must be > 0.")
+    index = gaussians.view_index
+    contract.require(
+        bool(((index >= -1) & (index < view_count)).all()),
+        f"Gaussians.view_index spans [{index.min()}, {index.max()}] for {view_count} views; "
+        "it is the input view a Gaussian came from, or -1.",
+    )
+
+
+def require_same_gaussians(contract: Contract, what: str, first: Gaussians, second: Gaussians, fix: str, atol: float):
+    """Every field agrees, relative to its largest value."""
+    contract.require(
+        first.count == second.count, f"{what}: {first.count} against {second.count} Gaussians per scene; {fix}."
+    )
+    for name in GAUSSIAN_FIELDS:
+        a, b = getattr(first, name), getattr(second, name)
+        size = max(1e-8, torch.nan_to_num(b).abs().max().item())
+        contract.require_equal(f"{what}, Gaussians.{name}", a / size, b / size, fix, atol)

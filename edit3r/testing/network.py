@@ -7,8 +7,7 @@ from torch import Tensor, nn
 
 from edit3r.config import Settings
 from edit3r.interfaces import Backbone, GaussianHead
-from edit3r.testing.contract import Contract
-from edit3r.testing.gaussians import require_valid_gaussians
+from edit3r.testing.contract import Contract, require_valid_gaussians
 from edit3r.testing.scenes import photograph
 from edit3r.types import Features, Views
 
@@ -78,9 +77,7 @@ class BackboneContract(Contract):
     def _features(self, views: Views) -> Features:
         with torch.no_grad():
             features = self.call(f"forward() of {views.count} views", self.subject, views.images, views.intrinsics)
-        self.require(
-            isinstance(features, Features), f"forward() returned a {type(features).__name__}; return Features."
-        )
+        self.require_type("forward() returned", features, Features, "Features")
         return features
 
     def _views(self, count: int, batch: int = 1) -> Views:

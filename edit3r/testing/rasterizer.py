@@ -1,18 +1,25 @@
 """Contract of a rasterizer."""
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from edit3r.interfaces import Rasterizer
 from edit3r.registry import default_registry
-from edit3r.testing.contract import Contract
+from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r.testing.scenes import broad_gaussians, cameras_around, gaussian_cloud
 from edit3r.types import Cameras, Gaussians, Rendering
 
 REFERENCE = "rasterizers:torch"  # by its whole name, so that another plugin's `torch` disturbs no contract
-FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
+SCENE_SETTINGS = ("near", "far", "background")
+"""Settings that say what is to be seen, which the reference must share with the rasterizer under test."""
+
+
+def reference_rasterizer(**settings: Any) -> Rasterizer:
+    """The plain rasterizer that others are compared with."""
+    return default_registry().build("rasterizer", REFERENCE, **settings)
 
 
 class RasterizerContract(Contract):
@@ -27,9 +34,7 @@ class RasterizerContract(Contract):
         """One rendering, its shapes checked."""
         what = f"render() of {gaussians.count} Gaussians and {cameras.count} cameras"
         rendering = self.call(what, self.subject.render, gaussians.to(self.device), cameras.to(self.device))
-        self.require(
-            isinstance(rendering, Rendering), f"render() returned a {type(rendering).__name__}; return Rendering."
-        )
+        self.require_type("render() returned", rendering, Rendering, "Rendering")
         batch, count = cameras.c2w.shape[:2]
         for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
             shape = (batch, count, channels, *cameras.image_size)
@@ -64,7 +69,7 @@ class RasterizerContract(Contract):
         flat = rendering.images.flatten(-2)
         self.require((flat == flat[..., :1]).all(), "a scene of 0 Gaussians must show the background colour only.")
 
-    def test_same_input_gives_the_same_picture(self) -> None:
+    def test_same_input_gives_the_same_image(self) -> None:
         cloud, cameras = gaussian_cloud(), cameras_around()
         first, second = self.render(cloud, cameras), self.render(cloud, cameras)
         fix = "sort ties by index and sum in a fixed order"
@@ -74,7 +79,7 @@ class RasterizerContract(Contract):
         cameras = cameras_around(2, (12, 16))
         generator = torch.Generator().manual_seed(1)
         scene = broad_gaussians()
-        for field, gradient in zip(FIELDS, self._gradients(self.subject, scene, cameras)):
+        for field, gradient in zip(GAUSSIAN_FIELDS, self._gradients(self.subject, scene, cameras)):
             value = getattr(scene, field)
             direction = torch.randn(value.shape, generator=generator)
             direction = direction / direction.norm() * (0.5 if field == "scales" else 1.0)
@@ -93,7 +98,7 @@ class RasterizerContract(Contract):
             self._gradients(self.subject, scene, cameras),
             self._gradients(self._reference, scene, cameras),
         )
-        for field, a, b in zip(FIELDS, mine, reference):
+        for field, a, b in zip(GAUSSIAN_FIELDS, mine, reference):
             self.require(
                 bool(torch.isfinite(a).all()), f"the gradient of {field} is not finite; guard divisions by depth."
             )
@@ -107,7 +112,7 @@ class RasterizerContract(Contract):
         known = registry.settings_class(registry.find("rasterizer", REFERENCE)).model_fields
         given = getattr(self.subject, "settings", None)
         same = {name: getattr(given, name) for name in known if hasattr(given, name) and name in SCENE_SETTINGS}
-        return registry.build("rasterizer", REFERENCE, **same)
+        return reference_rasterizer(**same)
 
     def _require_agreement(self, case: str, mine: Rendering, reference: Rendering) -> None:
         for name in ("images", "alphas"):
@@ -130,14 +135,14 @@ class RasterizerContract(Contract):
 
     def _gradients(self, rasterizer: Rasterizer, scene: Gaussians, cameras: Cameras) -> list[Tensor]:
         device = self.device if rasterizer is self.subject else torch.device("cpu")
-        leaves = [getattr(scene, field).to(device).clone().requires_grad_() for field in FIELDS]
-        moved = replace(scene.to(device), **dict(zip(FIELDS, leaves)))
+        leaves = [getattr(scene, field).to(device).clone().requires_grad_() for field in GAUSSIAN_FIELDS]
+        moved = replace(scene.to(device), **dict(zip(GAUSSIAN_FIELDS, leaves)))
         loss = self.call("render()", self._loss, rasterizer, moved, cameras.to(device))
         self.require(
             loss.requires_grad, "the rendering carries no gradient; it must be differentiable in the Gaussians."
         )
         gradients = torch.autograd.grad(loss, leaves, allow_unused=True)
-        absent = [field for field, gradient in zip(FIELDS, gradients) if gradient is None]
+        absent = [field for field, gradient in zip(GAUSSIAN_FIELDS, gradients) if gradient is None]
         self.require(not absent, f"no gradient reaches {', '.join(absent)}; the rendering must depend on every field.")
         return list(gradients)
 
@@ -153,7 +158,3 @@ class RasterizerContract(Contract):
             return (losses[0] - losses[1]) / (2 * step)
 
         return (4 * central(0.01) - central(0.02)) / 3
-
-
-SCENE_SETTINGS = ("near", "far", "background")
-"""Settings that say what is to be seen, which the reference must share with the rasterizer under test."""

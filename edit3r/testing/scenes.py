@@ -39,8 +39,8 @@ def photograph(
     intrinsics = intrinsics_from_fov(FOV_X, image_size)
     c2w = torch.stack([_pose(view) for view in range(view_count)])
     points, depths, hit = _cast(c2w, pixel_rays(intrinsics, fine))
-    pictures = torch.stack([_solid_texture(points, hit, seed + item) for item in range(batch)])
-    images = F.avg_pool2d(pictures.flatten(0, 1), SUPERSAMPLING).unflatten(0, (batch, view_count))
+    images = torch.stack([_solid_texture(points, hit, seed + item) for item in range(batch)])
+    images = F.avg_pool2d(images.flatten(0, 1), SUPERSAMPLING).unflatten(0, (batch, view_count))
     middle = SUPERSAMPLING // 2
     objects = torch.stack([hit == ball + 1 for ball in range(len(BALLS))])[
         ..., middle::SUPERSAMPLING, middle::SUPERSAMPLING
@@ -111,10 +111,10 @@ def gaussian_cloud(
 
 
 def broad_gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
-    """Five Gaussians that cover the whole picture at well-separated depths.
+    """Five Gaussians that cover the whole image at well-separated depths.
 
     Nowhere does an alpha cross the 1/255 below which rasterizers skip, or two Gaussians swap order, so that a
-    picture is a smooth function of every parameter and finite differences can be trusted.
+    image is a smooth function of every parameter and finite differences can be trusted.
     """
     cloud = gaussian_cloud(5, seed=3, dtype=dtype)
     depths = torch.linspace(2.0, 4.0, 5, dtype=dtype)

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from edit3r.errors import InputError, RunError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 
 LAST = "last.pt"
 _PARTS = {"network", "optimizer", "average", "step", "skipped", "best", "config", "random"}

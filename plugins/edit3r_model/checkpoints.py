@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from edit3r.errors import InputError, MissingDependencyError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r_model.full_network import NetworkConfig, empty_network
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages
 from edit3r_model.official_checkpoints import LICENCES, read_official, read_torch_file

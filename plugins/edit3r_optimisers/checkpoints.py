@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from edit3r.errors import InputError, RunError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reporting import note
 
 

@@ -37,8 +37,8 @@ class RecolorCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.console import StageConsole
+        from edit3r.io.atomic import atomic_folder
         from edit3r.io.images import load_photos
-        from edit3r.io.run_folder import atomic_folder
         from edit3r.reporting import Report, collecting, warn
         from edit3r_recolor.folder import write_folder
         from edit3r_recolor.scene import carry_out, carry_out_with_faults

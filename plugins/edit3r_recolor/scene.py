@@ -18,7 +18,7 @@ from torch import Tensor
 from edit3r.config import Settings
 from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reporting import progress, track
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from edit3r.config import Settings
 from edit3r.errors import MissingDependencyError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 
 QUOTE_LENGTH = 300  # characters of a service's words repeated in an error
 

@@ -16,7 +16,7 @@ from pydantic import Field
 from edit3r.config import Settings
 from edit3r.errors import InputError
 from edit3r.interfaces import Detector, Segmenter
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reporting import track, warn
 from edit3r.stage_checks import component_name
 from edit3r_measure.bench.candidates import Candidate, asked_candidates, template_candidates

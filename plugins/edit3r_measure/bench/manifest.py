@@ -14,8 +14,8 @@ from pydantic import Field
 
 from edit3r.config import Settings, make_settings
 from edit3r.errors import InputError
-from edit3r.io.manifest import installed_versions
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
+from edit3r.io.run_folder import installed_versions
 
 __all__ = [
     "EDITS_PER_SCENE",

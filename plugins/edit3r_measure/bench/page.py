@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r_measure.bench.summary import Column, value_of
 
 __all__ = ["write_page"]

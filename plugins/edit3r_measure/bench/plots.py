@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r.reporting import warn
 from edit3r_measure.bench.summary import Column, mean_of, metric_names, timing
 

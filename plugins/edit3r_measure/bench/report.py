@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r_measure.bench import tables
 from edit3r_measure.bench.page import write_page
 from edit3r_measure.bench.plots import write_plots

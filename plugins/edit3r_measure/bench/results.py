@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 
 __all__ = ["RESULTS", "RUN", "ItemResult", "append_result", "read_results", "repair", "rewrite_results"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from edit3r.errors import InputError
-from edit3r.io.manifest import installed_versions
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
+from edit3r.io.run_folder import installed_versions
 from edit3r_measure.bench.manifest import Manifest, read_bench_manifest
 from edit3r_measure.bench.method import InstrumentSettings, Method
 from edit3r_measure.bench.results import RUN, ItemResult, append_result, read_results, repair, rewrite_results

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from edit3r.config import Settings, make_settings, read_yaml
 from edit3r.errors import InputError
-from edit3r.io.run_folder import atomic_write
+from edit3r.io.atomic import atomic_write
 from edit3r_measure.bench.candidates import Candidate
 from edit3r_measure.bench.manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 

@@ -84,7 +84,7 @@ def _depth(folder, reconstructor, rasterizer, size: int) -> list[str]:
 def _write(path: str, text: str, scores: list) -> None:
     import json
 
-    from edit3r.io.run_folder import atomic_write
+    from edit3r.io.atomic import atomic_write
     from edit3r_measure.evaluation.summary import records
 
     content = json.dumps(records(scores), indent=2) + "\n" if path.endswith(".json") else text

@@ -6,7 +6,7 @@ Pure functions of numbers. A cost is smaller-is-better (seconds), an accuracy la
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from edit3r.quality import PRESETS, best_within
+from edit3r.quality import PRESETS
 
 
 @dataclass(frozen=True)

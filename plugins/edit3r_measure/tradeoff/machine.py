@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from edit3r.io.manifest import installed_versions
+from edit3r.io.run_folder import installed_versions
 
 
 def describe_machine(threads: int | None) -> dict[str, Any]:

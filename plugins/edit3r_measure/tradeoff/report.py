@@ -5,7 +5,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from edit3r.io.marked_page import write_between
+from edit3r.io.atomic import write_between
 from edit3r_measure.tradeoff.figures import Figures, MeasuredPoint, Spread
 from edit3r_measure.tradeoff.front import front
 from edit3r_measure.tradeoff.knobs import BASE

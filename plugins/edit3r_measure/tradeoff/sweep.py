@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edit3r.io.manifest import installed_versions
+from edit3r.io.run_folder import installed_versions
 from edit3r.reporting import track
 from edit3r_measure.tradeoff.knobs import Point, SweepPlan
 from edit3r_measure.tradeoff.scenes import MeasuredScene

@@ -100,7 +100,7 @@ def test_the_yaml_of_every_component_is_its_defaults(offer):
         make_run_config(content)  # a run accepts it
     if "reconstructor" in content and offer.kind != "reconstructor":
         content = content["reconstructor"]
-    values = content[offer.kind]
+    values = content["refiners"][0] if offer.kind == "refiner" else content[offer.kind]
     assert values.pop("name") == offer.component.name
     required = {line.name: "given" for line in settings_lines(settings) if line.required}
     assert settings(**{**values, **required}) == settings(**required)
@@ -120,6 +120,19 @@ def test_all_there_is_to_know_is_shown(local, capsys):
         assert words in said
     assert "needs a GPU             yes" in said
     assert "--set editor.strength=0.25" in said
+
+
+def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):
+    from edit3r.scaffold import new_package
+
+    package = str(new_package("refiner", "described-refiner", tmp_path) / "edit3r_described_refiner")
+    assert main(["describe", "refiner", "described-refiner", "--plugin", package]) == 0
+    said = capsys.readouterr().out
+    assert "refiners:\n  - name: described-refiner\n    least_opacity: 0.02" in said
+    assert "--set 'refiners=[{name: described-refiner, least_opacity: 0.02}]'" in said
+    assert main(["describe", "command", "simplify"]) == 0
+    said = capsys.readouterr().out
+    assert "edit3r simplify --help" in said and "YAML" not in said
 
 
 def test_a_setting_without_default_is_told_to_be_required():

@@ -5,10 +5,10 @@ import json
 import pytest
 import torch
 
-from edit3r import doctor
+from edit3r.cli import doctor
+from edit3r.cli.doctor import Finding
 from edit3r.cli.main import main
 from edit3r.component import Component
-from edit3r.doctor import Finding
 from edit3r.plugins import LoadedPlugins, Offer, PluginFailure
 from edit3r.registry import Registry, default_registry
 from edit3r.run_config import make_run_config

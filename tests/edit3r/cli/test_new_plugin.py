@@ -39,7 +39,7 @@ def test_every_kind_gets_a_package_with_all_its_parts(kind):
 def test_there_is_a_starter_and_a_contract_for_every_kind():
     assert set(STARTERS) == set(CONTRACTS) == set(KINDS)
     for kind, starter in STARTERS.items():
-        assert CONTRACTS[kind].__name__ == starter.contract
+        assert CONTRACTS[kind].__name__ == f"{starter['suffix']}Contract"
 
 
 @pytest.mark.parametrize(

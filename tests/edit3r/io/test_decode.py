@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from PIL import ExifTags, Image, ImageCms
 
 from edit3r.errors import InputError, MissingDependencyError
-from edit3r.io.decode import MAX_PIXELS, decode, picture_size, read_image
+from edit3r.io.decode import MAX_PIXELS, decode, image_size, read_image
 from edit3r.reporting import Report, collecting
 
 
@@ -54,7 +54,7 @@ def test_all_exif_orientations_come_back_upright(tmp_path, pattern, orientation)
     exif[ExifTags.Base.Orientation] = orientation
     Image.fromarray(np.ascontiguousarray(stored)).save(tmp_path / "a.png", exif=exif)
     assert difference(tmp_path / "a.png", pattern) == 0
-    assert picture_size(tmp_path / "a.png") == (12, 20)
+    assert image_size(tmp_path / "a.png") == (12, 20)
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
@@ -227,3 +227,11 @@ def test_damaged_files_never_raise_anything_but_input_errors(tmp_path_factory, d
         decode(path)
     except InputError as error:
         assert str(path) in str(error)
+
+
+def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(tmp_path, monkeypatch):
+    """Pillow draws EPS by calling Ghostscript."""
+    monkeypatch.setattr("subprocess.check_call", lambda *_, **__: pytest.fail("started a program"))
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (4, 4)).save(path, "EPS")
+    assert "not a picture" in complain(path)

@@ -1,6 +1,7 @@
 import hashlib
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from PIL import ExifTags, Image
 
 import edit3r
 from edit3r.errors import InputError
-from edit3r.io.images import evenly, find_photos, load_photos, load_views, save_image
+from edit3r.io.images import evenly, find_photos, load_photos, load_views, save_image, unique_names
 from edit3r.reporting import Report, collecting
 
 
@@ -225,3 +226,64 @@ def test_pictures_that_cannot_be_saved_are_errors(tmp_path):
 @pytest.mark.parametrize(("most", "kept"), [(None, "abcde"), (9, "abcde"), (5, "abcde"), (3, "ace"), (2, "ae")])
 def test_photos_that_are_kept_are_spread_evenly_from_first_to_last(most, kept):
     assert "".join(evenly("abcde", most)) == kept
+
+
+def test_a_resized_photo_that_is_saved_and_loaded_again_is_bit_equal(tmp_path):
+    """`inputs/` of a run is what the run used: a later run from there sees the same bits."""
+    paths = [photo(tmp_path / "a.png", (400, 300)), photo(tmp_path / "b.jpg", (300, 400), seed=1)]
+    used = load_views(paths, size=64)
+    (tmp_path / "inputs").mkdir()
+    for name, image in zip(used.names, used.images[0]):
+        save_image(image, tmp_path / "inputs" / f"{name}.png")
+    assert torch.equal(load_views(tmp_path / "inputs", size=64).images, used.images)
+    steps = torch.round(used.images * 255) / 255
+    assert torch.equal(steps, used.images), "photos are in steps of 8 bits"
+
+
+# ---- names that become files ----
+
+
+def test_three_photos_with_names_in_each_others_way_are_three_files(tmp_path):
+    paths = [photo(tmp_path / name, seed=i) for i, name in enumerate(("x/p.png", "y/p.png", "p-1.png"))]
+    assert load_views(paths).names == ("p-2", "p-3", "p-1")
+
+
+@pytest.mark.parametrize(
+    ("name", "safe"),
+    [
+        ("IMG 0001 (2)", "IMG 0001 (2)"),
+        ("Müller", "Müller"),
+        ("../up", "__up"),
+        ("..", "_"),
+        ("a/b\\c", "a_b_c"),
+        ("a\0b", "a_b"),
+        ("", "photo"),
+        (".hidden. ", "hidden"),
+        ("path_0000", "_path_0000"),
+        ("Path_7", "_Path_7"),
+        ("nul", "_nul"),
+        ("COM1.left", "_COM1.left"),
+        (b"caf\xe9".decode("utf-8", "surrogateescape"), "caf_"),
+        ("x" * 240, "x" * 100),
+    ],
+)
+def test_a_name_becomes_one_that_every_file_system_takes(name, safe):
+    assert unique_names([name]) == [safe]
+
+
+def test_names_stay_apart_whatever_was_changed():
+    given = ["a/b", "a_b", "A_B", "x" * 240, "x" * 241, "a_b-1", "photo", "", "é" * 300, "é" * 301, "\U0001f600" * 99]
+    names = unique_names(given)
+    assert len({name.casefold() for name in names}) == len(given)
+    assert names[5] == "a_b-1" and names[:3] == ["a_b-2", "a_b-3", "A_B-4"]
+    assert all(0 < len(name) <= 100 and len(name.encode()) <= 200 for name in names)
+
+
+def test_a_photo_called_like_a_frame_of_the_video_and_one_that_is_no_utf_8_are_loaded(tmp_path):
+    frame = photo(tmp_path / "path_0000.png")
+    strange = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.png")
+    try:
+        os.rename(photo(tmp_path / "other.png", seed=1), strange)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 names only")
+    assert load_views([frame, strange]).names == ("_path_0000", "caf_")

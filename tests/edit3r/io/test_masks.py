@@ -4,7 +4,8 @@ import torch
 from PIL import Image
 
 from edit3r.errors import InputError
-from edit3r.io.images import load_masks, load_photos
+from edit3r.io.images import load_photos
+from edit3r.io.masks import load_masks
 from edit3r.reporting import Report, collecting
 
 

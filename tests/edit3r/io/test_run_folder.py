@@ -1,169 +1,73 @@
-import os
-import signal
-import subprocess
-import sys
-import textwrap
-import time
+import json
 
+import numpy as np
 import pytest
+from PIL import Image
+from pydantic import Field, SecretStr
 
-from edit3r.errors import InputError, RunError
-from edit3r.io import exchange as exchange_module
-from edit3r.io.run_folder import MARKER, RunFolder, atomic_folder, atomic_write
-
-
-def make_run(out, text="old"):
-    with atomic_folder(out) as folder:
-        (RunFolder(folder).inputs / "a.png").write_text(text)
-        RunFolder(folder).scene.write_text(text)
+from edit3r.config import Settings
+from edit3r.io.images import load_photos
+from edit3r.io.run_folder import PluginRecord, RunManifest, WeightsRecord, installed_versions, write_manifest
+from edit3r.reporting import StageRecord
 
 
-def left_in(folder):
-    return sorted(path.name for path in folder.iterdir())
+class RemoteSettings(Settings):
+    api_key: SecretStr = Field(SecretStr("sk-live-123"), description="key")
+    strength: float = Field(0.5, description="how much")
 
 
-def test_results_appear_only_when_whole(tmp_path):
-    out = tmp_path / "new" / "out"
-    with atomic_folder(out) as folder:
-        (folder / "scene.ply").write_text("x")
-        assert not out.exists()
-    assert left_in(out) == [MARKER, "scene.ply"] and left_in(out.parent) == ["out"]
+@pytest.fixture
+def manifest(tmp_path):
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
+    return RunManifest(
+        prompt="paint it grün",
+        seed=3,
+        device="cpu",
+        settings={"editor": RemoteSettings(), "alpha": {"token": "hf_456", "tokens": 7, "key_frames": "all"}},
+        plugins=[PluginRecord("editor", "recolor", "recolor", "0.1.0", "Apache-2.0")],
+        inputs=load_photos(tmp_path / "a.png", fov=60).photos,
+        masks={},
+        weights=[WeightsRecord("small.safetensors", "ab" * 32, "Apache-2.0")],
+        gaussians=131072,
+        harmonics_degree=0,
+        stages=[StageRecord("edit", 1.5, 1.25, 300.0)],
+        warnings=["a warning"],
+        notes={"z": float("inf"), "a": np.float32(0.5), "b": [1, (2, 3)]},
+    )
 
 
-def test_a_run_that_raises_leaves_nothing_and_keeps_the_earlier_one(tmp_path):
-    make_run(tmp_path / "out")
-    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "out") as folder:
-        (folder / "scene.ply").write_text("new")
-        raise KeyboardInterrupt
-    assert left_in(tmp_path) == ["out"] and (tmp_path / "out" / "scene.ply").read_text() == "old"
+def written(tmp_path, manifest):
+    write_manifest(tmp_path / "run.json", manifest)
+    return (tmp_path / "run.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("in_one_step", [True, False])
-def test_an_earlier_run_is_replaced_as_a_whole(tmp_path, monkeypatch, in_one_step):
-    if not in_one_step:
-        monkeypatch.setattr(exchange_module, "_exchange_in_one_step", lambda new, old: False)
-    make_run(tmp_path / "out")
-    with atomic_folder(tmp_path / "out") as folder:
-        (folder / "run.json").write_text("new")
-    assert left_in(tmp_path / "out") == [MARKER, "run.json"] and left_in(tmp_path) == ["out"]
+def test_manifest_says_what_was_run(tmp_path, manifest):
+    content = json.loads(written(tmp_path, manifest))
+    assert content["prompt"] == "paint it grün" and content["seed"] == 3 and content["gaussians"] == 131072
+    assert content["plugins"][0]["licence"] == "Apache-2.0"
+    photo = content["inputs"][0]
+    assert photo["intrinsics_source"] == "--fov 60" and photo["size"] == [30, 40] and len(photo["sha256"]) == 64
+    assert photo["frame"]["target"] == [30, 40]
+    assert content["stages"][0] == {"name": "edit", "seconds": 1.5, "cpu_seconds": 1.25, "peak_memory_mb": 300.0}
+    assert content["versions"]["torch"] and content["versions"]["python"] and content["versions"]["edit3r"]
 
 
-def test_folders_of_others_are_refused_at_once_and_untouched(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "thesis.tex").write_text("precious")
-    with pytest.raises(InputError, match=r"out: holds files that are not from an earlier run \(such as thesis.tex\)"):
-        make_run(tmp_path / "out")
-    assert left_in(tmp_path) == ["out"]
+def test_secrets_are_never_written(tmp_path, manifest):
+    text = written(tmp_path, manifest)
+    assert "sk-live-123" not in text and "hf_456" not in text
+    settings = json.loads(text)["settings"]
+    assert settings["editor"]["strength"] == 0.5
+    assert settings["alpha"]["tokens"] == 7 and settings["alpha"]["key_frames"] == "all"
 
 
-def test_an_earlier_run_with_a_note_added_is_refused(tmp_path):
-    make_run(tmp_path / "out")
-    (tmp_path / "out" / "inputs" / "note.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"inputs/note\.txt"):
-        make_run(tmp_path / "out", "new")
-    assert (tmp_path / "out" / "scene.ply").read_text() == "old"
+def test_manifest_is_strict_json_in_a_stable_order(tmp_path, manifest):
+    text = written(tmp_path, manifest)
+    content = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert content["notes"] == {"a": 0.5, "b": [1, [2, 3]], "z": None}
+    assert list(content)[:3] == ["prompt", "seed", "device"] and list(content["notes"]) == ["a", "b", "z"]
+    assert text == written(tmp_path, manifest)
 
 
-def test_an_empty_folder_is_used_and_a_file_refused(tmp_path):
-    (tmp_path / "out").mkdir()
-    make_run(tmp_path / "out")
-    assert (tmp_path / "out" / "scene.ply").exists()
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="file of that name exists"):
-        make_run(tmp_path / "file")
-
-
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot be created"):
-        make_run(tmp_path / "file" / "out")
-
-
-def test_finished_results_are_kept_when_the_place_was_taken_meanwhile(tmp_path):
-    with (
-        pytest.raises(RunError, match=r"The finished results are in .*\.out\.partial-"),
-        atomic_folder(tmp_path / "out") as folder,
-    ):
-        (folder / "scene.ply").write_text("new")
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "other.txt").touch()
-    assert (folder / "scene.ply").read_text() == "new" and left_in(tmp_path / "out") == ["other.txt"]
-
-
-KILLED = """
-    import sys, time
-    from edit3r.io.run_folder import atomic_folder
-    with atomic_folder(sys.argv[1]) as folder:
-        (folder / "scene.ply").write_text("half")
-        print("writing", flush=True)
-        time.sleep(60)
-"""
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill signal here")
-@pytest.mark.parametrize("earlier", [False, True])
-def test_a_killed_run_leaves_the_old_result_or_none(tmp_path, earlier):
-    out = tmp_path / "out"
-    if earlier:
-        make_run(out)
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(KILLED), str(out)], stdout=subprocess.PIPE)
-    assert process.stdout.readline() == b"writing\n"
-    process.kill()
-    process.wait()
-    process.stdout.close()
-    assert out.exists() == earlier
-    assert not earlier or (out / "scene.ply").read_text() == "old"
-    make_run(out, "next")  # what was left behind is in nobody's way
-    assert (out / "scene.ply").read_text() == "next"
-
-
-REPLACING = """
-    import sys
-    from edit3r.io.run_folder import atomic_folder
-    print("ready", flush=True)
-    while True:
-        with atomic_folder(sys.argv[1]) as folder:
-            for index in range(20):
-                (folder / f"{index}.txt").write_text("whole")
-"""
-
-
-@pytest.mark.skipif(not sys.platform.startswith(("linux", "darwin")), reason="replacing is in one step only there")
-def test_a_kill_at_any_moment_leaves_a_whole_result(tmp_path):
-    out = tmp_path / "out"
-    make_run(out)
-    for delay in (0.002, 0.005, 0.009, 0.014, 0.02):
-        process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(REPLACING), str(out)], stdout=subprocess.PIPE)
-        process.stdout.readline()
-        time.sleep(delay)
-        process.kill()
-        process.wait()
-        process.stdout.close()
-        files = left_in(out)
-        assert "scene.ply" in files or len(files) == 21, files
-
-
-def test_atomic_write_replaces_only_when_it_ends_well(tmp_path):
-    (tmp_path / "a.txt").write_text("old")
-    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt") as partial:
-        partial.write_text("half")
-        raise ZeroDivisionError
-    assert (tmp_path / "a.txt").read_text() == "old" and left_in(tmp_path) == ["a.txt"]
-    with atomic_write(tmp_path / "a.txt") as partial:
-        assert partial.suffix == ".txt"
-        partial.write_text("new")
-    assert (tmp_path / "a.txt").read_text() == "new" and left_in(tmp_path) == ["a.txt"]
-
-
-def test_atomic_write_into_no_folder_or_onto_one_is_an_error(tmp_path):
-    for path, expected in ((tmp_path / "none" / "a.txt", "there is no folder"), (tmp_path, "it is a folder")):
-        with pytest.raises(InputError, match=expected), atomic_write(path):
-            pass
-
-
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
-def test_unwritable_folder_is_one_sentence(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(InputError, match="cannot be created"):
-        make_run(tmp_path / "out")
-    tmp_path.chmod(0o700)
+def test_versions_name_only_what_is_installed():
+    versions = installed_versions()
+    assert all(isinstance(version, str) and version for version in versions.values())

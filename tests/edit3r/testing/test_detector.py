@@ -19,7 +19,7 @@ class Fixed(Detector):
 
 
 GOOD = Detection("ball", 0.7, (10, 10, 20, 20))
-IN_RANGE, BLANK = "test_detections_are_in_range_and_sorted", "test_a_blank_picture_is_no_error"
+IN_RANGE, BLANK = "test_detections_are_in_range_and_sorted", "test_a_blank_image_is_no_error"
 CASES = {
     "a list": ([GOOD], IN_RANGE, "return a tuple, () for none"),
     "a tuple of boxes": (((1, 2, 3, 4),), IN_RANGE, "return Detection"),

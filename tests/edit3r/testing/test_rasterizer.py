@@ -85,7 +85,7 @@ CASES = {
         "test_empty_scene_shows_the_background",
         "both must be 0",
     ),
-    "noise": ({"answer": noisy}, "test_same_input_gives_the_same_picture", "sum in a fixed order"),
+    "noise": ({"answer": noisy}, "test_same_input_gives_the_same_image", "sum in a fixed order"),
     "half a gradient": (half_the_gradient_of("quats"), SLOPE, "correct the backward pass"),
     "half a gradient of opacity": (half_the_gradient_of("opacities"), GRADIENT, "the gradient of opacities is"),
     "detached scales": (

@@ -64,7 +64,7 @@ CASES = {
     "a box of corners": (first(box=(80.0, 60.0, 96.0, 72.0)), "test_proposals_are_in_range", "(x, y, w, h) in pixels"),
     "an error when nothing stands out": (
         {"propose": fail_when_dull},
-        "test_a_blank_picture_is_no_error",
+        "test_a_blank_image_is_no_error",
         "must handle this input",
     ),
     "no proposal at a point": (

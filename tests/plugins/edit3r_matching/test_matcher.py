@@ -8,7 +8,7 @@ from edit3r_measure.evaluation.pairs import rotation_degrees
 import edit3r
 from edit3r import Views
 from edit3r.errors import MatchingError
-from edit3r.io.packaged import packaged_pair
+from edit3r.io.images import packaged_pair
 from edit3r.reporting import Report, collecting
 
 

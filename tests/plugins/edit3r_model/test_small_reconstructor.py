@@ -12,7 +12,7 @@ from edit3r.config import make_settings
 from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
-from edit3r.io.manifest import WeightsRecord
+from edit3r.io.run_folder import WeightsRecord
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract, photograph

@@ -10,8 +10,7 @@ from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.testing.contract import Contract
-from edit3r.testing.gaussians import require_valid_gaussians
+from edit3r.testing.contract import Contract, require_valid_gaussians
 from edit3r.testing.scenes import cameras_around, gaussian_cloud, photograph
 from edit3r.types import Gaussians
 

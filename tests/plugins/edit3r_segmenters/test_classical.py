@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from edit3r.io.images import load_views
-from edit3r.io.packaged import packaged_pair
+from edit3r.io.images import load_views, packaged_pair
 from edit3r.registry import build
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest in importlib mode finds no neighbours

@@ -6,7 +6,7 @@ from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
 
 from edit3r.registry import build
-from edit3r.testing.trainer import _tiny_job as tiny_job
+from edit3r.testing.training import tiny_job
 from edit3r.training.schedule import step_generator
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from edit3r.testing.trainer import _tiny_job as tiny_job
+from edit3r.testing.training import tiny_job
 from edit3r.training.checkpoint import LAST
 
 SCRIPT = Path(__file__).with_name("two_processes.py")

@@ -12,7 +12,7 @@ import torch.distributed as dist
 from edit3r_training.recolor_trainer import RecolorTrainer
 
 from edit3r.interfaces import TrainingJob
-from edit3r.testing.trainer import _tiny_job as tiny_job
+from edit3r.testing.training import tiny_job
 from edit3r.training.processes import joined_processes
 
 STEPS = 4

@@ -1,0 +1,260 @@
+"""The rules of the house: what may import what, how long things may get, and what the core may not know.
+
+Read from the sources alone (ast); nothing is imported but the registry, for the names of the components.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+
+import pytest
+
+from edit3r.registry import default_registry
+
+ROOT = Path(__file__).parents[1]
+CORE = "edit3r"
+
+MOST_CORE_LINES = 9_000
+MOST_LINES = 36_000
+MOST_IMPORTS_BETWEEN_PLUGINS = 12
+LONGEST_FUNCTION = 60  # lines, with signature and docstring
+MOST_PARAMETERS = 8
+
+LONG_FUNCTIONS: set[str] = set()
+"""Functions that may be longer, as 'module.function', each with a reason beside it."""
+
+MANY_PARAMETERS: set[str] = set()
+"""Functions that may have more parameters, as 'module.function', each with a reason beside it."""
+
+COMPILED_BY = {"njit", "kernel", "inlined"}
+"""Decorators of functions that numba compiles: a kernel is one loop, and takes its arrays one by one."""
+
+ORDINARY_WORDS = {
+    *("edit3r", "torch", "numba", "gsplat"),  # also the name of the program, and of modules that the core looks for
+    *("none", "auto", "command", "folder", "network", "posed", "classical", "geometry", "refine", "simplify", "train"),
+}
+"""Component names that are words of the core's own too; they count only where nothing else can be meant."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """One source file."""
+
+    name: str  # "edit3r.io.ply"; a package's is that of its folder
+    path: Path
+
+    @cached_property
+    def text(self) -> str:
+        return self.path.read_text(encoding="utf-8")
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        return ast.parse(self.text)
+
+    @property
+    def package(self) -> str:
+        """The outermost package: the core or a plugin."""
+        return self.name.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """One imported name (or module), and where."""
+
+    source: Module
+    target: str  # module
+    name: str  # "" for the module itself
+    line: int
+    at_import: bool  # False inside functions and under TYPE_CHECKING
+
+    def __str__(self) -> str:
+        what = f"{self.target}.{self.name}" if self.name else self.target
+        return f"{self.source.path.relative_to(ROOT)}:{self.line} imports {what}"
+
+
+@cache
+def modules() -> dict[str, Module]:
+    found = {}
+    for folder in (ROOT, ROOT / "plugins"):
+        for package in sorted(folder.glob("edit3r*/")):
+            for path in sorted(package.rglob("*.py")):
+                parts = path.relative_to(folder).with_suffix("").parts
+                name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+                found[name] = Module(name, path)
+    return found
+
+
+def plugin_packages() -> set[str]:
+    return {module.package for module in modules().values()} - {CORE}
+
+
+@cache
+def arrows() -> tuple[Arrow, ...]:
+    """Every import of a project module by another."""
+    return tuple(arrow for module in modules().values() for arrow in _arrows_from(module))
+
+
+def _arrows_from(module: Module) -> Iterator[Arrow]:
+    late = _late_nodes(module.tree)
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Import):
+            targets = [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = _absolute(module, node)
+            targets = [
+                (f"{base}.{alias.name}", "") if f"{base}.{alias.name}" in modules() else (base, alias.name)
+                for alias in node.names
+            ]
+        else:
+            continue
+        for target, name in targets:
+            if target.partition(".")[0] in {CORE, *plugin_packages()}:
+                yield Arrow(module, target, name, node.lineno, node not in late)
+
+
+def _absolute(module: Module, node: ast.ImportFrom) -> str:
+    if not node.level:
+        return node.module or ""
+    inside = module.name.split(".") + (["__init__"] if module.path.name == "__init__.py" else [])
+    return ".".join([*inside[: -node.level], *([node.module] if node.module else [])])
+
+
+def _late_nodes(tree: ast.Module) -> set[ast.AST]:
+    """Nodes that do not run when the module is imported."""
+    late: set[ast.AST] = set()
+    for node in ast.walk(tree):
+        typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if typing_only or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            late.update(ast.walk(node))
+    return late
+
+
+# ---- what may import what ----
+
+
+def test_the_core_imports_no_plugin():
+    wrong = [str(arrow) for arrow in arrows() if arrow.source.package == CORE and arrow.target.split(".")[0] != CORE]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_imports_in_circles():
+    graph = {name: set() for name in modules()}
+    for arrow in arrows():
+        if arrow.at_import and arrow.target in graph and arrow.target != arrow.source.name:
+            graph[arrow.source.name].add(arrow.target)
+    circles = [" -> ".join([*circle, circle[0]]) for circle in _circles(graph)]
+    assert not circles, "\n".join(circles)
+
+
+def _circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """One circle through each group of modules that reach each other."""
+    reach = {name: _reachable(graph, name) for name in graph}
+    groups = {
+        frozenset(other for other in reach[name] if name in reach[other]) for name in graph if name in reach[name]
+    }
+    return [_path_back(graph, group) for group in sorted(groups, key=sorted)]
+
+
+def _reachable(graph: dict[str, set[str]], start: str) -> set[str]:
+    seen, left = set(), list(graph[start])
+    while left:
+        name = left.pop()
+        if name not in seen:
+            seen.add(name)
+            left += graph[name]
+    return seen
+
+
+def _path_back(graph: dict[str, set[str]], group: frozenset[str]) -> list[str]:
+    start = min(group)
+    paths = [[start]]
+    for path in paths:  # breadth first; the list grows while it is walked
+        for name in sorted(graph[path[-1]] & group):
+            if name == start:
+                return path
+            if name not in path:
+                paths.append([*path, name])
+    return [start]
+
+
+def test_plugins_talk_through_the_registry_and_the_core():
+    between = [
+        arrow
+        for arrow in arrows()
+        if arrow.source.package != CORE and arrow.target.split(".")[0] not in (CORE, arrow.source.package)
+    ]
+    statements = sorted({f"{arrow.source.path.relative_to(ROOT)}:{arrow.line}" for arrow in between})
+    assert len(statements) <= MOST_IMPORTS_BETWEEN_PLUGINS, "\n".join(map(str, between))
+    private = [str(arrow) for arrow in between if re.search(r"(^|\.)_", f"{arrow.target}.{arrow.name}")]
+    assert not private, "\n".join(private)
+
+
+# ---- what the core may not know ----
+
+
+def test_the_core_names_no_plugin_and_no_component():
+    """Docstrings may give examples; the names a run begins with are in edit3r/defaults.yaml."""
+    components = {offer.component.name for offer in default_registry().offers()}
+    qualified = {offer.qualified_name for offer in default_registry().offers()}
+    told = components - ORDINARY_WORDS
+    either = "|".join(map(re.escape, sorted(told | qualified, key=len, reverse=True)))
+    pattern = re.compile(rf"(?<![\w-])({either})(?![\w-]|\.\w)")  # not as a file's name
+    packages = re.compile(rf"\b({'|'.join(sorted(plugin_packages()))})\b")
+    wrong = []
+    for module in modules().values():
+        if module.package == CORE:
+            for line, text in _texts(module):
+                for name in {*pattern.findall(text), *packages.findall(text)}:
+                    wrong.append(f"{module.path.relative_to(ROOT)}:{line} names {name!r} in {text[:60]!r}")
+    assert not wrong, "\n".join(wrong)
+
+
+def _texts(module: Module) -> Iterator[tuple[int, str]]:
+    """String constants that are no docstrings."""
+    plain = {id(node.value) for node in ast.walk(module.tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in plain:
+            yield node.lineno, node.value
+
+
+# ---- how long things may get ----
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Every function but numba's kernels, with its full name."""
+    for module in modules().values():
+        for node in ast.walk(module.tree):
+            decorators = " ".join(ast.unparse(decorator) for decorator in getattr(node, "decorator_list", ()))
+            compiled = COMPILED_BY & set(re.findall(r"\w+", decorators))
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not compiled:
+                yield f"{module.name}.{node.name}", node
+
+
+def test_functions_fit_on_a_screen():
+    lengths = {name: node.end_lineno - node.lineno + 1 for name, node in functions()}
+    long = {name: lines for name, lines in lengths.items() if lines > LONGEST_FUNCTION and name not in LONG_FUNCTIONS}
+    assert not long, "\n".join(f"{name}: {lines} lines" for name, lines in long.items())
+    assert set(lengths) >= LONG_FUNCTIONS, "an exception for a function that is gone"
+
+
+def test_functions_have_few_parameters():
+    counts = {name: _parameters(node) for name, node in functions()}
+    wide = {name: count for name, count in counts.items() if count > MOST_PARAMETERS and name not in MANY_PARAMETERS}
+    assert not wide, "\n".join(f"{name}: {count} parameters" for name, count in wide.items())
+    assert set(counts) >= MANY_PARAMETERS, "an exception for a function that is gone"
+
+
+def _parameters(node: ast.FunctionDef) -> int:
+    """Parameters that a caller may give, without self, cls, and the ctx of torch's autograd functions."""
+    given = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    return len(given) - (given[:1] in (["self"], ["cls"], ["ctx"]))
+
+
+@pytest.mark.parametrize(("package", "most"), [(CORE, MOST_CORE_LINES), ("", MOST_LINES)], ids=["core", "whole"])
+def test_the_house_stays_small(package, most):
+    chosen = [module for module in modules().values() if package in ("", module.package)]
+    lines = sum(len(module.text.splitlines()) for module in chosen)
+    assert lines <= most, f"{lines} lines in {len(chosen)} files; at most {most}"
