@@ -5,13 +5,13 @@ EfficientNet-lite0 (Apache-2.0) instead of VGG: it plays LPIPS's part but its nu
 
 import torch
 import torch.nn.functional as F
-from edit3r_measure.evaluation.features import frozen_efficientnet
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r import config
 from edit3r.interfaces import Loss, LossInputs
+from edit3r.perceptual import frozen_efficientnet
 from edit3r_training.losses.needs import require
 
 _BLOCKS = (0, 2, 4, 10)
