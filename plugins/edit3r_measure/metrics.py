@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from scipy.ndimage import gaussian_filter
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
@@ -157,7 +157,11 @@ def edit_uptake(shown: Images, before: Images, wished: Images, masks: Masks | No
     return change_uptake(shown - before, wished - before, masks)
 
 
-def change_uptake(shown: Images, wished: Images, masks: Masks | None = None) -> float:
+def change_uptake(
+    shown: Float[np.ndarray, "*view height width 3"],
+    wished: Float[np.ndarray, "*view height width 3"],
+    masks: Shaped[np.ndarray, "*view height width"] | None = None,
+) -> float:
     """Return `edit_uptake` of two changes, each an edited image minus an unedited one."""
     weight = 1.0 if masks is None else masks[..., None]
     energy = float((weight * wished**2).sum())

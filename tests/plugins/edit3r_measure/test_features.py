@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluation.features import CROPS, EffnetFeatures, InceptionFeatures, crops
-from edit3r_measure.evaluation.kernel_distance import kernel_distance
+from edit3r_measure.features import CROPS, EffnetFeatures, InceptionFeatures, crops
+from edit3r_measure.metrics import kernel_distance
 
 from edit3r.errors import InputError
 

@@ -1,13 +1,21 @@
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluation.novel_view import score_triple
-from edit3r_measure.evaluation.pairs import Triple, choose_triples, rotation_degrees
-from edit3r_measure.evaluation.stereo import has_disparity, score_stereo, true_depth
-from edit3r_measure.evaluation.summary import markdown_table, records
+from edit3r_measure.evaluate import Measured, novel_view_table
+from edit3r_measure.novel_view import relative_pose, score_carried_edit, score_depth, score_novel_view, views_of
+from edit3r_measure.scene_sources import (
+    SceneOptions,
+    Triple,
+    choose_triples,
+    find_scenes,
+    photo_scene,
+    rotation_degrees,
+    stereo_scene,
+)
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -16,7 +24,7 @@ from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Reconstructor
 from edit3r.io.cameras import PosedCamera
 from edit3r.io.posed_folder import read_posed_folder
-from edit3r.registry import build
+from edit3r.registry import build, default_registry
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 DEPTH = 4.0  # of the wall that all photos show
@@ -67,7 +75,7 @@ class WallKnown(Reconstructor):
     def __init__(self, folder, fails=False):
         self.folder, self.fails = folder, fails
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         if self.fails:
             raise MatchingError("nothing in common.")
         first, second = (self.folder.cameras[i].c2w for i in (0, 2))
@@ -131,7 +139,8 @@ def test_rotation_degrees_is_exact_for_small_angles():
 
 
 def test_true_geometry_in_another_unit_scores_well(folder):
-    score = score_triple(folder, Triple(0, 2, 1, 8.0), WallKnown(folder), build("rasterizer", "torch"), 48)
+    score = score_novel_view(photo_scene(folder, (0, 2, 1), 48), WallKnown(folder), build("rasterizer", "torch"))
+    assert score.degrees == pytest.approx(8)
     assert score.rotation_error < 0.01 and score.direction_error < 0.05
     assert score.covered_gain > 3
     assert 0.7 < score.coverage < 1
@@ -139,11 +148,14 @@ def test_true_geometry_in_another_unit_scores_well(folder):
 
 
 def test_a_failure_is_a_row_not_a_stop(folder):
-    score = score_triple(folder, Triple(0, 2, 1, 8.0), WallKnown(folder, fails=True), build("rasterizer", "torch"), 48)
+    scene = photo_scene(folder, (0, 2, 1), 48)
+    score = score_novel_view(scene, WallKnown(folder, fails=True), build("rasterizer", "torch"))
     assert score.failure == "nothing in common."
-    table = markdown_table([score])
+    table = novel_view_table([score])
     assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
-    assert records([score])[0]["psnr"] is None
+    measured = Measured()
+    measured.pairs.append(score)
+    assert measured.records()[0]["psnr"] is None
 
 
 def test_stereo_truth_scores_right_depth_as_right(tmp_path):
@@ -151,11 +163,12 @@ def test_stereo_truth_scores_right_depth_as_right(tmp_path):
     (tmp_path / "cameras.json").write_text(json.dumps(written(tmp_path, cameras)))
     np.savez(tmp_path / "disparity_left.npz", disparity=np.full((64, 96), 80 * 0.5 / DEPTH, np.float32))
     scene = read_posed_folder(tmp_path)
-    assert has_disparity(scene)
-    assert true_depth(scene, 32) == pytest.approx(DEPTH / 0.5)
+    (source,) = find_scenes(str(tmp_path), SceneOptions(count=3, size=32), default_registry())
+    assert source.kind == "stereo"
+    assert source.load().depth == pytest.approx(DEPTH / 0.5)
     flat = WallKnown(read_posed_folder(tmp_path))
     flat.folder = type(scene)(scene.name, scene.path, (*scene.cameras, scene.cameras[1]))
-    assert score_stereo(scene, flat, build("rasterizer", "torch"), 32) > 0.98
+    assert score_depth(stereo_scene(scene, 32), flat, build("rasterizer", "torch")) > 0.98
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):
@@ -166,12 +179,50 @@ def test_the_command_writes_a_table(folder, tmp_path, capsys):
     assert json.loads(out.read_text())[0]["scene"] == "wall"
 
 
+class Carries(Reconstructor):
+    """Knows a generated scene's poses and true edit, and shows the edit in both views when the first one does."""
+
+    def __init__(self, scene, carries):
+        self.posed = build("reconstructor", "classical", matcher="posed")
+        poses = np.stack([relative_pose(photo, scene.inputs[0]) for photo in scene.inputs])
+        self.c2w, self.carries = torch.from_numpy(poses).float()[None], carries
+        self.edited = views_of(scene.edited[:2]).images
+
+    def __call__(self, views, source=None, request=None):
+        is_edited = not torch.equal(views.images[:, 0], source.images[:, 0])
+        images = self.edited if self.carries and is_edited else source.images
+        return self.posed(replace(views, images=images, c2w=self.c2w))
+
+
+@pytest.fixture(scope="module")
+def edited_scene():
+    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10)}
+    options = SceneOptions(1, 64, {"procedural": settings})
+    return find_scenes("procedural", options, default_registry())[0].load()
+
+
+def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
+    score = score_carried_edit(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"))
+    assert score.uptake > 0.8 and score.error < 0.3 and score.leak < 0.01
+    assert score.disagreement < 0.2 and score.kept > 0.7
+
+
+def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
+    score = score_carried_edit(edited_scene, Carries(edited_scene, False), build("rasterizer", "numba"))
+    assert (score.uptake, score.error, score.leak, score.disagreement, score.kept) == (0, 1, 0, 0, 0)
+
+
+def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
+    with pytest.raises(InputError, match="nowhere: no such folder of photos, and no dataset named 'nowhere'"):
+        find_scenes("nowhere", SceneOptions(1, 32), default_registry())
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--pairs", "0"], "--pairs: must be at least 1, got 0"),
         (["--out", "scores.csv"], "ends in .md or .json"),
-        (["--set", "editor.steps=3"], "settings of reconstructor and rasterizer only"),
+        (["--set", "editor.steps=3"], "settings of reconstructor, rasterizer and dataset only"),
     ],
 )
 def test_wrong_use_of_the_command_is_one_sentence(folder, options, sentence, capsys):

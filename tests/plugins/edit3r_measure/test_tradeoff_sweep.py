@@ -3,12 +3,13 @@ import json
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.tradeoff import sweep as sweeping
-from edit3r_measure.tradeoff.accuracy import NovelView, PerceptualDistance, score_edit
-from edit3r_measure.tradeoff.knobs import Point, SweepPlan
-from edit3r_measure.tradeoff.measure import Job, measure
-from edit3r_measure.tradeoff.scenes import _write_sample, open_scene
-from edit3r_measure.tradeoff.sweep import Effort, SweepFolder, measurement_key, read_measurements, sweep
+from edit3r_measure import tradeoff_sweep as sweeping
+from edit3r_measure.novel_view import RenderedView, score_edit
+from edit3r_measure.runner import read_rows
+from edit3r_measure.scene_sources import SceneSource, sample_scene, write_scene
+from edit3r_measure.tradeoff_knobs import Point, SweepPlan
+from edit3r_measure.tradeoff_measure import Job, measure, perceptual_distance
+from edit3r_measure.tradeoff_sweep import Effort, SweepFolder, measurement_key, sweep
 
 from edit3r.cli.main import main
 from edit3r.geometry.cameras import intrinsics_from_fov
@@ -38,8 +39,8 @@ def sample(views=2, side=8):
 
 @pytest.fixture
 def scene(tmp_path):
-    _write_sample(tmp_path / "scene", "procedural", sample())
-    return open_scene(tmp_path / "scene")
+    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, sample()))
+    return write_scene(source, tmp_path)
 
 
 @pytest.fixture
@@ -47,11 +48,11 @@ def processes(monkeypatch):
     """Stands in for the child processes; counts them."""
     started = []
 
-    def pretend(plan, point, scene, picture, effort, plugins):
-        started.append(point.label)
+    def pretend(job, threads):
+        started.append(job.settings["size"])
         return {"psnr": 20.0}
 
-    monkeypatch.setattr(sweeping, "_in_fresh_process", pretend)
+    monkeypatch.setattr(sweeping, "in_fresh_process", pretend)
     return started
 
 
@@ -73,7 +74,7 @@ def test_a_later_sweep_measures_what_is_missing_only(scene, tmp_path, processes)
     folder = SweepFolder(tmp_path)
     sweep(PLAN, POINTS[:1], [scene], folder, Effort())
     found = sweep(PLAN, POINTS, [scene], folder, Effort())
-    assert processes == ["a", "b"]
+    assert processes == [8, 9]
     assert [m["label"] for m in found] == ["a", "b"]
 
 
@@ -82,10 +83,10 @@ def test_a_line_that_a_kill_cut_short_is_measured_again(scene, tmp_path, process
     sweep(PLAN, POINTS, [scene], folder, Effort())
     text = folder.measurements.read_text()
     folder.measurements.write_text(text[:-20])
-    assert len(read_measurements(folder.measurements)) == 1
+    assert len(read_rows(folder.measurements)) == 1
     assert len(sweep(PLAN, POINTS, [scene], folder, Effort())) == 2
-    assert processes == ["a", "b", "b"]
-    assert len(read_measurements(folder.measurements)) == 2
+    assert processes == [8, 9, 9]
+    assert len(read_rows(folder.measurements)) == 2
 
 
 def test_no_measurement_starts_after_the_time_is_up(scene, tmp_path, processes):
@@ -112,13 +113,13 @@ def test_uptake_and_leak_by_hand():
     shown = np.full((4, 4, 3), 0.5)
     shown[:2] += 0.1  # a quarter of the edit
     shown[2:] += 0.02  # and some where nothing changed
-    score = score_edit(NovelView(before, covered), NovelView(shown, covered), photo(before), photo(after))
+    score = score_edit(RenderedView(before, covered), RenderedView(shown, covered), photo(before), photo(after))
     assert score.uptake == pytest.approx(0.25) and score.leak == pytest.approx(0.02)
 
 
 def test_what_is_not_covered_counts_for_neither():
     before, after = np.zeros((2, 2, 3)), np.ones((2, 2, 3))
-    view = NovelView(before, np.zeros((2, 2), bool))
+    view = RenderedView(before, np.zeros((2, 2), bool))
     score = score_edit(view, view, photo(before), photo(after))
     assert score.uptake is None and score.leak is None
 
@@ -130,9 +131,8 @@ def test_a_perceptual_distance_that_cannot_be_had_is_said(monkeypatch):
         def build(self, kind, name):
             raise MissingDependencyError(f"{kind} {name} is not here")
 
-    distance = PerceptualDistance(Nothing(), ["x"])
-    assert distance(np.zeros((4, 4, 3)), np.zeros((4, 4, 3))) is None
-    assert distance.why_not == {"x": "loss x is not here"}
+    distance = perceptual_distance(Nothing(), ["x"], np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
+    assert distance["perceptual"] is None and distance["perceptual_missing"] == {"x": "loss x is not here"}
 
 
 KNOBS = """
@@ -160,9 +160,8 @@ def test_the_command_measures_a_run_in_its_own_process(tmp_path, capsys, monkeyp
 
 
 def test_a_run_that_ends_in_a_sentence_is_measured_as_that_sentence(scene, tmp_path):
-    files = {"picture": str(tmp_path / "x.png"), "answer": str(tmp_path / "x.json")}
-    job = Job(scene=str(scene.path), settings={"reconstructor": "nobody"}, unedited={}, edited={}, **files)
-    answer = measure(job)
+    image = str(tmp_path / "x.png")
+    answer = measure(Job(str(scene.path), settings={"reconstructor": "nobody"}, unedited={}, edited={}, image=image))
     assert list(answer) == ["failure"] and answer["failure"].startswith("no reconstructor named 'nobody'.")
 
 

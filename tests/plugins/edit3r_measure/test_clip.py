@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from edit3r_measure.evaluation.clip import ClipSimilarity, central_square, direction_similarity
+from edit3r_measure.features import ClipSimilarity, central_square, direction_similarity
 
 import edit3r
 from edit3r.errors import MissingDependencyError

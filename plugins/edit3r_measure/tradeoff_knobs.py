@@ -1,9 +1,9 @@
-"""What is swept: named knobs, each with named values, and the points that a sweep measures.
+"""What `edit3r tradeoff` sweeps: named knobs, each with named values, and the points that they make.
 
 A value is a layer of run settings (as in `edit3r run --config`). A point is the base with some values laid over it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from pydantic import Field
 from edit3r.config import Settings, make_settings, merge, read_yaml
 from edit3r.errors import SettingsError, suggest
 
-SHIPPED = Path(__file__).with_name("knobs.yaml")
+SHIPPED = Path(__file__).with_name("tradeoff_knobs.yaml")
 BASE = "base"
 """Label of the point without any value laid over it."""
 
@@ -36,7 +36,7 @@ class SweepPlan(Settings):
     perceptual: list[str] = Field(default_factory=list, description="losses to try as perceptual distance, in order")
     shipped: list[str] = Field(default_factory=list, description="run settings that presets may set")
     data: list[str] = Field(default_factory=list, description="scenes measured unless others are asked for")
-    side: int = Field(512, ge=32, le=4096, description="side of the largest pictures taken from folders [pixels]")
+    side: int = Field(512, ge=32, le=4096, description="side of the largest images taken from folders [pixels]")
     datasets: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of datasets by name")
     knobs: dict[str, Knob] = Field(description="name to knob")
     combinations: list[dict[str, str]] = Field(default_factory=list, description="more points: values by knob")
@@ -63,7 +63,7 @@ def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
 
 
 def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> list[Point]:
-    """The base, the combinations, and every value of each knob alone; `names` restricts all that to some knobs.
+    """Return the base, the combinations, and every value of each knob alone; `names` restricts that to some knobs.
 
     With `grid`, every combination of the knobs' values instead. Points with the same settings are measured once.
     """
@@ -90,10 +90,9 @@ def _chosen(plan: SweepPlan, names: Sequence[str] | None) -> dict[str, Knob]:
 
 
 def _settings(plan: SweepPlan, choice: Choice) -> dict[str, Any]:
-    layers: Iterable[Mapping[str, Any]] = (_value(plan, name, value) for name, value in choice.items())
     settings = dict(plan.base)
-    for layer in layers:
-        settings = merge(settings, layer)
+    for name, value in choice.items():
+        settings = merge(settings, _value(plan, name, value))
     return settings
 
 
