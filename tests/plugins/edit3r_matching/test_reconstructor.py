@@ -6,7 +6,7 @@ from edit3r_matching.apron import apron
 from edit3r_matching.backdrop import backdrop
 from edit3r_matching.splatting import splat
 from edit3r_matching.visibility import floats_in_front, shown_elsewhere
-from edit3r_measure.evaluation.metrics import best_blurred_copy, psnr
+from edit3r_measure.metrics import best_blurred_copy, psnr
 
 import edit3r
 from edit3r import Cameras, Views

@@ -4,7 +4,7 @@ import pytest
 from edit3r_matching.camera import Pose, cross_matrix
 from edit3r_matching.relative_pose import Matches, estimate_pose, sampson_errors
 from edit3r_matching.triangulation import parallax_degrees, triangulate
-from edit3r_measure.evaluation.pairs import rotation_degrees
+from edit3r_measure.scene_sources import rotation_degrees
 
 FOCAL = 250.0
 CHANCE = 0.011
