@@ -7,12 +7,17 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 import yaml
-from edit3r_measure.bench.candidates import Candidate, template_candidates
-from edit3r_measure.bench.loading import load_item
-from edit3r_measure.bench.manifest import read_bench_manifest
-from edit3r_measure.bench.near_duplicates import likeness, without_near_duplicates
-from edit3r_measure.bench.scene_folders import find_scenes
-from edit3r_measure.bench.vetting import VettedEdit, choose_edits, read_vetting, write_vetting
+from edit3r_measure.bench_build import find_photo_folders
+from edit3r_measure.bench_manifest import load_item, read_bench_manifest
+from edit3r_measure.bench_proposals import (
+    ProposedEdit,
+    choose_edits,
+    edits_from_templates,
+    likeness,
+    read_vetting,
+    without_near_duplicates,
+    write_vetting,
+)
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -76,10 +81,10 @@ def build(folder, *more):
 
 
 def test_scenes_are_folders_with_photos_and_without_poses_inputs_are_spread(folder):
-    scenes = find_scenes(folder, views=2)
+    scenes = find_photo_folders(folder, views=2)
     assert [scene.id for scene in scenes] == ["garden", "kitchen"]
     assert scenes[0].inputs == (0, 2) and scenes[0].held_back == () and scenes[0].cameras == ""
-    assert [scene.id for scene in find_scenes(folder / "garden", views=3)] == ["garden"]
+    assert [scene.id for scene in find_photo_folders(folder / "garden", views=3)] == ["garden"]
 
 
 def test_posed_photos_hold_one_back_between_the_inputs(folder):
@@ -92,13 +97,13 @@ def test_posed_photos_hold_one_back_between_the_inputs(folder):
         k = [[60, 0, 32], [0, 60, 24], [0, 0, 1]]
         poses.append({"file": f"{index}.png", "width": 64, "height": 48, "K": k, "c2w": c2w.tolist()})
     (folder / "garden" / "cameras.json").write_text(json.dumps(poses))
-    scene = find_scenes(folder, views=2)[0]
+    scene = find_photo_folders(folder, views=2)[0]
     assert (scene.inputs, scene.held_back) == ((0, 2), (1,))
 
 
 def test_a_folder_without_scenes_is_one_sentence(tmp_path):
     with pytest.raises(InputError, match="at least two photos"):
-        find_scenes(tmp_path, views=2)
+        find_photo_folders(tmp_path, views=2)
 
 
 # ---- proposals ----
@@ -120,15 +125,16 @@ def test_near_duplicates_are_told_from_other_edits(first, second, alike):
 
 
 def test_the_first_of_two_alike_stays():
-    kept, dropped = without_near_duplicates(["Paint it red", "make it snow", "paint it red!"], str)
-    assert kept == ["Paint it red", "make it snow"] and dropped == ["paint it red!"]
+    prompts = ["Paint it red", "make it snow", "paint it red!"]
+    kept = without_near_duplicates([ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts])
+    assert [edit.prompt for edit in kept] == ["Paint it red", "make it snow"]
 
 
 def test_templates_name_the_objects_and_cover_all_types():
-    found = template_candidates(["cup", "bowl"], seed=0)
-    assert {candidate.type for candidate in found} == {"Add", "Remove", "Modify", "Global"}
-    assert all(candidate.object in candidate.prompt for candidate in found)
-    assert template_candidates(["cup"], 0) == template_candidates(["cup"], 0) != template_candidates(["cup"], 1)
+    found = edits_from_templates(["cup", "bowl"], seed=0)
+    assert {edit.type for edit in found} == {"Add", "Remove", "Modify", "Global"}
+    assert all(edit.object in edit.prompt for edit in found)
+    assert edits_from_templates(["cup"], 0) == edits_from_templates(["cup"], 0) != edits_from_templates(["cup"], 1)
 
 
 class FakeModel(BaseHTTPRequestHandler):
@@ -191,7 +197,7 @@ def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, caps
 
 def edits(*verdicts):
     kinds = ("Add", "Remove", "Modify", "Global")
-    return [VettedEdit(verdict=v, type=kinds[n % 4], prompt=f"edit {n}") for n, v in enumerate(verdicts)]
+    return [ProposedEdit(verdict=v, type=kinds[n % 4], prompt=f"edit {n}") for n, v in enumerate(verdicts)]
 
 
 def test_kept_edits_stay_and_undecided_ones_fill_up_to_five_type_by_type():
@@ -209,10 +215,9 @@ def test_other_than_five_is_refused(verdicts, words):
 
 def test_the_vetting_file_reads_back_and_names_what_is_wrong_in_it(tmp_path):
     path = tmp_path / "v.yaml"
-    write_vetting(path, {"s": [Candidate("Add", "add a dog, “please”", "dog")]})
-    assert read_vetting(path)["s"] == [
-        VettedEdit(type="Add", prompt="add a dog, “please”", object="dog", source="template")
-    ]
+    edit = ProposedEdit(type="Add", prompt="add a dog, “please”", object="dog", source="template")
+    write_vetting(path, {"s": [edit]})
+    assert read_vetting(path)["s"] == [edit]
     path.write_text(path.read_text().replace("verdict: ''", "verdict: maybe"))
     with pytest.raises(SettingsError, match=r"scene 's', edit 1.*maybe"):
         read_vetting(path)
