@@ -3,6 +3,7 @@
 import argparse
 import gc
 import importlib
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -26,6 +27,8 @@ class Parser(argparse.ArgumentParser):
         options = [option for action in self._actions for option in action.option_strings]
         given = message.removeprefix("unrecognized arguments: ").split(" ")[0]
         hint = suggest(given.split("=")[0], options) if message.startswith("unrecognized") else ""
+        if wrong := re.search("invalid choice: '([^']*)'", message):
+            hint = suggest(wrong[1], [str(choice) for action in self._actions for choice in action.choices or ()])
         raise UsageError(f"{message}.{hint} See '{self.prog} --help'.")
 
 
