@@ -19,17 +19,6 @@ from edit3r.errors import InputError
 from edit3r.io.pretrained import Weights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
-__all__ = [
-    "CROPS",
-    "ClipSimilarity",
-    "EffnetFeatures",
-    "FeatureNetwork",
-    "InceptionFeatures",
-    "central_square",
-    "crops",
-    "direction_similarity",
-]
-
 CROPS = 5
 """Pieces that an image is compared by: itself and its four corners."""
 

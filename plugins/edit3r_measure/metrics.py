@@ -18,25 +18,6 @@ from torch import Tensor
 from edit3r.geometry.cameras import project, unproject
 from edit3r.types import Cameras
 
-__all__ = [
-    "BlurredCopy",
-    "Interval",
-    "best_blurred_copy",
-    "bootstrap_mean",
-    "change_outside",
-    "change_uptake",
-    "covered_psnr",
-    "edit_strength",
-    "edit_uptake",
-    "frechet_distance",
-    "kernel_distance",
-    "psnr",
-    "ssim",
-    "warped_difference",
-    "warped_image",
-    "within_share",
-]
-
 Image = Float[np.ndarray, "height width 3"]
 Images = Float[np.ndarray, "view height width 3"]
 Masks = Float[np.ndarray, "view height width"]

@@ -19,20 +19,6 @@ from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_measure.metrics import best_blurred_copy, change_uptake, covered_psnr, psnr, ssim, within_share
 from edit3r_measure.scene_sources import Scene, rotation_degrees
 
-__all__ = [
-    "CarriedEdit",
-    "EditScore",
-    "NovelViewScore",
-    "RenderedView",
-    "predict",
-    "relative_pose",
-    "score_carried_edit",
-    "score_depth",
-    "score_edit",
-    "score_novel_view",
-    "views_of",
-]
-
 COVERED = 0.5
 """Alpha above which a pixel of a rendering counts as covered."""
 

@@ -9,8 +9,6 @@ from typing import Any
 
 from edit3r.io.manifest import installed_versions
 
-__all__ = ["describe_machine", "format_or_dash", "markdown_table"]
-
 
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
     """Return a Markdown table whose first `left` columns are set left and the others right, without a last newline."""

@@ -30,20 +30,6 @@ from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
 from edit3r.registry import Registry
 from edit3r.types import Cameras
 
-__all__ = [
-    "Scene",
-    "SceneFolder",
-    "SceneOptions",
-    "SceneSource",
-    "Triple",
-    "choose_triples",
-    "find_scenes",
-    "photo_scene",
-    "rotation_degrees",
-    "stereo_scene",
-    "write_scene",
-]
-
 PHOTOS, STEREO = "photos", "stereo"
 DISPARITY_FILE = "disparity_left.npz"
 TRUTH_FILE = "truth.json"
@@ -70,10 +56,6 @@ class SceneSource:
     name: str  # unique among the scenes of a measurement
     kind: str  # as in `Scene`
     load: Callable[[], Scene]
-
-    @property
-    def has_target(self) -> bool:
-        return self.kind != STEREO
 
 
 @dataclass(frozen=True)
@@ -287,6 +269,17 @@ class SceneFolder:
         for file in sorted(path for path in self.path.rglob("*") if path.is_file()):
             digest.update(file.relative_to(self.path).as_posix().encode() + b"\0" + file.read_bytes())
         return digest.hexdigest()[:16]
+
+
+def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, registry: Registry) -> list[SceneFolder]:
+    """Write the scenes of each source that have a target. Raises InputError for a source without any."""
+    written = []
+    for source in sources:
+        scenes = [scene for scene in find_scenes(source, options, registry) if scene.kind != STEREO]
+        if not scenes:
+            raise InputError(f"{source}: {NO_TRIPLES}.")
+        written += [write_scene(scene, root) for scene in scenes]
+    return written
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:

@@ -47,8 +47,17 @@ class TradeoffCommand(Command):
         plan, points = _plan_and_points(args)
         if args.list_knobs:
             print("\n".join(f"{name}: {knob.about}: {', '.join(knob.values)}" for name, knob in plan.knobs.items()))
-        else:
-            _report(args, plan, _measure(args, plan, points))
+            return 0
+        from edit3r_measure.tradeoff_measure import Job, Sweep
+        from edit3r_measure.tradeoff_points import summarize, with_distances
+
+        plugins = [str(Path(file).resolve()) for file in args.plugin]
+        runs = {"warm_up": args.warm_up, "repeats": args.repeats, "plugins": plugins}
+        job = Job(plan.unedited, plan.edited, perceptual=plan.perceptual, **runs)
+        sweep = Sweep(Path(args.out), job, args.threads, args.minutes and args.minutes * 60)
+        sweep.root.mkdir(parents=True, exist_ok=True)
+        measurements = _measure(args, plan, points, sweep)
+        _report(args, plan, with_distances(summarize(measurements), measurements, sweep.image), measurements)
         return 0
 
 
@@ -62,35 +71,32 @@ def _plan_and_points(args: argparse.Namespace) -> tuple[SweepPlan, list[Point]]:
     return plan, make_points(plan, names, args.grid)
 
 
-def _measure(args: argparse.Namespace, plan: SweepPlan, points: Sequence[Point]) -> list[dict[str, Any]]:
+def _measure(args: argparse.Namespace, plan: SweepPlan, points: Sequence[Point], sweep: Any) -> list[dict[str, Any]]:
     """Write the scenes and measure what is missing; returns all measurements."""
-    from edit3r_measure.tradeoff_sweep import Effort, SweepFolder, sweep, write_scenes
+    from edit3r_measure.scene_sources import SceneOptions, write_scenes
 
-    folder = SweepFolder(Path(args.out))
-    folder.root.mkdir(parents=True, exist_ok=True)
-    effort = Effort(args.warm_up, args.repeats, args.threads, args.minutes and args.minutes * 60)
+    options = SceneOptions(args.scenes, plan.side, plan.datasets, more_inputs=True)
     registry = default_registry(tuple(args.plugin))
     with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
         with report.stage("write scenes"):
-            scenes = write_scenes(args.data or plan.data, plan, args.scenes, folder, registry)
+            scenes = write_scenes(args.data or plan.data, options, sweep.root / "scenes", registry)
         with report.stage(f"measure {len(points)} points on {len(scenes)} scenes"):
-            measurements = sweep(plan, points, scenes, folder, effort, args.plugin)
+            measurements = sweep.measure(points, scenes)
     missing = len(points) * len(scenes) - len(measurements)
     if missing and not args.quiet:
         print(f"{missing} measurements are missing, the time ran out; the same command goes on.")
     return measurements
 
 
-def _report(args: argparse.Namespace, plan: SweepPlan, measurements: Sequence[Mapping[str, Any]]) -> None:
+def _report(
+    args: argparse.Namespace, plan: SweepPlan, points: Sequence[Any], measurements: Sequence[Mapping[str, Any]]
+) -> None:
     """Write table, plot, page and presets."""
     from edit3r.quality_points import preset_names, write_quality
     from edit3r_measure.report import describe_machine
-    from edit3r_measure.tradeoff_points import make_quality, summarize, with_distances
+    from edit3r_measure.tradeoff_points import make_quality
     from edit3r_measure.tradeoff_report import plot, report, write_into_page
-    from edit3r_measure.tradeoff_sweep import SweepFolder
 
-    folder = SweepFolder(Path(args.out))
-    points = with_distances(summarize(measurements), measurements, folder.image)
     if not points:
         failures = "; ".join(dict.fromkeys(m["failure"] for m in measurements if "failure" in m))
         raise RunError(f"no point could be measured on every scene. {failures or 'The time ran out before.'}")
@@ -98,14 +104,14 @@ def _report(args: argparse.Namespace, plan: SweepPlan, measurements: Sequence[Ma
     measured = {**describe_machine(args.threads), **how}
     quality = make_quality(points, measured, plan)
     presets = {point.label: point.preset for point in quality.points if point.preset}
-    text = report(points, measurements, measured, args.clock, presets)
-    folder.table.write_text(text, encoding="utf-8")
+    text, plotted = report(points, measurements, measured, args.clock, presets), Path(args.out) / "tradeoff.png"
+    (Path(args.out) / "tradeoff.md").write_text(text, encoding="utf-8")
     try:
-        plot(points, args.clock, presets, folder.plot)
+        plot(points, args.clock, presets, plotted)
     except MissingDependencyError as error:
         print(f"no plot: {error}")
     if args.page:
-        write_into_page(Path(args.page), text, folder.plot)
+        write_into_page(Path(args.page), text, plotted)
     if not args.quiet:
         print(text)
     if args.update_presets:

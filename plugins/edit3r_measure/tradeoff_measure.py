@@ -1,4 +1,4 @@
-"""Measure one point on one scene, in a process of its own: `python -m edit3r_measure.tradeoff_measure JOB ANSWER`.
+"""Measure every point of a tradeoff on every scene, each pair in a process of its own; a sweep can be killed.
 
 What is timed is `edit3r run` itself, from the photos on disk to the last file written, as its `run.json` tells it. The
 first runs warm the process up (compiled kernels, weights in the disk cache) and are recorded but not counted.
@@ -9,10 +9,12 @@ import hashlib
 import io
 import json
 import os
+import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,31 +29,105 @@ from edit3r.config import merge
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.interfaces import LossInputs, Rasterizer
 from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.manifest import installed_versions
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.registry import Registry, default_registry
+from edit3r.reporting import progress
 from edit3r.run_config import make_run_config
 from edit3r.types import Reconstruction
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import RenderedView, predict, score_edit
+from edit3r_measure.runner import run_resumable
 from edit3r_measure.scene_sources import SceneFolder
+from edit3r_measure.tradeoff_knobs import Point
 
-__all__ = ["Job", "measure", "perceptual_distance"]
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+LAST_WORDS = 300  # characters of a dead process's last words that are kept
 
 
 @dataclass(frozen=True)
 class Job:
-    """What the process is told; JSON data."""
+    """What the process of one measurement is told; JSON data."""
 
-    scene: str  # scene folder
-    settings: Mapping[str, Any]  # run settings of the point
-    unedited: Mapping[str, Any]  # laid over them for the run compared with novel views
-    edited: Mapping[str, Any]  # laid over them to edit with true edits, {folder} is where they are
-    image: str  # where to leave the novel view as PNG
+    unedited: Mapping[str, Any]  # laid over the settings for the run compared with novel views
+    edited: Mapping[str, Any]  # laid over the settings to edit with true edits, {folder} is where they are
+    scene: str = ""  # scene folder
+    settings: Mapping[str, Any] = field(default_factory=dict)  # run settings of the point
+    image: str = ""  # where to leave the novel view as PNG
     perceptual: Sequence[str] = ()  # losses to try, in order
     warm_up: int = 1  # runs before those that count
     repeats: int = 3  # runs that count
     plugins: Sequence[str] = ()  # local plugin files
+
+
+# In the process of the command.
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """How points are measured, and the folder that everything about it lies in."""
+
+    root: Path
+    job: Job  # what all measurements share
+    threads: int | None = None  # None: as many as the libraries take by themselves
+    seconds: float | None = None  # no measurement starts after that much wall time; None: no limit
+
+    def image(self, key: str) -> Path:
+        """Return the file of the novel view of one measurement."""
+        return self.root / "pictures" / f"{key}.png"
+
+    def key(self, settings: Mapping[str, Any], fingerprint: str) -> str:
+        """Return a hash that is the same for measurements that would measure the same thing.
+
+        It is of the point's settings, the scene's fingerprint, the number of runs, the threads and the versions of
+        edit3r and torch.
+        """
+        versions = installed_versions()
+        effort = (self.job.warm_up, self.job.repeats, self.threads)
+        content = [settings, fingerprint, effort, [versions.get(name) for name in ("edit3r", "torch")]]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    def measure(self, points: Sequence[Point], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
+        """Measure all points on all scenes, each pair in a fresh process; fewer are returned if the time ran out.
+
+        What `measurements.jsonl` has from earlier sweeps is not measured again.
+        """
+        fingerprints = {scene.path: scene.fingerprint() for scene in scenes}
+        pairs = [(point, scene) for point in points for scene in scenes]
+        jobs = {self.key(point.settings, fingerprints[scene.path]): (point, scene) for point, scene in pairs}
+        found = run_resumable(
+            {key: (key, *pair) for key, pair in jobs.items()},
+            self._measure_pair,
+            self.root / "measurements.jsonl",
+            seconds=self.seconds,
+            on_done=lambda state: progress("measure", state.done, state.total),
+        )
+        return [{**row, "label": jobs[key][0].label} for key, row in found.items()]
+
+    def _measure_pair(self, pair: tuple[str, Point, SceneFolder]) -> dict[str, Any]:
+        key, point, scene = pair
+        about = {"label": point.label, "settings": point.settings, "scene": scene.name, "kind": scene.kind}
+        when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        paths = {"scene": str(scene.path.resolve()), "image": str(self.image(key).resolve())}
+        measurement = in_fresh_process(replace(self.job, settings=point.settings, **paths), self.threads)
+        return {**about, "threads": self.threads, "measured_at": when, **measurement}
+
+
+def in_fresh_process(job: Job, threads: int | None) -> Mapping[str, Any]:
+    """Return the job's measurement, or the failure of a process that died."""
+    limits = {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
+    with tempfile.TemporaryDirectory() as work:
+        task, answer = Path(work) / "job.json", Path(work) / "answer.json"
+        task.write_text(json.dumps(asdict(job)), encoding="utf-8")
+        command = [sys.executable, "-m", __name__, str(task), str(answer)]
+        ended = subprocess.run(command, env={**os.environ, **limits}, capture_output=True, text=True, check=False)
+        if answer.is_file():
+            return json.loads(answer.read_text(encoding="utf-8"))
+    return {"failure": f"the process ended with {ended.returncode}: {' '.join(ended.stderr.split())[-LAST_WORDS:]}"}
+
+
+# In the process of one measurement.
 
 
 def measure(job: Job) -> dict[str, Any]:

@@ -18,19 +18,6 @@ from edit3r_measure.metrics import psnr
 from edit3r_measure.tradeoff.front import PRESETS
 from edit3r_measure.tradeoff_knobs import SweepPlan
 
-__all__ = [
-    "Figures",
-    "MeasuredPoint",
-    "Rated",
-    "Spread",
-    "choose_presets",
-    "front",
-    "make_quality",
-    "on_every_front",
-    "summarize",
-    "with_distances",
-]
-
 APART = 2.1
 """How many times as quick each preset is as the next: the twice that is promised, and something for noise."""
 

@@ -13,8 +13,6 @@ from edit3r_measure.report import format_or_dash, markdown_table
 from edit3r_measure.tradeoff_knobs import BASE
 from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
 
-__all__ = ["END", "START", "plot", "report", "write_into_page"]
-
 START, END = "<!-- tradeoff: written by edit3r tradeoff --page -->", "<!-- end of tradeoff -->"
 STAGES = ("reconstruct", "simplify", "refine", "render", "write files")
 CLOCKS = {"cpu": "processor time", "wall": "time"}

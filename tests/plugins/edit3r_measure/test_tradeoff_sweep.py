@@ -3,13 +3,12 @@ import json
 import numpy as np
 import pytest
 import torch
-from edit3r_measure import tradeoff_sweep as sweeping
+from edit3r_measure import tradeoff_measure
 from edit3r_measure.novel_view import RenderedView, score_edit
 from edit3r_measure.runner import read_rows
 from edit3r_measure.scene_sources import SceneSource, sample_scene, write_scene
-from edit3r_measure.tradeoff_knobs import Point, SweepPlan
-from edit3r_measure.tradeoff_measure import Job, measure, perceptual_distance
-from edit3r_measure.tradeoff_sweep import Effort, SweepFolder, measurement_key, sweep
+from edit3r_measure.tradeoff_knobs import Point
+from edit3r_measure.tradeoff_measure import Job, Sweep, measure, perceptual_distance
 
 from edit3r.cli.main import main
 from edit3r.geometry.cameras import intrinsics_from_fov
@@ -17,7 +16,7 @@ from edit3r.interfaces import SceneSample
 from edit3r.io.posed_folder import Photo
 from edit3r.types import Cameras
 
-PLAN = SweepPlan(unedited={}, edited={}, knobs={})
+JOB = Job(unedited={}, edited={})
 POINTS = [Point(label="a", settings={"size": 8}), Point(label="b", settings={"size": 9})]
 
 
@@ -52,7 +51,7 @@ def processes(monkeypatch):
         started.append(job.settings["size"])
         return {"psnr": 20.0}
 
-    monkeypatch.setattr(sweeping, "in_fresh_process", pretend)
+    monkeypatch.setattr(tradeoff_measure, "in_fresh_process", pretend)
     return started
 
 
@@ -71,35 +70,34 @@ def test_the_run_gets_no_pose(scene):
 
 
 def test_a_later_sweep_measures_what_is_missing_only(scene, tmp_path, processes):
-    folder = SweepFolder(tmp_path)
-    sweep(PLAN, POINTS[:1], [scene], folder, Effort())
-    found = sweep(PLAN, POINTS, [scene], folder, Effort())
+    sweep = Sweep(tmp_path, JOB)
+    sweep.measure(POINTS[:1], [scene])
+    found = sweep.measure(POINTS, [scene])
     assert processes == [8, 9]
     assert [m["label"] for m in found] == ["a", "b"]
 
 
 def test_a_line_that_a_kill_cut_short_is_measured_again(scene, tmp_path, processes):
-    folder = SweepFolder(tmp_path)
-    sweep(PLAN, POINTS, [scene], folder, Effort())
-    text = folder.measurements.read_text()
-    folder.measurements.write_text(text[:-20])
-    assert len(read_rows(folder.measurements)) == 1
-    assert len(sweep(PLAN, POINTS, [scene], folder, Effort())) == 2
+    sweep, file = Sweep(tmp_path, JOB), tmp_path / "measurements.jsonl"
+    sweep.measure(POINTS, [scene])
+    file.write_text(file.read_text()[:-20])
+    assert len(read_rows(file)) == 1
+    assert len(sweep.measure(POINTS, [scene])) == 2
     assert processes == [8, 9, 9]
-    assert len(read_rows(folder.measurements)) == 2
+    assert len(read_rows(file)) == 2
 
 
 def test_no_measurement_starts_after_the_time_is_up(scene, tmp_path, processes):
-    assert sweep(PLAN, POINTS, [scene], SweepFolder(tmp_path), Effort(seconds=0.0)) == []
+    assert Sweep(tmp_path, JOB, seconds=0.0).measure(POINTS, [scene]) == []
     assert processes == []
 
 
-def test_a_key_follows_content_and_not_names():
-    effort = Effort()
-    key = measurement_key(POINTS[0], "x", effort)
-    assert key == measurement_key(Point(label="other", settings={"size": 8}), "x", effort)
-    others = [(POINTS[1], "x", effort), (POINTS[0], "y", effort), (POINTS[0], "x", Effort(repeats=9))]
-    assert key not in [measurement_key(*other) for other in others]
+def test_a_key_follows_content_and_not_names(tmp_path):
+    sweep = Sweep(tmp_path, JOB)
+    key = sweep.key({"size": 8}, "x")
+    assert key == Sweep(tmp_path / "elsewhere", JOB).key({"size": 8}, "x")
+    others = [sweep.key({"size": 9}, "x"), sweep.key({"size": 8}, "y")]
+    assert key not in [*others, Sweep(tmp_path, Job({}, {}, repeats=9)).key({"size": 8}, "x")]
 
 
 def photo(image):
@@ -160,8 +158,8 @@ def test_the_command_measures_a_run_in_its_own_process(tmp_path, capsys, monkeyp
 
 
 def test_a_run_that_ends_in_a_sentence_is_measured_as_that_sentence(scene, tmp_path):
-    image = str(tmp_path / "x.png")
-    answer = measure(Job(str(scene.path), settings={"reconstructor": "nobody"}, unedited={}, edited={}, image=image))
+    files = {"scene": str(scene.path), "image": str(tmp_path / "x.png")}
+    answer = measure(Job({}, {}, settings={"reconstructor": "nobody"}, **files))
     assert list(answer) == ["failure"] and answer["failure"].startswith("no reconstructor named 'nobody'.")
 
 
