@@ -1,6 +1,6 @@
 """Seconds, told apart by stage."""
 
-from edit3r_measure.evaluation.stopwatch import timing_of
+from edit3r_measure.bench_item import timing_of
 
 from edit3r.reporting import StageRecord
 
@@ -13,5 +13,5 @@ def test_stages_are_counted_where_they_belong_and_others_not_at_all():
         StageRecord("render", 5, 6, 0),
     ]
     timing = timing_of(stages, cold=True)
-    assert (timing.editor, timing.network, timing.rendering) == (1, 3, 5)
-    assert timing.total_cpu == 12 and timing.cold
+    assert (timing["editor"], timing["network"], timing["rendering"]) == (1, 3, 5)
+    assert (timing["editor_cpu"], timing["network_cpu"], timing["rendering_cpu"]) == (2, 4, 6) and timing["cold"]
