@@ -7,6 +7,7 @@ report  folders of results                   ->  tables, plots, a page     (`ben
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,6 @@ from edit3r.config import find_config, make_settings, merge, parse_assignments, 
 from edit3r.errors import SettingsError, suggest
 
 if TYPE_CHECKING:
-    from edit3r_measure.bench_build import PhotoTools
     from edit3r_measure.bench_item import Method
     from edit3r_measure.bench_manifest import Manifest
     from edit3r_measure.runner import Progress
@@ -90,7 +90,7 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
 
 def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     """Return the manifest; None after the first step, which leaves the vetting file."""
-    from edit3r_measure.bench_build import PhotoBuild, PhotoSettings, find_photo_folders, propose_edits
+    from edit3r_measure.bench_build import PhotoBuild, PhotoSettings, find_photo_folders
     from edit3r_measure.bench_proposals import read_vetting, write_vetting
 
     labels = tuple(label.strip().lower() for label in args.labels.split(",") if label.strip())
@@ -99,21 +99,19 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
     scenes = find_photo_folders(Path(args.folder), settings.views)
-    tools = _photo_tools(args)
+    build = PhotoBuild(scenes, settings, out, vetting, **_photo_tools(args))
     if args.no_vetting:
-        edits = propose_edits(scenes, tools, settings)
-    elif vetting.is_file():
-        edits = read_vetting(vetting)
-    else:
-        write_vetting(vetting, propose_edits(scenes, tools, settings))
-        print(f"{vetting}: edit it (keep, drop, reword), then run the same command again.")
-        return None
-    return PhotoBuild(tools, settings, out, vetting).manifest(scenes, edits)
+        return build.manifest(build.propose())
+    if vetting.is_file():
+        return build.manifest(read_vetting(vetting))
+    write_vetting(vetting, build.propose())
+    print(f"{vetting}: edit it (keep, drop, reword), then run the same command again.")
+    return None
 
 
-def _photo_tools(args: argparse.Namespace) -> "PhotoTools":
+def _photo_tools(args: argparse.Namespace) -> dict[str, Any]:
+    """Build what helps to find edits, by the names of `PhotoBuild`."""
     from edit3r.registry import default_registry
-    from edit3r_measure.bench_build import PhotoTools
     from edit3r_measure.bench_proposals import LanguageModel
 
     if (args.llm is None) != (args.llm_model is None):
@@ -121,7 +119,7 @@ def _photo_tools(args: argparse.Namespace) -> "PhotoTools":
     registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
     names = {"detector": args.detector, "segmenter": args.segmenter}
     built = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in names.items() if name}
-    return PhotoTools(**built, model=LanguageModel(args.llm, args.llm_model) if args.llm else None)
+    return {**built, "model": LanguageModel(args.llm, args.llm_model) if args.llm else None}
 
 
 def _image_size(args: argparse.Namespace) -> dict[str, int]:
@@ -194,7 +192,7 @@ def _run(args: argparse.Namespace) -> int:
             verify=not args.no_verify,
             position=position,
         )
-        results = run_bench(run, workers, _Lines(method.label, args.quiet))
+        results = run_bench(run, workers, (lambda _: None) if args.quiet else partial(_print_progress, method.label))
         if not args.quiet:
             failed = sum(bool(result.failure) for result in results.values())
             print(f"{method.label}: {len(results)} edits, {failed} failed; {run.out}")
@@ -222,20 +220,13 @@ def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
     return [(n, method) for n, method in enumerate(methods) if not args.only or method.label in args.only]
 
 
-class _Lines:
-    """Prints one line an item, with the time left."""
-
-    def __init__(self, label: str, quiet: bool) -> None:
-        self.label, self.quiet = label, quiet
-
-    def __call__(self, progress: "Progress") -> None:
-        if self.quiet:
-            return
-        failure, seconds = progress.row["failure"], progress.seconds_left
-        what = f"failed: {failure[:100]}" if failure else "done"
-        left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-        place = f"  [{progress.done}/{progress.total}] {self.label}, {progress.key}"
-        print(f"{place}: {what}; about {left} left", file=sys.stderr, flush=True)
+def _print_progress(label: str, progress: "Progress") -> None:
+    """Print one line about an item, with the time left."""
+    failure, seconds = progress.row["failure"], progress.seconds_left
+    what = f"failed: {failure[:100]}" if failure else "done"
+    left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    place = f"  [{progress.done}/{progress.total}] {label}, {progress.key}"
+    print(f"{place}: {what}; about {left} left", file=sys.stderr, flush=True)
 
 
 # ---- report ----

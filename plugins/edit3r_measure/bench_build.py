@@ -4,7 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -34,14 +33,14 @@ from edit3r_measure.bench_manifest import (
     load_sample,
 )
 from edit3r_measure.bench_proposals import (
-    VOCABULARY,
+    WORDS,
+    Boxes,
     LanguageModel,
     ProposedEdit,
-    SceneLabels,
     choose_edits,
     edits_from_model,
     edits_from_templates,
-    find_labels,
+    find_objects,
     masks_from_boxes,
     without_near_duplicates,
 )
@@ -107,9 +106,9 @@ def _generated_items(name: str, index: int, settings: GeneratedSettings, registr
     """Return the five edits of scene `index`; None as soon as one of them is hardly to be seen."""
     items = []
     for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
-        record = SampleRecord(
-            dataset=settings.dataset, settings=_dataset_settings(settings, edit), index=index, sha256=""
-        )
+        drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
+        own = {**drawn, "angles": list(settings.angles), **edit}
+        record = SampleRecord(dataset=settings.dataset, settings=own, index=index, sha256="")
         sample = load_sample(record, registry)
         if not is_visible(sample, kind == "Global", settings):
             return None
@@ -126,17 +125,6 @@ def _generated_items(name: str, index: int, settings: GeneratedSettings, registr
             )
         )
     return items
-
-
-def _dataset_settings(settings: GeneratedSettings, edit: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "seed": settings.seed,
-        "image_size": settings.image_size,
-        "context": settings.frames,
-        "targets": 0,
-        "angles": list(settings.angles),
-        **edit,
-    }
 
 
 def is_visible(sample: SceneSample, everywhere: bool, settings: GeneratedSettings) -> bool:
@@ -219,71 +207,63 @@ class PhotoSettings(Settings):
 
 
 @dataclass(frozen=True)
-class PhotoTools:
-    """What helps to find edits; each may be absent."""
+class PhotoBuild:
+    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
 
+    scenes: Sequence[PhotoFolder]
+    settings: PhotoSettings
+    out: Path  # the manifest, whose folder all paths in it are relative to
+    vetting: Path  # the vetting file, whose folder mask files named in it are relative to
     detector: Detector | None = None
     segmenter: Segmenter | None = None
     model: LanguageModel | None = None
 
-    def names(self) -> dict[str, str | None]:
-        """Return what there is, for the manifest's notes."""
-        parts = {"detector": self.detector, "segmenter": self.segmenter}
-        found = {kind: None if part is None else component_name(part) for kind, part in parts.items()}
-        return {"built_from": "photos", **found, "language_model": None if self.model is None else self.model.name}
+    def propose(self) -> dict[str, list[ProposedEdit]]:
+        """Return the proposed edits of every scene, near duplicates removed."""
+        found = {}
+        for number, scene in enumerate(track(self.scenes, "propose edits")):
+            labels = tuple(self._objects(scene))
+            if not labels:
+                warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
+            own = edits_from_model(labels, self.model) if self.model is not None else []
+            own += edits_from_templates(labels or (UNNAMED,), self.settings.seed + number)
+            found[scene.id] = without_near_duplicates(own)
+        return found
 
-    def labels(self, scene: PhotoFolder, settings: PhotoSettings) -> SceneLabels:
-        """Return what the scene shows: what the detector finds, else what the user says."""
-        if self.detector is None:
-            return SceneLabels(settings.labels, {})
-        return find_labels(scene.load_inputs(settings.image_size), self.detector, settings.labels or VOCABULARY)
-
-
-def propose_edits(
-    scenes: Sequence[PhotoFolder], tools: PhotoTools, settings: PhotoSettings
-) -> dict[str, list[ProposedEdit]]:
-    """Return the proposed edits of every scene, near duplicates removed."""
-    found = {}
-    for number, scene in enumerate(track(scenes, "propose edits")):
-        labels = tools.labels(scene, settings).labels
-        if not labels:
-            warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
-        own = edits_from_model(labels, tools.model) if tools.model is not None else []
-        own += edits_from_templates(labels or (UNNAMED,), settings.seed + number)
-        found[scene.id] = without_near_duplicates(own)
-    return found
-
-
-@dataclass(frozen=True)
-class PhotoBuild:
-    """From vetted edits to a manifest: five edits a scene become items, masks are written beside the manifest."""
-
-    tools: PhotoTools
-    settings: PhotoSettings
-    out: Path  # the manifest, whose folder all paths in it are relative to
-    vetting: Path
-
-    def manifest(self, scenes: Sequence[PhotoFolder], vetted: Mapping[str, list[ProposedEdit]]) -> Manifest:
-        """Return the benchmark. Raises InputError naming a scene that has not exactly five edits."""
-        missing = [scene.id for scene in scenes if scene.id not in vetted]
+    def manifest(self, vetted: Mapping[str, Sequence[ProposedEdit]]) -> Manifest:
+        """Return the benchmark; masks are written beside it. Raises InputError for a scene without just five edits."""
+        missing = [scene.id for scene in self.scenes if scene.id not in vetted]
         if missing:
             raise InputError(f"{self.vetting}: no edits for {missing[0]!r}; delete the file to propose edits anew.")
-        chosen = {scene.id: choose_edits(scene.id, vetted[scene.id]) for scene in scenes}
-        items = [item for scene in track(scenes, "masks") for item in self._items(scene, chosen[scene.id])]
+        chosen = {scene.id: choose_edits(scene.id, vetted[scene.id]) for scene in self.scenes}
+        items = [item for scene in track(self.scenes, "masks") for item in self._items(scene, chosen[scene.id])]
         return Manifest(
-            name=f"{len(scenes)} photographed scenes",
+            name=f"{len(self.scenes)} photographed scenes",
             image_size=self.settings.image_size,
-            scenes=tuple(self._record(scene) for scene in scenes),
+            scenes=tuple(self._record(scene) for scene in self.scenes),
             items=tuple(items),
-            notes={**self.tools.names(), "edits_without_masks": [item.id for item in items if not item.masks]},
+            notes={
+                "built_from": "photos",
+                "detector": self.detector and component_name(self.detector),
+                "segmenter": self.segmenter and component_name(self.segmenter),
+                "language_model": self.model and self.model.name,
+                "edits_without_masks": [item.id for item in items if not item.masks],
+            },
         )
+
+    def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
+        """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
+        if self.detector is None:
+            return dict.fromkeys(self.settings.labels, ())
+        words = self.settings.labels or WORDS["vocabulary"]
+        return find_objects(scene.load_inputs(self.settings.image_size), self.detector, words)
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
         frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
         return SceneRecord(id=scene.id, folder=self._relative(scene.path), cameras=scene.cameras, frames=frames)
 
     def _items(self, scene: PhotoFolder, edits: Sequence[ProposedEdit]) -> list[ItemRecord]:
-        labels = self.tools.labels(scene, self.settings)
+        objects = self._objects(scene)
         names = [f"{scene.id}-{number}-{edit.type.lower()}" for number, edit in enumerate(edits, start=1)]
         return [
             ItemRecord(
@@ -296,27 +276,29 @@ class PhotoBuild:
                 seed=self.settings.seed,
                 inputs=scene.inputs,
                 held_back=scene.held_back,
-                masks=self._masks(name, scene, edit, labels),
+                masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
             )
             for name, edit in zip(names, edits)
         ]
 
-    def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, labels: SceneLabels) -> tuple[FrameRecord, ...]:
+    def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes) -> tuple[FrameRecord, ...]:
         """Return those a person named, else those around a removed or modified object that a detector found."""
         if edit.masks and len(edit.masks) != len(scene.inputs):
             counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
             raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")
-        files = [self.vetting.parent / mask for mask in edit.masks] or self._draw_masks(item, scene, edit, labels)
+        files = [self.vetting.parent / mask for mask in edit.masks]
+        if not files and edit.type in ("Remove", "Modify"):
+            files = self._draw_masks(item, scene, boxes)
         return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
 
-    def _draw_masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, labels: SceneLabels) -> list[Path]:
-        """Write masks made from the detector's boxes; none when it did not find the object in every input."""
-        boxes = labels.boxes.get(edit.object) if edit.type in ("Remove", "Modify") else None
-        if boxes is None:
+    def _draw_masks(self, item: str, scene: PhotoFolder, boxes: Boxes) -> list[Path]:
+        """Write masks made from the detector's boxes; none when it did not find the object in every input.
+
+        An edit confined to some of the views would be another edit.
+        """
+        if not boxes or None in boxes:
             return []
-        masks = masks_from_boxes(scene.load_inputs(self.settings.image_size), boxes, self.tools.segmenter)
-        if masks is None:
-            return []
+        masks = masks_from_boxes(scene.load_inputs(self.settings.image_size), boxes, self.segmenter)
         folder = self.out.parent / f"{self.out.stem}-masks"
         folder.mkdir(exist_ok=True)
         files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]

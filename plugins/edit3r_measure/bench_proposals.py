@@ -27,16 +27,10 @@ from edit3r.io.run_folder import atomic_write
 from edit3r.mask_from_prompt import grown
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 
-KEY_VARIABLE = "OPENAI_API_KEY"
+Boxes = tuple[Detection | None, ...]
+"""One object's box in each photo; None where a photo does not show it."""
 
-WORDS = """
-person statue animal dog cat bird horse bear toy car bus truck bicycle motorcycle boat train house
-building tower bridge door window wall fence stairs bench chair table sofa bed lamp shelf book
-laptop screen cup bottle bowl plate vase flower plant tree bush rock sign fountain umbrella bag box
-clock
-"""
-VOCABULARY = tuple(WORDS.split())
-"""Words that a detector is asked for unless the user gives others."""
+KEY_VARIABLE = "OPENAI_API_KEY"
 
 SHARE_OF_VIEWS = 0.5
 """An object counts when at least this share of the photos shows it."""
@@ -44,53 +38,14 @@ SHARE_OF_VIEWS = 0.5
 LARGEST_SHARE = 0.7
 """Boxes over more of a photo than this name the place rather than a thing in it."""
 
-MOST_LABELS = 8
+MOST_OBJECTS = 8
+"""Objects of a scene that edits are proposed for."""
 
 ALIKE = 0.82
 """Likeness from which two prompts count as one."""
 
-FILLERS = frozenset(re.findall(r"\w+", "a an the of to into in on with and please make turn change it its some"))
-"""Words of a prompt that carry nothing."""
-
-TEMPLATES: dict[EditType, tuple[tuple[str, str], ...]] = {
-    "Add": (
-        ("put a red hat on top of the {object}", "a photo of the {object} with a red hat on top"),
-        ("add a small potted plant next to the {object}", "a photo of the {object} beside a small potted plant"),
-        ("add a yellow ball in front of the {object}", "a photo of the {object} with a yellow ball in front of it"),
-    ),
-    "Remove": (("remove the {object}", "a photo of the place without the {object}"),),
-    "Modify": (
-        ("paint the {object} blue", "a photo of a blue {object}"),
-        ("paint the {object} red", "a photo of a red {object}"),
-        ("make the {object} look like polished bronze", "a photo of a {object} made of polished bronze"),
-    ),
-    "Global": (
-        ("make it look like a snowy winter day", "a photo taken on a snowy winter day"),
-        ("make it warmer", "a photo in warm light"),
-        ("turn it into a watercolor painting", "a watercolor painting"),
-        ("make it black and white", "a black and white photo"),
-    ),
-}
-"""Prompt and description; local ones are filled in with a label. Some are plain colour changes, which need no model."""
-
-SYSTEM = (
-    "You write instructions for a benchmark of 3D scene editing. An instruction is one short imperative sentence that "
-    "an image editor could carry out on every photo of the scene alike. Answer with JSON only."
-)
-REQUEST = """\
-Photos of one scene show: {labels}.
-Write {count} instructions of each type: Add (a new object), Remove (an object named above), Modify (colour or material
-of an object named above), Global (weather, light, season or style of the whole picture).
-Answer with a JSON list of objects with the keys "type", "prompt", "object" (one of the names above, empty for Global)
-and "description" (what the edited photo shows, one short phrase)."""
-
-HEADER = """\
-# Edits proposed for each scene. For every one set `verdict` to keep or drop, and change its prompt if you like.
-# Exactly five of a scene must remain. With fewer than five kept, undecided ones ('') fill up in order, types in turn.
-# A local edit needs masks; it gets them from `object` by the detector, or from files you name:
-#   masks: [masks/left.png, masks/right.png]     one per input photo, relative to this file, white may change
-# Then run the same edit3r bench build command again.
-"""
+WORDS = read_yaml(Path(__file__).with_name("bench_words.yaml"))
+"""Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file."""
 
 
 class ProposedEdit(Settings):
@@ -108,24 +63,18 @@ class ProposedEdit(Settings):
 # ---- what the photos show ----
 
 
-@dataclass(frozen=True)
-class SceneLabels:
-    """Labels, most certain first, and the best box of each in every photo that shows it."""
+def find_objects(
+    images: Float[Tensor, "frame 3 height width"], detector: Detector, words: Sequence[str]
+) -> dict[str, Boxes]:
+    """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
 
-    labels: tuple[str, ...]
-    boxes: Mapping[str, tuple[Detection | None, ...]]  # by label, one per photo
-
-
-def find_labels(
-    images: Float[Tensor, "frame 3 height width"], detector: Detector, words: Sequence[str] = VOCABULARY
-) -> SceneLabels:
-    """Return the objects that enough of the photos show, at most MOST_LABELS of the highest mean score."""
+    They are in order of that score, each with its best box in every photo, None where a photo does not show it.
+    """
     area = images.shape[-2] * images.shape[-1]
     boxes = {word: tuple(_best(detector.detect(image, word), area) for image in images) for word in words}
     scores = {word: sum(box.score for box in own if box) / len(images) for word, own in boxes.items()}
     seen = [word for word, own in boxes.items() if sum(b is not None for b in own) >= SHARE_OF_VIEWS * len(images)]
-    labels = tuple(sorted(seen, key=lambda word: -scores[word])[:MOST_LABELS])
-    return SceneLabels(labels, {label: boxes[label] for label in labels})
+    return {word: boxes[word] for word in sorted(seen, key=lambda word: -scores[word])[:MOST_OBJECTS]}
 
 
 def _best(detections: Sequence[Detection], area: int) -> Detection | None:
@@ -134,14 +83,9 @@ def _best(detections: Sequence[Detection], area: int) -> Detection | None:
 
 
 def masks_from_boxes(
-    images: Float[Tensor, "view 3 height width"], boxes: Sequence[Detection | None], segmenter: Segmenter | None
-) -> Float[Tensor, "view height width"] | None:
-    """Return masks around one object, a little larger than it; from the boxes themselves without a segmenter.
-
-    None when a view does not show the object: an edit confined to some of the views would be another edit.
-    """
-    if any(box is None for box in boxes):
-        return None
+    images: Float[Tensor, "view 3 height width"], boxes: Sequence[Detection], segmenter: Segmenter | None
+) -> Float[Tensor, "view height width"]:
+    """Return masks around one object, a little larger than it; from the boxes themselves without a segmenter."""
     return grown(torch.stack([_mask(image, box, segmenter) for image, box in zip(images, boxes)]))
 
 
@@ -200,7 +144,9 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
     for kind in EDIT_TYPES:
         objects = labels if kind != "Global" else [""]
         own = [
-            (*(text.format(object=label) for text in texts), label) for texts in TEMPLATES[kind] for label in objects
+            (*(text.format(object=label) for text in texts), label)
+            for texts in WORDS["templates"][kind]
+            for label in objects
         ]
         for prompt, description, label in (own[index] for index in rng.permutation(len(own))):
             edit = {"type": kind, "prompt": prompt, "object": label, "description": description}
@@ -210,7 +156,8 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
 
 def edits_from_model(labels: Sequence[str], model: LanguageModel, count: int = 4) -> list[ProposedEdit]:
     """Return what the model proposes. Raises RunError when its answer holds no usable edit."""
-    answer = model.ask(SYSTEM, REQUEST.format(labels=", ".join(labels) or "unknown things", count=count))
+    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=count)
+    answer = model.ask(WORDS["system"], request)
     start, end = answer.find("["), answer.rfind("]")  # models like to put words around the list
     try:
         entries = json.loads(answer[start : end + 1])
@@ -252,7 +199,7 @@ def likeness(first: str, second: str) -> float:
 
 def _words(text: str) -> list[str]:
     words = [word.removesuffix("s") if len(word) > 3 else word for word in re.findall(r"[^\W_]+", text.lower())]
-    return [word for word in words if word not in FILLERS]
+    return [word for word in words if word not in WORDS["fillers"]]
 
 
 def without_near_duplicates(edits: Iterable[ProposedEdit]) -> list[ProposedEdit]:
@@ -272,7 +219,7 @@ def write_vetting(path: Path, proposed: Mapping[str, Sequence[ProposedEdit]]) ->
     scenes = {scene: [edit.model_dump(exclude={"masks"}) for edit in own] for scene, own in proposed.items()}
     with atomic_write(path) as partial:
         text = yaml.safe_dump({"scenes": scenes}, sort_keys=False, allow_unicode=True, width=110)
-        partial.write_text(HEADER + text, encoding="utf-8")
+        partial.write_text(WORDS["vetting_head"] + text, encoding="utf-8")
 
 
 def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:

@@ -184,7 +184,7 @@ def report_text(columns: Sequence[Column]) -> str:
         main_table(columns),
     ]
     if len(columns) > 1:
-        parts += [f"## {columns[0].label} against the others, edit by edit", differences_table(columns)]
+        parts += [f"## {columns[0].label} against the others, edit by edit", differences_table(columns[0], columns[1:])]
     by_type = [name for name in ("score", "psnr-in-edit") if name in metric_names(columns)]
     parts += ["## By type of edit", *(types_table(columns, name) for name in by_type)]
     parts += ["## Time", "Seconds for one edit of a scene, all views.", time_table(columns)]
@@ -209,24 +209,21 @@ def main_table(columns: Sequence[Column]) -> str:
         ["failed", *(str(len(column.failures)) for column in columns)],
     ]
     rows = [[_title(name), *(_cell(mean_of(c, name), name) for c in columns)] for name in metric_names(columns)]
-    return markdown_table(["", *(column.label for column in columns)], [*counts, *rows])
+    return markdown_table(_head("", columns), [*counts, *rows])
 
 
-def differences_table(columns: Sequence[Column]) -> str:
+def differences_table(first: Column, others: Sequence[Column]) -> str:
     """Return the table of the first method minus each other one, edit by edit."""
-    first, others = columns[0], columns[1:]
-    rows = [
-        [_title(name), *(_cell(difference(first, other, name), name, "+") for other in others)]
-        for name in metric_names(columns)
-    ]
+    names = metric_names([first, *others])
+    rows = [[_title(name), *(_cell(difference(first, c, name), name, "+") for c in others)] for name in names]
     return markdown_table(["", *(f"{first.label} - {other.label}" for other in others)], rows)
 
 
 def types_table(columns: Sequence[Column], name: str) -> str:
     """Return the table of one metric by type of edit."""
     kinds = [kind for kind in EDIT_TYPES if columns[0].of_type(kind).results]
-    rows = [[kind, *(_cell(mean_of(column.of_type(kind), name), name) for column in columns)] for kind in kinds]
-    return markdown_table([_title(name), *(column.label for column in columns)], rows)
+    rows = [[kind, *(_cell(mean_of(c.of_type(kind), name), name) for c in columns)] for kind in kinds]
+    return markdown_table(_head(_title(name), columns), rows)
 
 
 def time_table(columns: Sequence[Column]) -> str:
@@ -245,7 +242,11 @@ def time_table(columns: Sequence[Column]) -> str:
         for title, (which, names) in titles.items()
     ]
     rows.append(["warm edits", *(format(time["warm_edits"], ".3g") for time in times)])
-    return markdown_table(["", *(column.label for column in columns)], rows)
+    return markdown_table(_head("", columns), rows)
+
+
+def _head(corner: str, columns: Sequence[Column]) -> list[str]:
+    return [corner, *(column.label for column in columns)]
 
 
 def _title(name: str) -> str:

@@ -22,6 +22,11 @@ from edit3r.io.run_folder import atomic_write
 
 __all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable"]
 
+Row = Mapping[str, Any]
+Function = Callable[[Any], Row]
+KeyedJob = tuple[str, Any]
+KeyedRow = tuple[str, Row]
+
 
 @dataclass(frozen=True)
 class Workers:
@@ -37,7 +42,7 @@ class Progress:
     """What `on_done` is told after each job."""
 
     key: str
-    row: Mapping[str, Any]
+    row: Row
     done: int  # how many have a row now, those of earlier runs included
     total: int
     seconds_left: float
@@ -45,7 +50,7 @@ class Progress:
 
 def run_resumable(
     jobs: Mapping[str, Any],
-    function: Callable[[Any], Mapping[str, Any]],
+    function: Function,
     path: Path,
     *,
     workers: Workers = Workers(),
@@ -73,11 +78,12 @@ def run_resumable(
         on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
     ordered = {key: found[key] for key in jobs if key in found}
     if found:
-        _write_rows(path, {**ordered, **found}.values())
+        with atomic_write(path) as partial:
+            partial.write_text("".join(map(_line, {**ordered, **found}.values())), encoding="utf-8")
     return ordered
 
 
-def append_row(path: Path, row: Mapping[str, Any]) -> dict[str, Any]:
+def append_row(path: Path, row: Row) -> dict[str, Any]:
     """Add one line, have it on disk before returning, and return the row as it will be read back."""
     line = _line(row)
     with path.open("a", encoding="utf-8") as file:
@@ -111,12 +117,7 @@ def repair(path: Path) -> None:
             partial.write_bytes(whole)
 
 
-def _write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    with atomic_write(path) as partial:
-        partial.write_text("".join(map(_line, rows)), encoding="utf-8")
-
-
-def _line(row: Mapping[str, Any]) -> str:
+def _line(row: Row) -> str:
     return json.dumps(_finite(row), ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -129,7 +130,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _until(end: float | None, jobs: Iterable[tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
+def _until(end: float | None, jobs: Iterable[KeyedJob]) -> Iterator[KeyedJob]:
     """Give out jobs until the clock shows `end` [s, monotonic]."""
     for job in jobs:
         if end is not None and time.monotonic() > end:
@@ -141,11 +142,11 @@ def _until(end: float | None, jobs: Iterable[tuple[str, Any]]) -> Iterator[tuple
 class _Task:
     """What a worker does with every job; picklable when its function is."""
 
-    function: Callable[[Any], Mapping[str, Any]]
+    function: Function
     failures: tuple[type[Exception], ...]
     threads: int | None
 
-    def do(self, job: tuple[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    def do(self, job: KeyedJob) -> KeyedRow:
         """The job's key and its row."""
         if self.threads is not None:
             import torch
@@ -157,7 +158,7 @@ class _Task:
             return job[0], {"failure": str(error)}
 
 
-def _spread(task: _Task, jobs: Iterator[tuple[str, Any]], workers: Workers) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
     """Keys and rows as they come; a job is taken from `jobs` only when a worker is free for it."""
     if workers.spread == "ray":
         return _on_ray(task, jobs, workers)
@@ -172,11 +173,11 @@ def _set_task(task: _Task) -> None:
     _task = task
 
 
-def _call_task(job: tuple[str, Any]) -> tuple[str, Mapping[str, Any]]:
+def _call_task(job: KeyedJob) -> KeyedRow:
     return _task.do(job)
 
 
-def _in_processes(task: _Task, jobs: Iterator[tuple[str, Any]], count: int) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator[KeyedRow]:
     """Rows from new processes of this machine: forking one that has used torch's threads can hang."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
@@ -196,7 +197,7 @@ def _in_processes(task: _Task, jobs: Iterator[tuple[str, Any]], count: int) -> I
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _on_ray(task: _Task, jobs: Iterator[tuple[str, Any]], workers: Workers) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
     """Rows from a Ray cluster: the one that RAY_ADDRESS names, else one here. All nodes must see the same paths."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -214,12 +215,12 @@ def _on_ray(task: _Task, jobs: Iterator[tuple[str, Any]], workers: Workers) -> I
     try:
         actor = ray.remote(num_cpus=workers.threads or 1)(_Task)
         pool = ActorPool([actor.remote(task.function, task.failures, task.threads) for _ in first])
-        for job in first:
-            pool.submit(lambda worker, job: worker.do.remote(job), job)
-        while pool.has_next():
-            yield pool.get_next_unordered()
-            for job in islice(jobs, 1):
+        more = first
+        while more or pool.has_next():
+            for job in more:
                 pool.submit(lambda worker, job: worker.do.remote(job), job)
+            yield pool.get_next_unordered()
+            more = list(islice(jobs, 1))
     finally:
         if started:
             ray.shutdown()
