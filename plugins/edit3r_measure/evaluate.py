@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.command import Command
 from edit3r.config import parse_assignments
-from edit3r.errors import InputError, MatchingError, SettingsError
+from edit3r.errors import InputError, SettingsError
 from edit3r.io.run_folder import atomic_write
 from edit3r.reporting import Report, collecting, track
 
 if TYPE_CHECKING:  # the command line is parsed without torch
-    from edit3r_measure.novel_view import CarriedEdit, NovelViewScore
+    from edit3r_measure.novel_view import CarriedEdit, DepthScore, NovelViewScore
 
 UNSEEN = {"procedural": {"seed": 1000, "targets": 1, "angles": [5, 25]}}
 """Settings of data sets; the seeds of training are others."""
@@ -45,6 +45,7 @@ class EvaluateCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.console import StageConsole
         from edit3r.registry import default_registry
+        from edit3r_measure.novel_view import CarriedEdit, DepthScore, NovelViewScore, score_scene
         from edit3r_measure.scene_sources import NO_TRIPLES, find_scenes
 
         settings = _checked_settings(args)
@@ -53,18 +54,23 @@ class EvaluateCommand(Command):
         rasterizer = registry.build("rasterizer", args.rasterizer, **settings.get("rasterizer", {}))
         options = _scene_options(args, settings.get("dataset", {}))
         sources = {place: find_scenes(place, options, registry) for place in args.folders}
-        measured = Measured()
+        scores = []
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
             for place, scenes in sources.items():
                 with report.stage(place):
-                    measured.add(scenes, reconstructor, rasterizer, args.edits)
-        if not (measured.pairs or measured.edits or measured.lines):
+                    found = (score_scene(s.load(), reconstructor, rasterizer, args.edits) for s in track(scenes, place))
+                    scores += [score for score in found if score is not None]
+        if not scores:
             lacking = "no true edit is known" if args.edits else f"{NO_TRIPLES}, and no true depth is there"
             raise InputError(f"{args.folders[0]}: {lacking}; nothing to measure.")
-        text = measured.text()
+        kinds = (NovelViewScore, CarriedEdit, DepthScore)
+        pairs, edits, depths = ([score for score in scores if isinstance(score, kind)] for kind in kinds)
+        text = as_markdown(pairs, edits, depths)
         print(text, end="")
         if args.out:
-            _write(args.out, text, measured.records())
+            content = json.dumps(as_records([*pairs, *edits]), indent=2) + "\n" if args.out.endswith(".json") else text
+            with atomic_write(args.out) as partial:
+                partial.write_text(content, encoding="utf-8")
         return 0
 
 
@@ -91,62 +97,34 @@ def _scene_options(args: argparse.Namespace, dataset: dict[str, Any]):
     return SceneOptions(args.pairs, args.size, given)
 
 
-class Measured:
-    """What has been measured so far."""
-
-    def __init__(self) -> None:
-        self.pairs: list[NovelViewScore] = []
-        self.edits: list[CarriedEdit] = []
-        self.lines: list[str] = []  # true depth, and what failed outside the tables
-
-    def add(self, sources: Sequence[Any], reconstructor: Any, rasterizer: Any, edits: bool) -> None:
-        """Measure scenes: depth where no target is known, else the novel view or (`edits`) the carried edit."""
-        from edit3r_measure.novel_view import score_novel_view
-
-        for source in track(sources, "scenes"):
-            scene = source.load()
-            if scene.target is None:
-                self.lines += [] if edits else [_depth_line(scene, reconstructor, rasterizer)]
-            elif not edits:
-                self.pairs.append(score_novel_view(scene, reconstructor, rasterizer))
-            elif scene.edited:
-                self._add_edit(source.name, scene, reconstructor, rasterizer)
-
-    def _add_edit(self, name: str, scene: Any, reconstructor: Any, rasterizer: Any) -> None:
-        from edit3r_measure.novel_view import score_carried_edit
-
-        try:
-            score = score_carried_edit(scene, reconstructor, rasterizer)
-        except MatchingError as error:
-            self.lines.append(f"- {name}: {error}")
-            return
-        self.edits += [] if score is None else [score]
-
-    def text(self) -> str:
-        """Return the tables and lines as Markdown."""
-        tables = [novel_view_table(self.pairs)] if self.pairs else []
-        tables += [edit_table(self.edits)] if self.edits else []
-        return "\n".join([*tables, *(f"{line}\n" for line in self.lines)])
-
-    def records(self) -> list[dict[str, Any]]:
-        """Return JSON data, one mapping a pair; numbers that a failure left unknown are null."""
-        return [
-            {
-                key: None if isinstance(value, float) and math.isnan(value) else value
-                for key, value in asdict(score).items()
-            }
-            for score in (*self.pairs, *self.edits)
-        ]
+def as_records(scores: Sequence["NovelViewScore | CarriedEdit"]) -> list[dict[str, Any]]:
+    """Return JSON data, one mapping a pair; numbers that a failure left unknown are null."""
+    rows = map(asdict, scores)
+    return [{key: None if _is_unknown(value) else value for key, value in row.items()} for row in rows]
 
 
-def _depth_line(scene: Any, reconstructor: Any, rasterizer: Any) -> str:
-    from edit3r_measure.novel_view import score_depth
+def _is_unknown(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
-    try:
-        share = score_depth(scene, reconstructor, rasterizer)
-    except MatchingError as error:
-        return f"{scene.source}: no depth, {error}"
-    return f"{scene.source}: {share:.1%} of the pixels within 10 % of the true depth after one scale."
+
+def as_markdown(
+    pairs: Sequence["NovelViewScore"], edits: Sequence["CarriedEdit"], depths: Sequence["DepthScore"]
+) -> str:
+    """Return a table of the novel views, a table of the carried edits, and a line for each known depth."""
+    tables = [table(scores) for table, scores in ((novel_view_table, pairs), (edit_table, edits)) if scores]
+    return "\n".join([*tables, *(f"{depth_line(score)}\n" for score in depths)])
+
+
+def depth_line(score: "DepthScore") -> str:
+    """Return one sentence."""
+    if score.failure:
+        return f"{score.scene}: no depth, {score.failure}"
+    return f"{score.scene}: {score.right:.1%} of the pixels within 10 % of the true depth after one scale."
+
+
+def _with_failures(table: str, scores: Sequence["NovelViewScore | CarriedEdit"]) -> str:
+    lines = [f"- {s.scene}, {s.first} and {s.second}: {s.failure}" for s in scores if s.failure]
+    return "\n".join([table, *([""] if lines else []), *lines]) + "\n"
 
 
 def _mean(field: str, form: str) -> Callable[[Sequence["NovelViewScore"]], str]:
@@ -181,23 +159,16 @@ def novel_view_table(scores: Sequence["NovelViewScore"]) -> str:
         done = [score for score in group if not score.failure]
         cells = [cell(done) if done else "-" for _, cell in COLUMNS]
         rows.append([name, str(len(group)), str(len(group) - len(done)), *cells])
-    table = markdown_table(["scene", "pairs", "failed", *(title for title, _ in COLUMNS)], rows)
-    failures = [f"- {s.scene}, {s.first} and {s.second}: {s.failure}" for s in scores if s.failure]
-    return "\n".join([table, *([""] if failures else []), *failures]) + "\n"
+    return _with_failures(markdown_table(["scene", "pairs", "failed", *(title for title, _ in COLUMNS)], rows), scores)
 
 
 def edit_table(scores: Sequence["CarriedEdit"]) -> str:
-    """Return one row a measure of how edits are carried and fused, with mean and median over the scenes."""
+    """Return one row a measure of how edits are carried and fused, then a line for each failure."""
     from edit3r_measure.report import markdown_table
 
     rows = []
-    for name in asdict(scores[0]):
-        values = [value for value in (getattr(score, name) for score in scores) if math.isfinite(value)]
-        rows.append([name, str(len(values)), *(f"{f(values):.3f}" if values else "-" for f in (fmean, median))])
-    return markdown_table(["carried edits", "scenes", "mean", "median"], rows) + "\n"
-
-
-def _write(path: str, text: str, records: list[dict[str, Any]]) -> None:
-    content = json.dumps(records, indent=2) + "\n" if path.endswith(".json") else text
-    with atomic_write(path) as partial:
-        partial.write_text(content, encoding="utf-8")
+    for name in ("uptake", "error", "leak", "disagreement", "kept", "edited_psnr", "unedited_psnr"):
+        values = [value for score in scores if not _is_unknown(value := getattr(score, name))]
+        cells = [f"{fmean(values):.3f}", f"{median(values):.3f}"] if values else ["-", "-"]
+        rows.append([name, str(len(values)), *cells])
+    return _with_failures(markdown_table(["carried edits", "scenes", "mean", "median"], rows), scores)

@@ -80,6 +80,17 @@ def _render(gaussians: Gaussians, rasterizer: Rasterizer, camera: Cameras) -> Re
     return RenderedView(image, (rendering.alphas[0, 0, 0] > COVERED).cpu().numpy())
 
 
+@torch.no_grad()
+def score_scene(
+    scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer, edits: bool = False
+) -> "NovelViewScore | DepthScore | CarriedEdit | None":
+    """Score what is known of the scene: its target, or else its depth; with `edits` its true edit alone."""
+    if edits:
+        return score_carried_edit(scene, reconstructor, rasterizer) if scene.edited else None
+    score = score_novel_view if scene.target is not None else score_depth
+    return score(scene, reconstructor, rasterizer)
+
+
 # Novel views and poses.
 
 
@@ -162,17 +173,26 @@ def _pose_errors(reconstruction: Reconstruction, first: Photo, second: Photo) ->
 # Depth.
 
 
-def score_depth(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer, tolerance: float = 0.1) -> float:
-    """Return the share of the first photo's known pixels whose rendered depth is within `tolerance` after one scale.
+@dataclass(frozen=True)
+class DepthScore:
+    """How much of the first photo's depth is right."""
 
-    Raises MatchingError when the two photos cannot be placed.
-    """
+    scene: str  # folder or data set
+    right: float = NAN  # share of the known pixels within 10 % of the true depth after one common scale
+    failure: str = ""  # why the photos could not be reconstructed; "" when they could
+
+
+def score_depth(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer) -> DepthScore:
+    """Reconstruct from the scene's outer two inputs and compare the depth rendered at the first with the true one."""
     first = scene.inputs[0]
-    with torch.no_grad():
+    try:
         gaussians = reconstructor(views_of([first, scene.inputs[-1]])).gaussians
-        c2w, intrinsics = (torch.from_numpy(m).to(gaussians.means)[None, None] for m in (np.eye(4), first.intrinsics))
+    except MatchingError as error:
+        return DepthScore(scene.source, failure=str(error))
+    c2w, intrinsics = (torch.from_numpy(m).to(gaussians.means)[None, None] for m in (np.eye(4), first.intrinsics))
+    with torch.no_grad():
         rendering = rasterizer.render(gaussians, Cameras(c2w, intrinsics, first.image.shape[:2]))
-    return within_share(rendering.depths[0, 0, 0].cpu().numpy(), scene.depth, tolerance)
+    return DepthScore(scene.source, within_share(rendering.depths[0, 0, 0].cpu().numpy(), scene.depth))
 
 
 # Edits.
@@ -207,26 +227,30 @@ def score_edit(plain: RenderedView, edited: RenderedView, before: Photo, after: 
 class CarriedEdit:
     """How a reconstructor carries an edit of the first photo to the second, and fuses two edits that disagree."""
 
-    uptake: float  # first photo edited alone: of view 1's own Gaussians, seen from view 1
-    error: float  # of the same
-    leak: float  # of the same [sRGB]
-    disagreement: float  # opposite edits: |change of view 0's Gaussians - of view 1's| over that of the two edits
-    kept: float  # opposite edits: uptake of the first photo's edit by all Gaussians, in the novel view
-    edited_psnr: float  # novel view of the edited scene against its truth [dB], first photo edited alone
-    unedited_psnr: float  # the same without an edit [dB]
+    scene: str  # folder or data set
+    first: str
+    second: str
+    failure: str = ""  # why nothing could be measured; "" when it could
+    uptake: float = NAN  # first photo edited alone: of view 1's own Gaussians, seen from view 1
+    error: float = NAN  # of the same
+    leak: float = NAN  # of the same [sRGB]
+    disagreement: float = NAN  # opposite edits: |change of view 0's Gaussians - of view 1's| over that of the two edits
+    kept: float = NAN  # opposite edits: uptake of the first photo's edit by all Gaussians, in the novel view
+    edited_psnr: float = NAN  # novel view of the edited scene against its truth [dB], first photo edited alone
+    unedited_psnr: float = NAN  # the same without an edit [dB]
 
 
-def score_carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer) -> CarriedEdit | None:
-    """Reconstruct the scene unedited, with its first photo edited, and with the second edited the opposite way.
-
-    None when the edit is not seen well enough to be measured. Raises MatchingError as the reconstructor does.
-    """
+def score_carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer) -> CarriedEdit:
+    """Reconstruct the scene unedited, with its first photo edited, and with the second edited the opposite way too."""
     first, second, target = scene.inputs[0], scene.inputs[-1], scene.target
     edited_first, edited_second, edited_target = scene.edited[0], scene.edited[-2], scene.edited[-1]
+    named = (scene.source, scene.files[0], scene.files[-2])
     source = views_of([first, second])
     alone, both = views_of([edited_first, second]), views_of([edited_first, _opposite(second, edited_second)])
-    with torch.no_grad():
+    try:
         plain, carried, fused = (reconstructor(views, source) for views in (source, alone, both))
+    except MatchingError as error:
+        return CarriedEdit(*named, str(error))
     own = plain.cameras.select([1])
     between = _target_camera(plain, first, second, target)
 
@@ -236,21 +260,20 @@ def score_carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: R
         return _render(gaussians if view is None else gaussians.from_view(view), rasterizer, camera)
 
     edit = score_edit(shown(plain, own, 1), shown(carried, own, 1), second, edited_second)
-    unedited = [shown(plain, between, view) for view in (0, 1)]
-    changes = [shown(fused, between, view).image - unedited[view].image for view in (0, 1)]
-    wished = edited_target.image - target.image
-    opposite = _opposite(target, edited_target).image
-    region = unedited[0].covered & unedited[1].covered & (np.abs(wished).mean(-1) > CHANGED)
+    unedited, edited = ([shown(scene, between, view) for view in (0, 1)] for scene in (plain, fused))
+    changes = [after.image - before.image for before, after in zip(unedited, edited)]
+    true, opposite = (photo.image - target.image for photo in (edited_target, _opposite(target, edited_target)))
+    region = unedited[0].covered & unedited[1].covered & (np.abs(true).mean(-1) > CHANGED)
     if edit.uptake is None or not region.any():
-        return None
+        return CarriedEdit(*named, "the edit is not seen by both photos.")
     whole = score_edit(shown(plain, between), shown(fused, between), target, edited_target)
-    apart = np.abs(edited_target.image - opposite)[region].mean()
     return CarriedEdit(
+        *named,
         uptake=edit.uptake,
         error=edit.error,
         leak=NAN if edit.leak is None else edit.leak,
-        disagreement=float(np.abs(changes[0] - changes[1])[region].mean() / apart),
-        kept=NAN if whole.uptake is None else whole.uptake,
+        disagreement=float(np.abs(changes[0] - changes[1])[region].mean() / np.abs(true - opposite)[region].mean()),
+        kept=whole.uptake,
         edited_psnr=psnr(shown(carried, between).image, edited_target.image),
         unedited_psnr=psnr(shown(plain, between).image, target.image),
     )
