@@ -31,6 +31,7 @@ class BenchCommand(Command):
         for name, (declare, main) in STEPS.items():
             step = steps.add_parser(name, help=declare.__doc__, description=declare.__doc__)
             declare(step)
+            step.add_argument("--debug", action="store_true", help="show the full traceback of an error")
             step.set_defaults(step_main=main)
 
     def main(self, args: argparse.Namespace) -> int | None:

@@ -175,7 +175,7 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
     except OSError as error:
         raise InputError(f"{run.out}: cannot be created ({error.strerror}); give --out another folder.") from None
     whole = read_bench_manifest(run.manifest)
-    wish = {
+    asked = {
         "format": "edit3r-bench-run",
         "manifest": whole.name,
         "manifest_sha256": whole.sha256,
@@ -190,8 +190,8 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
             found = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise InputError(f"{path}: not valid JSON ({error}).") from None
-        for key in wish:
-            if key in found and wish[key] != found[key]:
+        for key in asked:
+            if key in found and asked[key] != found[key]:
                 raise InputError(
                     f"{run.out}: holds results with another {key.replace('_', ' ')}; choose another --out."
                 )
@@ -199,7 +199,7 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
     if any(not path.name.startswith(".") for path in run.out.iterdir()):  # a kill may leave a hidden half of ours
         raise InputError(f"{run.out}: holds files that are not of a benchmark run; choose another --out.")
     with atomic_write(path) as partial:
-        content = {**wish, "position": run.position, "versions": installed_versions()}
+        content = {**asked, "position": run.position, "versions": installed_versions()}
         partial.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -22,7 +22,6 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.morphology import largest_around
 from edit3r.interfaces import SceneSample
-from edit3r.io.cameras import read_cameras
 from edit3r.io.images import LoadedPhotos, load_photos
 from edit3r.io.manifest import installed_versions
 from edit3r.io.masks import load_masks
@@ -247,11 +246,13 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     camera_file = folder / scene.cameras if scene.cameras else None
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))
+    views = loaded.views
+    posed = camera_file is not None and views.c2w is not None
     return LoadedItem(
         record=item,
-        photos=loaded.views,
+        photos=replace(views, c2w=None),
         inputs=len(item.inputs),
-        cameras=None if camera_file is None else _posed(camera_file, [record.file for record in frames], loaded),
+        cameras=_relative(Cameras(views.c2w, views.intrinsics, views.image_size)) if posed else None,
         depths=None,
         truth=None,
         masks=_read_masks(item, root, loaded) if item.masks else None,
@@ -264,16 +265,6 @@ def _read_masks(item: ItemRecord, root: Path, loaded: LoadedPhotos) -> Float[Ten
     masks = load_masks([root / record.file for record in item.masks], given)[0]
     rest = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))
     return torch.cat((masks, rest))
-
-
-def _posed(camera_file: Path, files: list[str], loaded: LoadedPhotos) -> Cameras | None:
-    """Return the true cameras of the files, None unless all poses are known."""
-    poses = {camera.file: camera.c2w for camera in read_cameras(camera_file)}
-    found = [poses.get(file) for file in files]
-    if any(pose is None for pose in found):
-        return None
-    c2w = torch.stack([torch.from_numpy(pose) for pose in found])[None].float()
-    return _relative(Cameras(c2w, loaded.views.intrinsics, loaded.views.image_size))
 
 
 def _relative(cameras: Cameras) -> Cameras:

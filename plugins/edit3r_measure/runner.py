@@ -94,7 +94,7 @@ def append_row(path: Path, row: Row) -> dict[str, Any]:
 
 
 def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
-    """Rows by key; a last line that a kill cut off counts as never written. Raises InputError for other bad lines."""
+    """Return rows by key, without a last line that a kill cut off. Raises InputError for any other line that is no row."""
     if not path.is_file():
         return {}
     found = {}
@@ -122,7 +122,7 @@ def _line(row: Row) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """`value` with None in the place of every number that JSON does not have."""
+    """Return `value` with None in the place of every number that JSON does not have."""
     if isinstance(value, Mapping):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -147,7 +147,7 @@ class _Task:
     threads: int | None
 
     def do(self, job: KeyedJob) -> KeyedRow:
-        """The job's key and its row."""
+        """Return the job's key and its row."""
         if self.threads is not None:
             import torch
 
@@ -159,7 +159,7 @@ class _Task:
 
 
 def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
-    """Keys and rows as they come; a job is taken from `jobs` only when a worker is free for it."""
+    """Yield keys and rows in any order; a job is taken from `jobs` only when a worker is free for it."""
     if workers.spread == "ray":
         return _on_ray(task, jobs, workers)
     return map(task.do, jobs) if workers.count == 1 else _in_processes(task, jobs, workers.count)
@@ -178,7 +178,7 @@ def _call_task(job: KeyedJob) -> KeyedRow:
 
 
 def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator[KeyedRow]:
-    """Rows from new processes of this machine: forking one that has used torch's threads can hang."""
+    """Yield rows from new processes of this machine; forking one that has used torch's threads can hang."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
     try:
@@ -198,7 +198,7 @@ def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator
 
 
 def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
-    """Rows from a Ray cluster: the one that RAY_ADDRESS names, else one here. All nodes must see the same paths."""
+    """Yield rows from the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray

@@ -87,7 +87,9 @@ def test_scenes_are_folders_with_photos_and_without_poses_inputs_are_spread(fold
     assert [scene.id for scene in find_photo_folders(folder / "garden", views=3)] == ["garden"]
 
 
-def test_posed_photos_hold_one_back_between_the_inputs(folder):
+@pytest.fixture
+def posed(folder):
+    """The folder with poses for one of its scenes."""
     poses = []
     for index, angle in enumerate((0, 6, 12)):
         turn = np.deg2rad(angle)
@@ -97,8 +99,21 @@ def test_posed_photos_hold_one_back_between_the_inputs(folder):
         k = [[60, 0, 32], [0, 60, 24], [0, 0, 1]]
         poses.append({"file": f"{index}.png", "width": 64, "height": 48, "K": k, "c2w": c2w.tolist()})
     (folder / "garden" / "cameras.json").write_text(json.dumps(poses))
-    scene = find_photo_folders(folder, views=2)[0]
+    return folder
+
+
+def test_posed_photos_hold_one_back_between_the_inputs(posed):
+    scene = find_photo_folders(posed, views=2)[0]
     assert (scene.inputs, scene.held_back) == ((0, 2), (1,))
+
+
+def test_poses_are_known_for_measuring_and_apart_from_what_a_method_is_given(posed):
+    out = build(posed, "--no-vetting")
+    manifest = read_bench_manifest(out)
+    item = load_item(manifest, manifest.items[0], out.parent, default_registry())
+    assert item.photos.c2w is None and item.given.count == 2
+    angles = item.cameras.c2w[0, :, 0, 2].arcsin().rad2deg()
+    assert np.allclose(angles, [0, 12, 6], atol=0.01)
 
 
 def test_a_folder_without_scenes_is_one_sentence(tmp_path):
