@@ -10,8 +10,10 @@ so that other work on the machine changes little. The first line of a scene is t
 import argparse
 import time
 from dataclasses import replace
+from statistics import fmean
 
 import torch
+from edit3r_measure.metrics import psnr
 
 import edit3r
 from edit3r.interfaces import SceneSample
@@ -33,10 +35,10 @@ def posed_views(sample: SceneSample) -> Views:
 
 
 def novel_psnr(gaussians: Gaussians, sample: SceneSample, rasterizer) -> float:
-    """Mean over the novel views [dB]."""
-    images = rasterizer.render(gaussians, sample.target_cameras).images[0].clamp(0, 1)
-    errors = (images - sample.target).square().mean((1, 2, 3))
-    return float((-10 * torch.log10(errors)).mean())
+    """Return the mean over the novel views [dB]."""
+    with torch.no_grad():
+        images = rasterizer.render(gaussians, sample.target_cameras).images[0]
+    return fmean(psnr(image.numpy(), target.numpy()) for image, target in zip(images, sample.target))
 
 
 def timed(call):
@@ -58,8 +60,8 @@ def measure_steps(args: argparse.Namespace) -> None:
         for steps in args.steps:
             method = edit3r.build("reconstructor", "refit", steps=steps)
             result, seconds = timed(lambda method=method, views=views: method(views))
-            psnr = novel_psnr(result.gaussians, sample, rasterizer)
-            print(index, steps, f"{psnr:.2f} {seconds:.1f}", result.gaussians.count, flush=True)
+            decibels = novel_psnr(result.gaussians, sample, rasterizer)
+            print(index, steps, f"{decibels:.2f} {seconds:.1f}", result.gaussians.count, flush=True)
 
 
 def measure_methods(args: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ import errno
 import gc
 import importlib
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -28,6 +29,8 @@ class Parser(argparse.ArgumentParser):
         options = [option for action in self._actions for option in action.option_strings]
         given = message.removeprefix("unrecognized arguments: ").split(" ")[0]
         hint = suggest(given.split("=")[0], options) if message.startswith("unrecognized") else ""
+        if wrong := re.search("invalid choice: '([^']*)'", message):
+            hint = suggest(wrong[1], [str(choice) for action in self._actions for choice in action.choices or ()])
         raise UsageError(f"{message}.{hint} See '{self.prog} --help'.")
 
 

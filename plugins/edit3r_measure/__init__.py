@@ -10,17 +10,17 @@ def register_commands() -> list[Component]:
     return [
         Component(
             "evaluate",
-            "edit3r_measure.commands.evaluate:EvaluateCommand",
-            "measure a reconstructor on folders of photos with known cameras",
+            "edit3r_measure.evaluate:EvaluateCommand",
+            "measure a reconstructor on photos with known cameras or on generated scenes",
         ),
         Component(
             "bench",
-            "edit3r_measure.commands.bench:BenchCommand",
+            "edit3r_measure.bench:BenchCommand",
             "the editing benchmark: build its items, run methods on them, report the results",
         ),
         Component(
             "tradeoff",
-            "edit3r_measure.commands.tradeoff:TradeoffCommand",
+            "edit3r_measure.tradeoff_command:TradeoffCommand",
             "measure speed against accuracy over the settings of a run, and choose the presets",
         ),
     ]

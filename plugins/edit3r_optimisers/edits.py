@@ -10,7 +10,7 @@ from torch import Tensor
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.pipeline import composite
 from edit3r.reporting import warn
-from edit3r.stage_checks import blaming, check_edit, component_name
+from edit3r.stage_checks import check_edit, component_name, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 
@@ -30,7 +30,7 @@ class StartsFromImages(Protocol):
 @torch.no_grad()
 def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
     """Edit the views; the answer is held to the editor's contract and confined to the request's masks."""
-    with blaming(editor):
+    with errors_named_after(editor):
         answer = editor.edit(views, request)
     return _confined(editor, views, answer, request)
 
@@ -48,7 +48,7 @@ def edited_from(
     An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
     """
     if isinstance(editor, StartsFromImages):
-        with blaming(editor):
+        with errors_named_after(editor):
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)
     warn(

@@ -15,7 +15,7 @@ from edit3r.geometry.pose import estimate_cameras
 from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.interfaces import Reconstructor
 from edit3r.reporting import note, warn
-from edit3r.stage_checks import blaming, check_reconstruction
+from edit3r.stage_checks import check_reconstruction, errors_named_after
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_optimisers.settings import MethodSettings
 
@@ -66,7 +66,7 @@ def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings)
 
 def _reconstructed(photos: Views, reconstructor: Reconstructor) -> Reconstruction:
     """Reconstruct the unedited photos; the result has cameras and no transparent Gaussians."""
-    with blaming(reconstructor):
+    with errors_named_after(reconstructor):
         answer = reconstructor(photos, source=photos)
     check_reconstruction(reconstructor, photos, answer)
     cameras = answer.cameras or estimate_cameras(answer.gaussians, photos)

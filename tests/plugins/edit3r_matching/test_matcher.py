@@ -2,8 +2,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluation.metrics import within_share
-from edit3r_measure.evaluation.pairs import rotation_degrees
+from edit3r_measure.metrics import within_share
+from edit3r_measure.scene_sources import rotation_degrees
 
 import edit3r
 from edit3r import Views

@@ -2,7 +2,7 @@ import dataclasses
 
 import pytest
 import torch
-from edit3r_measure.evaluation.metrics import best_blurred_copy, psnr
+from edit3r_measure.metrics import best_blurred_copy, psnr
 
 import edit3r
 from edit3r import Cameras, Views

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
 from edit3r_matching.relative_pose import Matches, estimate_pose, sampson_errors
-from edit3r_measure.evaluation.pairs import rotation_degrees
+from edit3r_measure.scene_sources import rotation_degrees
 
 FOCAL = 250.0
 CHANCE = 0.011

@@ -6,12 +6,10 @@ from edit3r_matching_network.pair_geometry import FARTHEST, _completed, pair_geo
 from edit3r_matching_network.supervision import true_pairs
 from edit3r_matching_network.training_pairs import TrainingPairs
 from edit3r_matching_network.two_view_adjustment import evidence_of
-from edit3r_measure.measure_network import KnownGeometry, Renderer, measure_scene, true_geometry
 from torch import nn
 
 from edit3r.errors import MatchingError
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import photograph
 from edit3r.types import Views
@@ -146,15 +144,6 @@ def test_evidence_is_in_double_precision():
     maps = torch.zeros(1, 2, 4, 4)
     evidence = evidence_of(torch.zeros(1, 2, 4, 4, 2), maps, maps, maps, SCENE.views.intrinsics[:, :2])
     assert all(value.dtype == torch.float64 for value in vars(evidence).values())
-
-
-def test_the_measure_gives_a_perfect_matcher_no_error():
-    sample = build("dataset", "procedural", image_size=32, textures=8, scenes=1, targets=1)[0]
-    perfect = KnownGeometry(true_geometry(sample))
-    score = measure_scene(sample, perfect, Renderer("classical", build("rasterizer", "numba")))
-    assert score.rotation_error == 0 and score.point_error < 1e-6
-    assert score.novel_view == pytest.approx(score.true_geometry, abs=1e-3)
-    assert score.novel_view > score.nearest_copy
 
 
 def test_default_network_has_less_than_a_million_parameters():

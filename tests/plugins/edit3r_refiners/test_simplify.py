@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluation.metrics import psnr
+from edit3r_measure.metrics import psnr
 from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 

@@ -1,8 +1,8 @@
 """A benchmark of one generated scene at 48 pixels, and a reconstructor quick enough to run it many times."""
 
 import pytest
-from edit3r_measure.bench.build_generated import GeneratedSettings, build_generated
-from edit3r_measure.bench.manifest import write_bench_manifest
+from edit3r_measure.bench_build import GeneratedSettings, build_generated
+from edit3r_measure.bench_manifest import write_bench_manifest
 
 from edit3r.registry import default_registry
 
@@ -30,7 +30,7 @@ class Cards(Reconstructor):
     def __init__(self, settings):
         self.settings = settings
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         if self.settings.fails:
             raise MatchingError("the cards fell over.")
         depths = torch.full((*views.images.shape[:2], *views.image_size), self.settings.depth)

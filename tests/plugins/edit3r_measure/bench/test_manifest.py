@@ -5,9 +5,15 @@ from collections import Counter
 
 import pytest
 import torch
-from edit3r_measure.bench.build_generated import build_generated, is_visible
-from edit3r_measure.bench.loading import change_masks, load_item, load_sample
-from edit3r_measure.bench.manifest import EDIT_TYPES, read_bench_manifest, write_bench_manifest
+from edit3r_measure.bench_build import build_generated, is_visible
+from edit3r_measure.bench_manifest import (
+    EDIT_TYPES,
+    change_masks,
+    load_item,
+    load_sample,
+    read_bench_manifest,
+    write_bench_manifest,
+)
 
 from edit3r.errors import InputError, SettingsError
 from edit3r.registry import default_registry

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import pytest
-from edit3r_measure.bench.method import Method, read_methods
-from edit3r_measure.bench.oracle import ORACLE, OracleSettings
+from edit3r_measure.bench_item import Method, read_methods
+from edit3r_measure.oracle import ORACLE, OracleSettings
 
 from edit3r.config import make_settings, read_yaml
 from edit3r.errors import SettingsError
 from edit3r.registry import default_registry
 
-SHIPPED = sorted((Path(__file__).parents[3] / "configs" / "bench").glob("*.yaml"))
+SHIPPED = sorted((Path(__file__).parents[4] / "configs" / "bench").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -3,11 +3,10 @@
 import json
 
 import pytest
-from edit3r_measure.bench.method import InstrumentSettings, Method
-from edit3r_measure.bench.page import _from_markdown
-from edit3r_measure.bench.report import write_report
-from edit3r_measure.bench.runner import Job, run_job
-from edit3r_measure.bench.summary import difference, mean_of, read_columns
+from edit3r_measure.bench_item import BenchRun, Method, run_bench
+from edit3r_measure.bench_metrics import MetricSettings
+from edit3r_measure.bench_page import write_page
+from edit3r_measure.bench_report import difference, mean_of, read_columns, write_report
 
 from edit3r.errors import InputError
 
@@ -23,8 +22,8 @@ def runs(manifest_file, cards, tmp_path_factory):
     ]
     for position, method in enumerate(methods):
         folder = out / method.label
-        instruments = InstrumentSettings(effnet=False)
-        run_job(Job(manifest_file, method, folder, instruments, edits=2, plugins=(cards,), position=position))
+        metrics = MetricSettings(effnet=False)
+        run_bench(BenchRun(manifest_file, method, folder, metrics, edits=2, plugins=(cards,), position=position))
     return out
 
 
@@ -47,8 +46,10 @@ def test_a_difference_is_edit_by_edit(runs):
 
 
 def test_only_edits_that_all_methods_tried_are_compared(runs, manifest_file, cards, tmp_path):
-    one = Job(manifest_file, Method(label="one", reconstructor={"name": "cards"}), tmp_path / "one", edits=1)
-    run_job(Job(**{**vars(one), "instruments": InstrumentSettings(effnet=False), "plugins": (cards,)}))
+    method = Method(label="one", reconstructor={"name": "cards"})
+    run_bench(
+        BenchRun(manifest_file, method, tmp_path / "one", MetricSettings(effnet=False), edits=1, plugins=(cards,))
+    )
     columns = read_columns([runs, tmp_path / "one"])
     assert all(len(column.results) == 1 for column in columns)
 
@@ -89,7 +90,9 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
         read_columns([tmp_path])
 
 
-def test_the_page_shows_the_reports_markdown():
-    shown = _from_markdown("# A & B\n\n- one\n- **two**\n\n| a | b |\n| --- | --: |\n| `x` | 1 |\n\nplain")
-    assert "<h1>A &amp; B</h1>" in shown and "<li><b>two</b></li>" in shown
+def test_the_page_shows_the_reports_markdown(tmp_path):
+    text = "# A & B\n\n- one\n- **two** <i>\n\n| a | b |\n| --- | --: |\n| `x` | 1 |\n\nplain"
+    write_page(tmp_path / "index.html", text, [], [], 20)
+    shown = (tmp_path / "index.html").read_text()
+    assert "<h1>A &amp; B</h1>" in shown and "<li><strong>two</strong> &lt;i&gt;</li>" in shown
     assert "<th>a</th>" in shown and "<td><code>x</code></td>" in shown and "<p>plain</p>" in shown

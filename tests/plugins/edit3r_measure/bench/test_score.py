@@ -3,8 +3,7 @@
 import math
 
 import pytest
-from edit3r_measure.bench.results import ItemResult
-from edit3r_measure.bench.score import FULL_STRENGTH, score
+from edit3r_measure.bench_metrics import FULL_STRENGTH, score
 
 GOOD = {
     "edit-uptake-2d": 0.9,
@@ -15,40 +14,40 @@ GOOD = {
 }
 
 
-def result(failure="", **changes):
-    metrics = {**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}}
-    return ItemResult("i", "s", "Modify", metrics, failure)
+def score_with(failure="", **changes):
+    """The score of a good edit with other values of some metrics."""
+    return score({**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}}, failure)
 
 
 def test_the_score_of_a_hand_made_edit():
     # 0.9 arrived; 1 - 0.02 / 0.1 = 0.8 agrees; the same stays put
-    assert score(result()) == pytest.approx(0.9 * 0.8)
+    assert score_with() == pytest.approx(0.9 * 0.8)
 
 
 def test_doing_nothing_perfectly_scores_nothing():
     nothing = {"edit_uptake_2d": 0.0, "edit_strength_2d": 0.0, "change_outside": 0, "consistency_warped": 0}
-    assert score(result(**nothing)) == 0
-    assert score(result(edit_uptake=0.0, change_outside=0, consistency_warped=0, consistency_held_back=0)) == 0
+    assert score_with(**nothing) == 0
+    assert score_with(edit_uptake=0.0, change_outside=0, consistency_warped=0, consistency_held_back=0) == 0
 
 
 def test_next_to_nothing_loses_to_an_honest_edit():
-    timid = result(edit_uptake_2d=1, edit_strength_2d=FULL_STRENGTH / 20, change_outside=0, consistency_warped=0)
-    assert score(timid) < 0.1 < score(result())
+    timid = score_with(edit_uptake_2d=1, edit_strength_2d=FULL_STRENGTH / 20, change_outside=0, consistency_warped=0)
+    assert timid < 0.1 < score_with()
 
 
 def test_the_truth_counts_where_it_is_known():
-    assert score(result(edit_uptake=0.3)) == pytest.approx(0.3 * 0.8)
-    assert score(result(edit_uptake=-0.5)) == 0
+    assert score_with(edit_uptake=0.3) == pytest.approx(0.3 * 0.8)
+    assert score_with(edit_uptake=-0.5) == 0
 
 
 def test_views_that_do_not_agree_or_a_spoiled_surrounding_cost_everything():
-    assert score(result(consistency_warped=0.2, consistency_held_back=0.2)) == 0
-    assert score(result(change_outside=0.3)) == 0
+    assert score_with(consistency_warped=0.2, consistency_held_back=0.2) == 0
+    assert score_with(change_outside=0.3) == 0
 
 
 def test_a_global_edit_has_no_outside_to_spoil():
-    assert score(result(change_outside=math.nan)) == pytest.approx(0.9 * math.sqrt(0.8))
+    assert score_with(change_outside=math.nan) == pytest.approx(0.9 * math.sqrt(0.8))
 
 
 def test_a_failure_scores_nothing():
-    assert score(result("no matches")) == 0
+    assert score_with("no matches") == 0

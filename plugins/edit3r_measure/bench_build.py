@@ -1,0 +1,311 @@
+"""Build a benchmark's manifest: from generated scenes whose edited truth is known, or from folders of photos."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from PIL import Image
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import Settings
+from edit3r.errors import InputError
+from edit3r.interfaces import Detector, SceneSample, Segmenter
+from edit3r.io.atomic import atomic_write
+from edit3r.io.cameras import CAMERA_FILES, read_cameras
+from edit3r.io.images import find_photos, load_photos
+from edit3r.registry import Registry
+from edit3r.reporting import progress, track, warn
+from edit3r.stage_checks import component_name
+from edit3r_measure.bench_manifest import (
+    EDITS_PER_SCENE,
+    VISIBLE,
+    FrameRecord,
+    ItemRecord,
+    Manifest,
+    SampleRecord,
+    SceneRecord,
+    hash_of_file,
+    hash_of_sample,
+    load_sample,
+)
+from edit3r_measure.bench_proposals import (
+    WORDS,
+    Boxes,
+    LanguageModel,
+    ProposedEdit,
+    choose_edits,
+    edits_from_model,
+    edits_from_templates,
+    find_objects,
+    masks_from_boxes,
+    without_near_duplicates,
+)
+from edit3r_measure.scene_sources import choose_triples
+
+GENERATED_EDITS = (
+    ("add", "Add", {"edit": "add"}, "add an object"),
+    ("remove", "Remove", {"edit": "remove"}, "remove the object"),
+    ("modify", "Modify", {"edit": "recolor"}, "recolor the object"),
+    ("modify-2", "Modify", {"edit": "recolor", "edit_seed": 1}, "recolor the object"),
+    ("global", "Global", {"edit": "global"}, "recolor everything"),
+)
+"""Suffix of the item, type, settings of the dataset, prompt. The first one is the pickiest, so it is tried first."""
+
+MOST_TRIES = 40
+"""Generated scenes looked at for each that is taken, before giving up."""
+
+UNNAMED = "object in the middle"
+"""What templates speak of when nobody knows what a scene shows."""
+
+
+# ---- generated scenes ----
+
+
+class GeneratedSettings(Settings):
+    """How the scenes are drawn and which are taken."""
+
+    dataset: str = Field("procedural", description="dataset component that knows the edited truth of its scenes")
+    image_size: int = Field(128, ge=32, le=1024, description="height and width of the pictures [pixels]")
+    seed: int = Field(2026, ge=0, description="of the scenes")
+    frames: int = Field(4, ge=3, le=16, description="pictures a scene; first and last are given, the rest held back")
+    angles: tuple[float, float] = Field((3.0, 8.0), description="between neighbouring pictures [degrees]")
+    area: tuple[float, float] = Field((0.02, 0.5), description="share of every picture that a local edit must cover")
+    change: float = Field(0.05, ge=0, description="least mean absolute change where it changes [sRGB]")
+
+
+def build_generated(scenes: int, settings: GeneratedSettings, registry: Registry) -> Manifest:
+    """Return a benchmark of the generator's first `scenes` scenes whose five edits can all be seen in all images."""
+    records, items, rejected, index = [], [], 0, 0
+    while len(records) < scenes:
+        if rejected > MOST_TRIES * scenes:
+            raise InputError(f"only {len(records)} of {index} generated scenes show all edits; ask for weaker edits.")
+        name = f"scene{index:03d}"
+        progress("generate scenes", len(records), scenes)
+        found = _generated_items(name, index, settings, registry)
+        if found is None:
+            rejected += 1
+        else:
+            records.append(SceneRecord(id=name))
+            items += found
+        index += 1
+    notes = {"generator": settings.model_dump(mode="json"), "candidates": index, "rejected_as_hardly_visible": rejected}
+    return Manifest(
+        name=f"{settings.dataset}: {scenes} scenes, {EDITS_PER_SCENE} edits each, truth known",
+        image_size=settings.image_size,
+        scenes=tuple(records),
+        items=tuple(items),
+        notes=notes,
+    )
+
+
+def _generated_items(name: str, index: int, settings: GeneratedSettings, registry: Registry) -> list[ItemRecord] | None:
+    """Return the five edits of scene `index`; None as soon as one of them is hardly to be seen."""
+    items = []
+    for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
+        drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
+        own = {**drawn, "angles": list(settings.angles), **edit}
+        record = SampleRecord(dataset=settings.dataset, settings=own, index=index, sha256="")
+        sample = load_sample(record, registry)
+        if not is_visible(sample, kind == "Global", settings):
+            return None
+        items.append(
+            ItemRecord(
+                id=f"{name}-{suffix}",
+                scene=name,
+                type=kind,
+                prompt=prompt,
+                seed=EDITS_PER_SCENE * index + number,
+                inputs=(0, settings.frames - 1),
+                held_back=tuple(range(1, settings.frames - 1)),
+                sample=record.model_copy(update={"sha256": hash_of_sample(sample)}),
+            )
+        )
+    return items
+
+
+def is_visible(sample: SceneSample, everywhere: bool, settings: GeneratedSettings) -> bool:
+    """Return whether the edit covers a fair part of every image and changes it by more than noise."""
+    change = (sample.edited_context - sample.context).abs()
+    changed = change.amax(1) > VISIBLE
+    share = changed.float().mean((1, 2))
+    low, high = settings.area
+    inside = change.mean(1)[changed]
+    strong = inside.numel() > 0 and float(inside.mean()) >= settings.change
+    return strong and (everywhere or bool(((share >= low) & (share <= high)).all()))
+
+
+# ---- folders of photos ----
+
+
+@dataclass(frozen=True)
+class PhotoFolder:
+    """Photos of one scene: which of them a method is given, and which are held back."""
+
+    id: str
+    path: Path
+    cameras: str  # name of the camera file, "" without
+    files: tuple[str, ...]  # relative to `path`
+    inputs: tuple[int, ...]  # indices of `files`
+    held_back: tuple[int, ...]
+
+    def load_inputs(self, size: int) -> Float[Tensor, "view 3 height width"]:
+        """Load the input photos, longer side `size` [pixels]."""
+        return load_photos([self.path / self.files[index] for index in self.inputs], size=size).views.images[0]
+
+
+def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
+    """Return every sub-folder with at least two photos, else the folder itself. Raises InputError without any.
+
+    Scenes without poses give `views` evenly spaced photos as inputs.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder of scenes.")
+    inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    scenes = [scene for path in inner if (scene := _photo_folder(path, views)) is not None]
+    own = None if scenes else _photo_folder(folder, views)
+    if not scenes and own is None:
+        raise InputError(f"{folder}: expected folders with at least two photos each.")
+    return scenes or [own]
+
+
+def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
+    try:
+        files = tuple(file.relative_to(path).as_posix() for file in find_photos(path))
+    except InputError:  # a folder of something else
+        return None
+    if len(files) < 2:
+        return None
+    cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
+    inputs, held_back = _split(path, files, cameras, views)
+    return PhotoFolder(os.path.basename(os.path.abspath(path)), path, cameras, files, inputs, held_back)
+
+
+def _split(path: Path, files: Sequence[str], cameras: str, views: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else evenly spaced ones."""
+    known = read_cameras(path / cameras) if cameras else []
+    posed = [camera for camera in known if camera.c2w is not None and camera.file in files]
+    triples = choose_triples(posed, 3)
+    if triples:
+        middle = triples[len(triples) // 2]
+        first, second, target = (files.index(posed[i].file) for i in (middle.first, middle.second, middle.target))
+        return (first, second), (target,)
+    spaced = torch.linspace(0, len(files) - 1, min(views, len(files))).round().long().tolist()
+    return tuple(spaced), ()
+
+
+class PhotoSettings(Settings):
+    """How scenes are read."""
+
+    image_size: int = Field(256, ge=32, le=4096, description="longer side that photos are reduced to [pixels]")
+    seed: int = Field(2026, ge=0, description="of the edits, shared by all views of an item")
+    views: int = Field(2, ge=2, le=32, description="input photos of scenes without poses, evenly spaced")
+    labels: tuple[str, ...] = Field((), description="what the photos show; with a detector what it looks for")
+
+
+@dataclass(frozen=True)
+class PhotoBuild:
+    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
+
+    scenes: Sequence[PhotoFolder]
+    settings: PhotoSettings
+    out: Path  # the manifest, whose folder all paths in it are relative to
+    vetting: Path  # the vetting file, whose folder mask files named in it are relative to
+    detector: Detector | None = None
+    segmenter: Segmenter | None = None
+    model: LanguageModel | None = None
+
+    def propose(self) -> dict[str, list[ProposedEdit]]:
+        """Return the proposed edits of every scene, near duplicates removed."""
+        found = {}
+        for number, scene in enumerate(track(self.scenes, "propose edits")):
+            labels = tuple(self._objects(scene))
+            if not labels:
+                warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
+            own = edits_from_model(labels, self.model) if self.model is not None else []
+            own += edits_from_templates(labels or (UNNAMED,), self.settings.seed + number)
+            found[scene.id] = without_near_duplicates(own)
+        return found
+
+    def manifest(self, vetted: Mapping[str, Sequence[ProposedEdit]]) -> Manifest:
+        """Return the benchmark; masks are written beside it. Raises InputError for a scene without just five edits."""
+        missing = [scene.id for scene in self.scenes if scene.id not in vetted]
+        if missing:
+            raise InputError(f"{self.vetting}: no edits for {missing[0]!r}; delete the file to propose edits anew.")
+        chosen = {scene.id: choose_edits(scene.id, vetted[scene.id]) for scene in self.scenes}
+        items = [item for scene in track(self.scenes, "masks") for item in self._items(scene, chosen[scene.id])]
+        return Manifest(
+            name=f"{len(self.scenes)} photographed scenes",
+            image_size=self.settings.image_size,
+            scenes=tuple(self._record(scene) for scene in self.scenes),
+            items=tuple(items),
+            notes={
+                "built_from": "photos",
+                "detector": self.detector and component_name(self.detector),
+                "segmenter": self.segmenter and component_name(self.segmenter),
+                "language_model": self.model and self.model.name,
+                "edits_without_masks": [item.id for item in items if not item.masks],
+            },
+        )
+
+    def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
+        """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
+        if self.detector is None:
+            return dict.fromkeys(self.settings.labels, ())
+        words = self.settings.labels or WORDS["vocabulary"]
+        return find_objects(scene.load_inputs(self.settings.image_size), self.detector, words)
+
+    def _record(self, scene: PhotoFolder) -> SceneRecord:
+        frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
+        return SceneRecord(id=scene.id, folder=self._relative(scene.path), cameras=scene.cameras, frames=frames)
+
+    def _items(self, scene: PhotoFolder, edits: Sequence[ProposedEdit]) -> list[ItemRecord]:
+        objects = self._objects(scene)
+        names = [f"{scene.id}-{number}-{edit.type.lower()}" for number, edit in enumerate(edits, start=1)]
+        return [
+            ItemRecord(
+                id=name,
+                scene=scene.id,
+                type=edit.type,
+                prompt=edit.prompt,
+                description=edit.description,
+                before=f"a photo of the {edit.object}" if edit.object else "a photo",
+                seed=self.settings.seed,
+                inputs=scene.inputs,
+                held_back=scene.held_back,
+                masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
+            )
+            for name, edit in zip(names, edits)
+        ]
+
+    def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes) -> tuple[FrameRecord, ...]:
+        """Return those a person named, else those around a removed or modified object that a detector found."""
+        if edit.masks and len(edit.masks) != len(scene.inputs):
+            counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
+            raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")
+        files = [self.vetting.parent / mask for mask in edit.masks]
+        if not files and edit.type in ("Remove", "Modify"):
+            files = self._draw_masks(item, scene, boxes)
+        return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
+
+    def _draw_masks(self, item: str, scene: PhotoFolder, boxes: Boxes) -> list[Path]:
+        """Write masks made from the detector's boxes; none when it did not find the object in every input.
+
+        An edit confined to some of the views would be another edit.
+        """
+        if not boxes or None in boxes:
+            return []
+        masks = masks_from_boxes(scene.load_inputs(self.settings.image_size), boxes, self.segmenter)
+        folder = self.out.parent / f"{self.out.stem}-masks"
+        folder.mkdir(exist_ok=True)
+        files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
+        for file, mask in zip(files, masks):
+            with atomic_write(file) as partial:
+                Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
+        return files
+
+    def _relative(self, path: Path) -> str:
+        return Path(os.path.relpath(os.path.abspath(path), os.path.abspath(self.out.parent))).as_posix()

@@ -1,0 +1,343 @@
+"""Run one method through a benchmark: edit, reconstruct and render each item, measure it, and leave its images.
+
+What is killed at any moment leaves no result, only images that the next attempt overwrites.
+"""
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from pydantic import Field, field_validator, model_validator
+from torch import Tensor
+
+import edit3r
+from edit3r.config import PartChoice, Settings, make_settings, merge
+from edit3r.errors import InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
+from edit3r.geometry.paths import between_and_around
+from edit3r.interfaces import Editor
+from edit3r.io.atomic import atomic_write
+from edit3r.io.images import save_image
+from edit3r.io.run_folder import installed_versions
+from edit3r.registry import Registry, default_registry
+from edit3r.rendering import render_each
+from edit3r.reporting import Report, StageRecord, collecting
+from edit3r.types import Cameras
+from edit3r_measure.bench_manifest import LoadedItem, Manifest, load_item, read_bench_manifest
+from edit3r_measure.bench_metrics import (
+    MethodOutput,
+    MetricNetworks,
+    MetricSettings,
+    load_networks,
+    measure,
+    measure_failure,
+)
+from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
+from edit3r_measure.runner import Progress, Workers, read_rows, run_resumable
+
+RESULTS = "results.jsonl"
+RUN = "bench-run.json"
+LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
+
+ONE_WORKER = Workers(threads=1)
+
+FAILURES = (MatchingError, PromptError, RunError, PluginError)
+"""Errors that are a result of the method; any other ends the benchmark, since the wish itself was wrong."""
+
+
+class Method(Settings):
+    """One column of the comparison: an editor with a reconstructor, and how they are run."""
+
+    label: str = Field("", description="name of the column and of its folder; default: editor and reconstructor")
+    editor: PartChoice = Field(PartChoice(name=ORACLE), description="2D editor; 'oracle' is the offline stand-in")
+    reconstructor: PartChoice = Field(PartChoice(name="edit3r"), description="reconstructor")
+    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="draws the pictures that are measured")
+    edit_views: Literal["all", "first"] = Field("all", description="edit every view, or the reference only")
+    poses: bool = Field(True, description="hand true poses to reconstructors that read them, where they are known")
+    truth: bool | None = Field(
+        None, description="judge by the edited truth where it is known; default: for the oracle, whose edit it is"
+    )
+    note: str = Field("", description="what a reader of the table must know about this column")
+
+    @field_validator("label")
+    @classmethod
+    def _usable_as_a_folder(cls, value: str) -> str:
+        if value and not LABEL.fullmatch(value):
+            raise ValueError("must be letters, digits, blanks, dots, dashes, plus signs and underscores")
+        return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _settings_without_a_name_are_of_the_default(cls, values: Any) -> Any:
+        defaults = {key: own.default for key, own in cls.model_fields.items() if isinstance(own.default, PartChoice)}
+        named = {
+            key: {"name": d.name, **values[key]} for key, d in defaults.items() if isinstance(values.get(key), dict)
+        }
+        return {**values, **named}
+
+    @model_validator(mode="after")
+    def _label_by_default(self) -> "Method":
+        if not self.label:
+            label = f"{self.editor.name}+{self.reconstructor.name}".replace(":", "-")
+            object.__setattr__(self, "label", label)  # the class is frozen for everybody else
+        return self
+
+
+def read_methods(
+    values: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]] | None = None
+) -> tuple[Method, ...]:
+    """Return the `methods` of a configuration; `changes` are settings by label. Labels must differ."""
+    entries = values.get("methods")
+    if set(values) - {"methods"} or not isinstance(entries, list) or not entries:
+        raise SettingsError("a benchmark configuration has one key, 'methods', with a list of at least one method.")
+    methods = {}
+    for index, entry in enumerate(entries):
+        label = make_settings(Method, entry, where=f"methods.{index}").label
+        if label in methods:
+            raise SettingsError(f"methods: two are called {label!r}; give each its own label.")
+        changed = merge(entry, (changes or {}).get(label, {}))
+        methods[label] = make_settings(Method, {"label": label, **changed}, where=label)
+    unknown = sorted(set(changes or {}) - set(methods))
+    if unknown:
+        raise SettingsError(f"--set {unknown[0]}: no such method in the configuration; it has {', '.join(methods)}.")
+    return tuple(methods.values())
+
+
+@dataclass(frozen=True)
+class ItemResult:
+    """What one edit gave; one line of `results.jsonl`."""
+
+    id: str
+    scene: str
+    type: str
+    metrics: Mapping[str, float]  # NaN where one means nothing
+    failure: str = ""  # why the method gave nothing; "" when it did
+    timing: Mapping[str, Any] | None = None  # as `timing_of` tells it; None after a failure
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def result_of_row(row: Mapping[str, Any]) -> ItemResult:
+    """Return the result that a line of `results.jsonl` holds."""
+    return ItemResult(**{**row, "metrics": {k: float("nan") if v is None else v for k, v in row["metrics"].items()}})
+
+
+def read_results(folder: Path) -> dict[str, ItemResult]:
+    """Return the results of a folder by item id."""
+    return {name: result_of_row(row) for name, row in read_rows(folder / RESULTS, "id").items()}
+
+
+@dataclass(frozen=True)
+class BenchRun:
+    """Everything that a worker needs to run a method through a manifest; picklable."""
+
+    manifest: Path
+    method: Method
+    out: Path
+    metrics: MetricSettings = field(default_factory=MetricSettings)
+    scenes: int | None = None  # only the first
+    edits: int | None = None  # only the first of each scene
+    types: tuple[str, ...] = ()  # only these
+    plugins: tuple[str, ...] = ()  # local plugin files
+    verify: bool = True
+    position: int = 0  # of the method's column in reports
+
+    def read_manifest(self) -> Manifest:
+        """Return the part of the manifest that is asked for."""
+        return read_bench_manifest(self.manifest).limited(self.scenes, self.edits, self.types)
+
+
+def run_bench(
+    run: BenchRun, workers: Workers = ONE_WORKER, on_done: Callable[[Progress], None] = lambda progress: None
+) -> dict[str, ItemResult]:
+    """Do the items that are not done yet, and return all results by item in the manifest's order.
+
+    The results are also in `run.out`, and are the same for any number of workers. Raises InputError when that folder
+    holds results of another manifest or method.
+    """
+    manifest = run.read_manifest()
+    if not manifest.items:
+        raise InputError(f"{run.manifest}: no edit is left to do with these limits.")
+    _claim_folder(run, workers.threads)
+    jobs = {item.id: item.id for item in manifest.items}
+    rows = run_resumable(jobs, ItemRunner(run), run.out / RESULTS, workers=workers, key_name="id", on_done=on_done)
+    return {name: result_of_row(row) for name, row in rows.items()}
+
+
+def _claim_folder(run: BenchRun, threads: int | None) -> None:
+    """Write what this folder's results are of, or refuse one that holds others."""
+    try:
+        run.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{run.out}: cannot be created ({error.strerror}); give --out another folder.") from None
+    whole = read_bench_manifest(run.manifest)
+    asked = {
+        "format": "edit3r-bench-run",
+        "manifest": whole.name,
+        "manifest_sha256": whole.sha256,
+        "method": run.method.model_dump(mode="json"),
+        "instruments": run.metrics.model_dump(mode="json"),
+        "threads": threads,
+        "verified": run.verify,
+    }
+    path = run.out / RUN
+    if path.is_file():
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{path}: not valid JSON ({error}).") from None
+        for key in asked:
+            if key in found and asked[key] != found[key]:
+                raise InputError(
+                    f"{run.out}: holds results with another {key.replace('_', ' ')}; choose another --out."
+                )
+        return
+    if any(not path.name.startswith(".") for path in run.out.iterdir()):  # a kill may leave a hidden half of ours
+        raise InputError(f"{run.out}: holds files that are not of a benchmark run; choose another --out.")
+    with atomic_write(path) as partial:
+        content = {**asked, "position": run.position, "versions": installed_versions()}
+        partial.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+@dataclass
+class ItemRunner:
+    """Turns an item's id into a row of results; what it has built stays for the next item."""
+
+    run: BenchRun
+    cold: bool = True  # until the first item is done
+    _built: dict[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def registry(self) -> Registry:
+        """The installed components and those of the local plugin files."""
+        return default_registry(self.run.plugins)
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """The items that are asked for."""
+        return self.run.read_manifest()
+
+    @cached_property
+    def networks(self) -> MetricNetworks:
+        """What the metrics need."""
+        return load_networks(self.run.metrics, self.registry)
+
+    def __call__(self, item_id: str) -> dict[str, Any]:
+        """Do one item; a failure of the method is a result, with its sentence."""
+        networks = self.networks  # first of all: what is missing shall not be told after minutes
+        record = self.manifest.item(item_id)
+        item = load_item(self.manifest, record, self.run.manifest.parent, self.registry, self.run.verify)
+        named, report = (record.id, record.scene, record.type), Report()
+        try:
+            with collecting(report), torch.no_grad():
+                output, facts = self._edit_and_render(item, report)
+        except FAILURES as error:
+            self.cold = False
+            return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item)), str(error)))
+        timing, self.cold = timing_of(report.stages, self.cold), False
+        metrics = measure(item, output, networks)
+        save_strips(self.run.out / "pictures" / record.id, item, output)
+        return asdict(ItemResult(*named, metrics, "", timing, facts))
+
+    def _has_truth(self, item: LoadedItem) -> bool:
+        """Whether the item's truth is what the method is judged by."""
+        method = self.run.method
+        wished = method.editor.name == ORACLE if method.truth is None else method.truth
+        return wished and item.truth is not None
+
+    def _edit_and_render(self, item: LoadedItem, report: Report) -> tuple[MethodOutput, dict[str, Any]]:
+        method, views = self.run.method, item.given
+        if method.poses and item.cameras is not None:
+            views = replace(views, c2w=item.cameras.c2w[:, : item.inputs])
+        result = edit3r.run(
+            views,
+            item.record.prompt,
+            editor=self._editor(item),
+            recon=self._component("reconstructor", method.reconstructor),
+            masks=item.input_masks,
+            edit_views=method.edit_views,
+            seed=item.record.seed,
+            registry=self.registry,
+            report=report,
+        )
+        cameras = evaluation_cameras(item, result.cameras)
+        rasterizer = self._component("rasterizer", method.rasterizer)
+        with report.stage("render"):
+            rendering = render_each(rasterizer, result.gaussians, cameras, "render")
+        images, depths = rendering.images[0].clamp(0, 1), rendering.depths[0, :, 0]
+        output = MethodOutput(images, result.edited.images[0], depths, cameras, self._has_truth(item))
+        return output, {"gaussians": result.gaussians.count, "warnings": report.warnings}
+
+    def _editor(self, item: LoadedItem) -> Editor | PartChoice:
+        editor = self.run.method.editor
+        if editor.name != ORACLE:
+            return self._component("editor", editor)
+        if item.truth is None:
+            raise InputError(f"{item.record.id}: the editor 'oracle' needs scenes whose edited truth is known.")
+        return OracleEditor(item.truth[: item.inputs], make_settings(OracleSettings, editor.settings, where="editor"))
+
+    def _component(self, kind: str, choice: PartChoice) -> Any:
+        """Build a component once; a reconstructor that edits is built by the run, with each item's editor."""
+        if "editor" in self.registry.find(kind, choice.name).component.parts:
+            return choice
+        if kind not in self._built:
+            self._built[kind] = self.registry.build(kind, choice.name, **choice.settings)
+        return self._built[kind]
+
+
+def timing_of(stages: Sequence[StageRecord], cold: bool) -> dict[str, Any]:
+    """Return the wall and CPU seconds of one edit of one scene, by what they were spent on.
+
+    `editor`: the 2D editor on all views; `network`: the reconstructor, with an editor inside it that one's time too;
+    `rendering`: the measured images. The same with `_cpu` counts CPU seconds. Reading images, building components
+    (loading weights), measuring and writing files are in none. A cold edit is the first of its process, which also pays
+    for imports, compilation and first touches.
+    """
+    parts = {"editor": "edit (", "network": "reconstruct (", "rendering": "render"}
+    wall, cpu = {}, {}
+    for name, start in parts.items():
+        own = [stage for stage in stages if stage.name.startswith(start)]
+        wall[name] = sum(stage.seconds for stage in own)
+        cpu[f"{name}_cpu"] = sum(stage.cpu_seconds for stage in own)
+    return {"cold": cold, **wall, **cpu}
+
+
+def evaluation_cameras(item: LoadedItem, predicted: Cameras) -> Cameras:
+    """Return where the result is looked at from: the inputs' predicted cameras, then the held-back frames.
+
+    Those stand at their true places relative to the reference, in the unit of length that makes the inputs' mean
+    distance from it the true one. Without known poses there are none, and as many places between the inputs are
+    looked at instead.
+    """
+    more = len(item.record.held_back)
+    if item.cameras is None:
+        path = between_and_around(predicted, 2 * (more + 1)).select(range(1, more + 1))
+        return _joined(predicted, path.c2w, path.intrinsics)
+    true = item.cameras.c2w.to(predicted.c2w)
+    lengths = [c2w[:, 1 : item.inputs, :3, 3].norm(dim=-1).mean() for c2w in (predicted.c2w, true)]
+    held_back = true[:, item.inputs :].clone()
+    held_back[..., :3, 3] *= lengths[0] / lengths[1].clamp(min=1e-12)
+    return _joined(predicted, predicted.c2w[:, :1] @ held_back, item.cameras.intrinsics[:, item.inputs :])
+
+
+def _joined(cameras: Cameras, c2w: Float[Tensor, "1 more 4 4"], intrinsics: Float[Tensor, "1 more 3 3"]) -> Cameras:
+    like = cameras.c2w
+    return Cameras(
+        torch.cat((like, c2w.to(like)), 1),
+        torch.cat((cameras.intrinsics, intrinsics.to(like)), 1),
+        cameras.image_size,
+    )
+
+
+def save_strips(folder: Path, item: LoadedItem, output: MethodOutput) -> None:
+    """Write one strip of frames each for the photos, the 2D edits, what the method shows, and the truth."""
+    folder.mkdir(parents=True, exist_ok=True)
+    strips = {"photos": item.photos.images[0], "edited": output.edited, "shown": output.images}
+    if output.has_truth:
+        strips["truth"] = item.truth
+    for name, images in strips.items():
+        save_image(torch.cat(list(images), -1), folder / f"{name}.png")

@@ -1,0 +1,261 @@
+"""Edits for photographed scenes: what the photos show, edits proposed for it, and a person's verdicts on them.
+
+photos -> labels (detector) -> proposals (language model, templates) -> near duplicates out -> vetting file (YAML)
+vetting file, edited by a person -> five edits a scene
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import SequenceMatcher
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import yaml
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import Settings, make_settings, read_yaml
+from edit3r.errors import InputError, MissingDependencyError, RunError
+from edit3r.geometry.morphology import dilate_softly
+from edit3r.interfaces import Detection, Detector, Segmenter
+from edit3r.io.atomic import atomic_write
+from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
+
+Boxes = tuple[Detection | None, ...]
+"""One object's box in each photo; None where a photo does not show it."""
+
+KEY_VARIABLE = "OPENAI_API_KEY"
+
+SHARE_OF_VIEWS = 0.5
+"""An object counts when at least this share of the photos shows it."""
+
+LARGEST_SHARE = 0.7
+"""Boxes over more of a photo than this name the place rather than a thing in it."""
+
+MOST_OBJECTS = 8
+"""Objects of a scene that edits are proposed for."""
+
+ALIKE = 0.82
+"""Likeness from which two prompts count as one."""
+
+WORDS = read_yaml(Path(__file__).with_name("bench_words.yaml"))
+"""Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file."""
+
+
+class ProposedEdit(Settings):
+    """One edit of a scene and what a person made of it; an entry of the vetting file."""
+
+    verdict: Literal["keep", "drop", ""] = Field("", description="'' undecided")
+    type: EditType
+    prompt: str = Field(min_length=1, description="the instruction, as it may have been reworded")
+    object: str = Field("", description="label of what a local edit is about")
+    description: str = Field("", description="what the edited photo shows")
+    source: str = Field("", description="where the proposal came from")
+    masks: tuple[str, ...] = Field((), description="mask files of the inputs, relative to the vetting file")
+
+
+# ---- what the photos show ----
+
+
+def find_objects(
+    images: Float[Tensor, "frame 3 height width"], detector: Detector, words: Sequence[str]
+) -> dict[str, Boxes]:
+    """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
+
+    They are in order of that score, each with its best box in every photo, None where a photo does not show it.
+    """
+    area = images.shape[-2] * images.shape[-1]
+    boxes = {word: tuple(_best(detector.detect(image, word), area) for image in images) for word in words}
+    scores = {word: sum(box.score for box in own if box) / len(images) for word, own in boxes.items()}
+    seen = [word for word, own in boxes.items() if sum(b is not None for b in own) >= SHARE_OF_VIEWS * len(images)]
+    return {word: boxes[word] for word in sorted(seen, key=lambda word: -scores[word])[:MOST_OBJECTS]}
+
+
+def _best(detections: Sequence[Detection], area: int) -> Detection | None:
+    fit = [d for d in detections if d.box[2] * d.box[3] <= LARGEST_SHARE * area]
+    return max(fit, key=lambda d: d.score, default=None)
+
+
+def masks_from_boxes(
+    images: Float[Tensor, "view 3 height width"], boxes: Sequence[Detection], segmenter: Segmenter | None
+) -> Float[Tensor, "view height width"]:
+    """Return masks around one object, a little larger than it; from the boxes themselves without a segmenter."""
+    return dilate_softly(torch.stack([_mask(image, box, segmenter) for image, box in zip(images, boxes)]))
+
+
+def _mask(
+    image: Float[Tensor, "3 height width"], found: Detection, segmenter: Segmenter | None
+) -> Float[Tensor, "height width"]:
+    height, width = image.shape[-2:]
+    x, y, w, h = found.box
+    if segmenter is not None:
+        box = (max(0.0, x / width), max(0.0, y / height), min(1.0, w / width), min(1.0, h / height))
+        return (segmenter.segment(image, box=box).soft_mask > 0.5).to(image.dtype)
+    mask = image.new_zeros(height, width)
+    mask[max(0, round(y)) : round(y + h), max(0, round(x)) : round(x + w)] = 1
+    return mask
+
+
+# ---- proposals ----
+
+
+@dataclass(frozen=True)
+class LanguageModel:
+    """A model behind an OpenAI-compatible address, asked once a scene; its key comes from the environment only."""
+
+    address: str  # such as http://localhost:8000/v1; local servers want no key
+    name: str
+    timeout_s: float = 120.0
+    attempts: int = 3
+
+    def ask(self, system: str, request: str) -> str:
+        """Return the model's answer at temperature 0. Raises RunError when none comes."""
+        try:
+            import openai
+        except ImportError:
+            raise MissingDependencyError(
+                '--llm needs the openai client; install with: pip install "edit3r[bench]"'
+            ) from None
+        key = os.environ.get(KEY_VARIABLE, "").strip() or "none"
+        client = openai.OpenAI(
+            api_key=key, base_url=self.address, timeout=self.timeout_s, max_retries=self.attempts - 1
+        )
+        messages = [{"role": "system", "content": system}, {"role": "user", "content": request}]
+        try:
+            answer = client.chat.completions.create(model=self.name, messages=messages, temperature=0)
+        except openai.OpenAIError as error:
+            raise RunError(f"language model {self.name} at {self.address}: {' '.join(str(error).split())}") from None
+        text = answer.choices[0].message.content if answer.choices else None
+        if not text:
+            raise RunError(f"language model {self.name} at {self.address} gave an empty answer.")
+        return text
+
+
+def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
+    """Return every template for every label, shuffled within each type so that scenes do not all get the same five."""
+    found = []
+    rng = np.random.default_rng(seed)
+    for kind in EDIT_TYPES:
+        objects = labels if kind != "Global" else [""]
+        own = [
+            (*(text.format(object=label) for text in texts), label)
+            for texts in WORDS["templates"][kind]
+            for label in objects
+        ]
+        for prompt, description, label in (own[index] for index in rng.permutation(len(own))):
+            edit = {"type": kind, "prompt": prompt, "object": label, "description": description}
+            found.append(ProposedEdit(**edit, source="template"))
+    return found
+
+
+def edits_from_model(labels: Sequence[str], model: LanguageModel, count: int = 4) -> list[ProposedEdit]:
+    """Return what the model proposes. Raises RunError when its answer holds no usable edit."""
+    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=count)
+    answer = model.ask(WORDS["system"], request)
+    start, end = answer.find("["), answer.rfind("]")  # models like to put words around the list
+    try:
+        entries = json.loads(answer[start : end + 1])
+    except ValueError:
+        entries = []
+    entries = entries if isinstance(entries, list) else []
+    found = [edit for entry in entries if (edit := _usable_edit(entry, labels, model.name))]
+    if not found:
+        raise RunError(f"language model {model.name}: no usable edit in its answer: {answer[:200]!r}")
+    return found
+
+
+def _usable_edit(entry: object, labels: Sequence[str], source: str) -> ProposedEdit | None:
+    """Return None for an entry that is not an edit of this scene."""
+    if not isinstance(entry, dict):
+        return None
+    kind, prompt, thing, description = (
+        " ".join(str(entry.get(key) or "").split()) for key in ("type", "prompt", "object", "description")
+    )
+    kind, thing = kind.capitalize(), thing.lower()
+    if kind not in EDIT_TYPES or not prompt or (kind in ("Remove", "Modify") and thing not in labels):
+        return None
+    thing = "" if kind == "Global" else thing
+    return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
+
+
+def likeness(first: str, second: str) -> float:
+    """Return how alike two prompts are in [0, 1]: the larger of the shares of common words and of letters in order.
+
+    Case, punctuation, plural s and words that carry nothing are ignored. It knows no meaning: "red" and "crimson"
+    stay two prompts, which a person may drop in the vetting file.
+    """
+    a, b = _words(first), _words(second)
+    if not a or not b:
+        return float(a == b)
+    common = len(set(a) & set(b)) / len(set(a) | set(b))
+    return max(common, SequenceMatcher(None, " ".join(a), " ".join(b), autojunk=False).ratio())
+
+
+def _words(text: str) -> list[str]:
+    words = [word.removesuffix("s") if len(word) > 3 else word for word in re.findall(r"[^\W_]+", text.lower())]
+    return [word for word in words if word not in WORDS["fillers"]]
+
+
+def without_near_duplicates(edits: Iterable[ProposedEdit]) -> list[ProposedEdit]:
+    """Return the edits in order, without those whose prompt is like that of one before."""
+    kept: list[ProposedEdit] = []
+    for edit in edits:
+        if all(likeness(edit.prompt, other.prompt) < ALIKE for other in kept):
+            kept.append(edit)
+    return kept
+
+
+# ---- a person's verdicts ----
+
+
+def write_vetting(path: Path, proposed: Mapping[str, Sequence[ProposedEdit]]) -> None:
+    """Write the proposals of every scene as YAML that a person edits."""
+    scenes = {scene: [edit.model_dump(exclude={"masks"}) for edit in own] for scene, own in proposed.items()}
+    with atomic_write(path) as partial:
+        text = yaml.safe_dump({"scenes": scenes}, sort_keys=False, allow_unicode=True, width=110)
+        partial.write_text(WORDS["vetting_head"] + text, encoding="utf-8")
+
+
+def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
+    """Return edits by scene. Raises an error that names scene and entry for anything that cannot be read."""
+    content = read_yaml(path)
+    scenes = content.get("scenes")
+    if set(content) != {"scenes"} or not isinstance(scenes, Mapping):
+        raise InputError(f"{path}: expected one key, 'scenes', with a list of edits for each scene.")
+    return {
+        str(scene): [_vetted(entry, path, f"scene {scene!r}, edit {n}") for n, entry in enumerate(own or [], start=1)]
+        for scene, own in scenes.items()
+    }
+
+
+def _vetted(entry: Any, path: Path, where: str) -> ProposedEdit:
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{path}: {where} is not a mapping.")
+    return make_settings(ProposedEdit, entry, where=f"{path.name}, {where}")
+
+
+def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit]:
+    """Return the five of a scene: those kept, then undecided ones, types in turn. Raises InputError for another count.
+
+    They are in the order of EDIT_TYPES.
+    """
+    kept = [edit for edit in edits if edit.verdict == "keep"]
+    if len(kept) > EDITS_PER_SCENE:
+        raise InputError(f"scene {scene!r}: {len(kept)} edits are kept, expected {EDITS_PER_SCENE}; drop some.")
+    undecided = [edit for edit in edits if edit.verdict == ""]
+    while len(kept) < EDITS_PER_SCENE and undecided:
+        have = {kind: sum(edit.type == kind for edit in kept) for kind in EDIT_TYPES}
+        chosen = min(undecided, key=lambda edit: have[edit.type])
+        kept.append(chosen)
+        undecided.remove(chosen)
+    if len(kept) < EDITS_PER_SCENE:
+        raise InputError(
+            f"scene {scene!r}: only {len(kept)} edits are left, expected {EDITS_PER_SCENE}; drop fewer, or add some."
+        )
+    return sorted(kept, key=lambda edit: EDIT_TYPES.index(edit.type))

@@ -1,1 +1,0 @@
-"""The commands `edit3r evaluate`, `edit3r tradeoff` and `edit3r bench`."""

@@ -1,0 +1,282 @@
+"""Every number that says how good an image, a set of images, a depth map or an edit is.
+
+Unless a signature says otherwise, images are NumPy arrays `[height, width, 3]` and sets of images
+`[view, height, width, 3]`, sRGB in [0, 1]; masks are in [0, 1], 1 where an edit belongs. Similarities by CLIP and the
+networks behind the distances between sets of images are in `features`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Shaped
+from scipy.ndimage import gaussian_filter
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from torch import Tensor
+
+from edit3r.geometry.cameras import project, unproject
+from edit3r.types import Cameras
+
+Image = Float[np.ndarray, "height width 3"]
+Images = Float[np.ndarray, "view height width 3"]
+Masks = Float[np.ndarray, "view height width"]
+Features = Float[np.ndarray, "n feature"]
+
+BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+"""Standard deviations tried for the best-blurred copy [pixels]."""
+
+SMALLEST_SSIM_WINDOW, SSIM_WINDOW = 3, 7
+
+LOW_PASS = 0.015
+"""Standard deviation of the low-pass before changes are measured [image widths]: a rendering that is a little blurred
+or shifted has not been edited."""
+
+DEPTH_TOLERANCE = 0.03
+"""A warped point whose depth differs from what the other view sees by more than this share is hidden there."""
+
+KERNEL_DEGREE, KERNEL_OFFSET = 3, 1.0  # of KID's polynomial kernel
+
+DRAWS, CONFIDENCE = 2000, 0.95  # of the bootstrap
+
+
+# One image against another.
+
+
+def psnr(image: np.ndarray, target: np.ndarray) -> float:
+    """Return the peak signal-to-noise ratio [dB] of `image` clipped to [0, 1]; any equal shapes; infinite if equal."""
+    with np.errstate(divide="ignore"):
+        return float(peak_signal_noise_ratio(target, np.clip(image, 0, 1), data_range=1.0))
+
+
+def covered_psnr(image: Image, target: Image, covered: Bool[np.ndarray, "height width"]) -> float:
+    """Return the PSNR [dB] over the `covered` pixels, NaN when there are none."""
+    return psnr(image[covered], target[covered]) if covered.any() else float("nan")
+
+
+def ssim(image: Image, target: Image) -> float:
+    """Return the mean structural similarity (Wang et al. 2004, 7x7 window, mean over channels).
+
+    Raises ValueError below 3x3 pixels.
+    """
+    window = min(SSIM_WINDOW, *target.shape[:2])
+    if window < SMALLEST_SSIM_WINDOW:
+        raise ValueError(f"ssim: expected pictures of at least 3x3 pixels, got {target.shape[:2]}")
+    window -= 1 - window % 2
+    clipped = np.clip(image, 0, 1).astype(target.dtype)
+    return float(structural_similarity(clipped, target, win_size=window, channel_axis=-1, data_range=1.0))
+
+
+@dataclass(frozen=True)
+class BlurredCopy:
+    """The best that blurring one photo can do as a guess of another."""
+
+    psnr: float  # [dB]
+    ssim: float  # of the same blurred image
+    sigma: float  # [pixels]
+
+
+def best_blurred_copy(
+    photos: Iterable[Image], target: Image, covered: Bool[np.ndarray, "height width"] | None = None
+) -> BlurredCopy:
+    """Return the highest PSNR that any photo reaches under any Gaussian blur: what knowing no geometry gives.
+
+    A prediction that is not clearly above this has learnt to blur, not where things are. The PSNR counts the `covered`
+    pixels only, if given; the SSIM is always that of the whole image.
+    """
+    counted = np.ones(target.shape[:2], bool) if covered is None else covered
+    copies = ((gaussian_filter(photo, (sigma, sigma, 0)), sigma) for photo in photos for sigma in BLURS)
+    scored = ((covered_psnr(copy, target, counted), copy, sigma) for copy, sigma in copies)
+    score, copy, sigma = max(scored, key=lambda item: item[0])
+    return BlurredCopy(score, ssim(copy, target), sigma)
+
+
+# Depth against the truth.
+
+
+def within_share(
+    depth: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"], tolerance: float = 0.1
+) -> float:
+    """Return the share of pixels of known `truth` (> 0) whose depth is within `tolerance` after one common scale.
+
+    The scale is the median ratio. A pixel without a depth (0) counts as wrong.
+    """
+    known = truth > 0
+    measured = known & (depth > 0)
+    if not measured.any():
+        return 0.0
+    scale = np.median(truth[measured] / depth[measured])
+    right = measured & (np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance)
+    return float(right.sum() / known.sum())
+
+
+# What an edit did. Distances to the unedited photos reward doing nothing; these do not.
+
+
+def edit_strength(shown: Images, photos: Images, masks: Masks | None = None) -> float:
+    """Return the mean absolute change from photo to `shown` inside the masks (everywhere without), low-passed [sRGB].
+
+    0 when nothing was done; NaN when the masks are empty.
+    """
+    return _weighted_change(shown, photos, np.ones(photos.shape[:3]) if masks is None else masks)
+
+
+def change_outside(shown: Images, photos: Images, masks: Masks) -> float:
+    """Return the mean absolute change outside the masks, low-passed [sRGB]; NaN when they leave nothing outside.
+
+    It holds the errors of the reconstruction as well as what the edit spilled: compare it with another method's.
+    """
+    return _weighted_change(shown, photos, (masks == 0).astype(np.float64))
+
+
+def edit_uptake(shown: Images, before: Images, wished: Images, masks: Masks | None = None) -> float:
+    """Return the share of the wished change (`wished` - `before`) that `shown` has, inside the masks.
+
+    It is the projection of the shown change on the wished one. 1: all of it; 0: none, or something unrelated; below 0:
+    the opposite; 0 when no change was wished. Blur and noise that have nothing to do with the wish count for nothing.
+    """
+    return change_uptake(shown - before, wished - before, masks)
+
+
+def change_uptake(
+    shown: Float[np.ndarray, "*view height width 3"],
+    wished: Float[np.ndarray, "*view height width 3"],
+    masks: Shaped[np.ndarray, "*view height width"] | None = None,
+) -> float:
+    """Return `edit_uptake` of two changes, each an edited image minus an unedited one."""
+    weight = 1.0 if masks is None else masks[..., None]
+    energy = float((weight * wished**2).sum())
+    return float((weight * wished * shown).sum()) / energy if energy > 0 else 0.0
+
+
+def _weighted_change(shown: Images, photos: Images, weight: Masks) -> float:
+    total = float(weight.sum())
+    if total == 0:
+        return float("nan")
+    sigma = LOW_PASS * photos.shape[2]
+    difference = gaussian_filter(shown - photos, (0, sigma, sigma, 0))
+    return float((np.abs(difference).mean(-1) * weight).sum() / total)
+
+
+# Whether the views of one scene agree.
+
+
+def warped_difference(
+    images: Float[Tensor, "frame 3 height width"],
+    depths: Float[Tensor, "frame height width"],
+    cameras: Cameras,
+    pairs: Iterable[tuple[int, int]],
+    masks: Float[Tensor, "frame height width"] | None = None,
+) -> float:
+    """Return the mean absolute difference [sRGB] of pixels that two frames both see, over `pairs` (from, to) of them.
+
+    `depths` are camera z, 0 unknown; `cameras` batch 1. With `masks` only pixels of the first frame inside them
+    count, weighted. 0 when all agree; never quite 0 in practice, since pixels are interpolated: compare it with the
+    same measure of the photos. NaN when no pixel is seen twice.
+    """
+    difference, weight = 0.0, 0.0
+    for a, b in pairs:
+        warped, seen = warped_image(images[b], depths[a], depths[b], cameras.select([a, b]))
+        counted = seen.to(images.dtype) * (1 if masks is None else masks[a])
+        difference += float(((warped - images[a]).abs().mean(0) * counted).sum())
+        weight += float(counted.sum())
+    return difference / weight if weight > 0 else float("nan")
+
+
+def warped_image(
+    image: Float[Tensor, "3 height width"],
+    depth: Float[Tensor, "height width"],
+    other_depth: Float[Tensor, "height width"],
+    cameras: Cameras,
+) -> tuple[Float[Tensor, "3 height width"], Bool[Tensor, "height width"]]:
+    """Return `image` of the second of two cameras as the first sees it, and where the second sees the same point.
+
+    `depth` is the first camera's, `other_depth` the second's.
+    """
+    points = unproject(depth, cameras.intrinsics[0, 0], cameras.c2w[0, 0])
+    xy, z = project(points.reshape(-1, 3), cameras.intrinsics[0, 1], cameras.c2w[0, 1])
+    xy, z = xy.reshape(*depth.shape, 2), z.reshape(depth.shape)
+    grid = (2 * xy - 1)[None]
+    warped = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)[0]
+    found = F.grid_sample(other_depth[None, None], grid, mode="nearest", align_corners=False)[0, 0]
+    inside = ((xy > 0) & (xy < 1)).all(-1)
+    seen = inside & (depth > 0) & (z > 0) & (found > 0) & ((z - found).abs() <= DEPTH_TOLERANCE * found)
+    return warped, seen
+
+
+# Two sets of images, by the features of a network.
+
+
+def frechet_distance(first: Features, second: Features) -> float:
+    """Return the Fréchet distance of two sets of features (Heusel et al. 2017), the mathematics of FID, in float64.
+
+    |m1 - m2|^2 + tr(S1 + S2 - 2 (S1 S2)^(1/2)) of the sets' means and unbiased covariances. The trace of the root is
+    the nuclear norm of the product of the centred sets, which needs no matrix of feature by feature and is exact when
+    there are fewer images than features. Few images bias it upwards: compare only values of equal counts, and look at
+    `kernel_distance` beside it. Raises ValueError below two rows.
+    """
+    a, b = _feature_sets(first, second)
+    mean_a, mean_b = a.mean(0), b.mean(0)
+    a, b = (a - mean_a) / np.sqrt(len(a) - 1), (b - mean_b) / np.sqrt(len(b) - 1)
+    root = np.linalg.svd(a @ b.T, compute_uv=False).sum()
+    distance = np.square(mean_a - mean_b).sum() + np.square(a).sum() + np.square(b).sum() - 2 * root
+    return float(max(distance, 0.0))
+
+
+def kernel_distance(first: Features, second: Features) -> float:
+    """Return the unbiased squared maximum mean discrepancy (Binkowski et al. 2018), the mathematics of KID, in float64.
+
+    The kernel is (x·y / features + 1)^3. All rows are used at once; tools that average over random subsets estimate
+    the same number with more noise. Equal distributions give about 0, also slightly below. Raises ValueError below two
+    rows.
+    """
+    a, b = _feature_sets(first, second)
+    return float(_mean_of_others(a) + _mean_of_others(b) - 2 * _kernel(a, b).mean())
+
+
+def _feature_sets(*sets: Features) -> list[Features]:
+    a, b = arrays = [np.asarray(features, np.float64) for features in sets]
+    if min(len(a), len(b)) < 2 or a.shape[1:] != b.shape[1:]:
+        raise ValueError(f"expected two sets of at least 2 features of one width, got {a.shape} and {b.shape}")
+    return arrays
+
+
+def _kernel(a: Float[np.ndarray, "a feature"], b: Float[np.ndarray, "b feature"]) -> Float[np.ndarray, "a b"]:
+    return (a @ b.T / a.shape[1] + KERNEL_OFFSET) ** KERNEL_DEGREE
+
+
+def _mean_of_others(features: Features) -> float:
+    """Return the mean kernel of all pairs of different rows."""
+    kernel = _kernel(features, features)
+    return (kernel.sum() - np.trace(kernel)) / (len(features) * (len(features) - 1))
+
+
+# How sure a mean is.
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and where it lies with 95 % confidence; low = high = mean for a single scene's worth of data."""
+
+    mean: float
+    low: float
+    high: float
+    scenes: int  # that had a value
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
+
+
+def bootstrap_mean(values: Mapping[str, Sequence[float]], seed: int = 0) -> Interval | None:
+    """Return the mean over scenes of each scene's mean, with a percentile interval; None when no scene has a value.
+
+    `values` are by scene; NaN is left out. Whole scenes are drawn, since edits of one scene resemble each other.
+    """
+    finite = {scene: [v for v in of_scene if np.isfinite(v)] for scene, of_scene in values.items()}
+    means = np.array([np.mean(of_scene) for of_scene in finite.values() if of_scene])
+    if len(means) == 0:
+        return None
+    picks = np.random.default_rng(seed).integers(len(means), size=(DRAWS, len(means)))
+    edge = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means[picks].mean(1), (edge, 1 - edge))
+    return Interval(float(means.mean()), float(low), float(high), len(means))

@@ -1,0 +1,226 @@
+"""One resumable runner for any list of jobs: in this process, in several processes, or on a Ray cluster.
+
+A job is a key with something that can be pickled; a function turns it into a row of JSON data. Each row is one line of
+a file and is on disk before the next row is taken: a run that was killed at any moment goes on where it stopped.
+"""
+
+import json
+import math
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+from edit3r.errors import InputError, MissingDependencyError, RunError
+from edit3r.io.atomic import atomic_write
+
+__all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable"]
+
+Row = Mapping[str, Any]
+Function = Callable[[Any], Row]
+KeyedJob = tuple[str, Any]
+KeyedRow = tuple[str, Row]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the jobs. The rows are the same for any number of workers."""
+
+    count: int = 1  # 1: this process does them itself, unless they are spread with Ray
+    spread: Literal["processes", "ray"] = "processes"
+    threads: int | None = None  # of torch in each worker, which decide the order of sums; None: as they are
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What `on_done` is told after each job."""
+
+    key: str
+    row: Row
+    done: int  # how many have a row now, those of earlier runs included
+    total: int
+    seconds_left: float
+
+
+def run_resumable(
+    jobs: Mapping[str, Any],
+    function: Function,
+    path: Path,
+    *,
+    workers: Workers = Workers(),
+    key_name: str = "key",
+    failures: tuple[type[Exception], ...] = (),
+    seconds: float | None = None,
+    on_done: Callable[[Progress], None] = lambda progress: None,
+) -> dict[str, dict[str, Any]]:
+    """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the order of `jobs`.
+
+    A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once and when read back.
+    `function` is pickled to each worker once, so an object may keep what it built at its first call. An error of a type
+    in `failures` becomes the row `{"failure": sentence}`; any other error ends the run and keeps the rows made so far.
+    No job starts after `seconds` of wall time; jobs that did not start are missing in the answer. At the end the file
+    holds these rows in order, then rows of other keys, however the work was spread and interrupted.
+    """
+    repair(path)
+    found = read_rows(path, key_name)
+    left = {key: job for key, job in jobs.items() if key not in found}
+    already, start = len(jobs) - len(left), time.monotonic()
+    todo = _until(None if seconds is None else start + seconds, left.items())
+    for count, (key, row) in enumerate(_spread(_Task(function, failures, workers.threads), todo, workers), start=1):
+        found[key] = append_row(path, {key_name: key, **row})
+        rate = (time.monotonic() - start) / count
+        on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
+    ordered = {key: found[key] for key in jobs if key in found}
+    if found:
+        with atomic_write(path) as partial:
+            partial.write_text("".join(map(_line, {**ordered, **found}.values())), encoding="utf-8")
+    return ordered
+
+
+def append_row(path: Path, row: Row) -> dict[str, Any]:
+    """Add one line, have it on disk before returning, and return the row as it will be read back."""
+    line = _line(row)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(line)
+        file.flush()
+        os.fsync(file.fileno())
+    return json.loads(line)
+
+
+def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
+    """Return rows by key, without a last line that a kill cut off. Raises InputError for another bad line."""
+    if not path.is_file():
+        return {}
+    found = {}
+    lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    for number, line in enumerate(lines[:-1], start=1):
+        try:
+            row = json.loads(line)
+            found[row[key_name]] = row
+        except (ValueError, TypeError, KeyError):
+            raise InputError(f"{path}, line {number}: not a result; delete the line to measure it anew.") from None
+    return found
+
+
+def repair(path: Path) -> None:
+    """Cut a half-written last line off, so that the next one starts on its own."""
+    content = path.read_bytes() if path.is_file() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content:
+        with atomic_write(path) as partial:
+            partial.write_bytes(whole)
+
+
+def _line(row: Row) -> str:
+    return json.dumps(_finite(row), ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    """Return `value` with None in the place of every number that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _until(end: float | None, jobs: Iterable[KeyedJob]) -> Iterator[KeyedJob]:
+    """Give out jobs until the clock shows `end` [s, monotonic]."""
+    for job in jobs:
+        if end is not None and time.monotonic() > end:
+            return
+        yield job
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What a worker does with every job; picklable when its function is."""
+
+    function: Function
+    failures: tuple[type[Exception], ...]
+    threads: int | None
+
+    def do(self, job: KeyedJob) -> KeyedRow:
+        """Return the job's key and its row."""
+        if self.threads is not None:
+            import torch
+
+            torch.set_num_threads(self.threads)
+        try:
+            return job[0], self.function(job[1])
+        except self.failures as error:
+            return job[0], {"failure": str(error)}
+
+
+def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
+    """Yield keys and rows in any order; a job is taken from `jobs` only when a worker is free for it."""
+    if workers.spread == "ray":
+        return _on_ray(task, jobs, workers)
+    return map(task.do, jobs) if workers.count == 1 else _in_processes(task, jobs, workers.count)
+
+
+_task: _Task | None = None  # of this worker process; set once, so that what its function has built stays
+
+
+def _set_task(task: _Task) -> None:
+    global _task
+    _task = task
+
+
+def _call_task(job: KeyedJob) -> KeyedRow:
+    return _task.do(job)
+
+
+def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator[KeyedRow]:
+    """Yield rows from new processes of this machine; forking one that has used torch's threads can hang."""
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
+    try:
+        waiting = {pool.submit(_call_task, job) for job in islice(jobs, count)}
+        while waiting:
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            waiting |= {pool.submit(_call_task, job) for job in islice(jobs, len(finished))}
+            for future in finished:
+                yield future.result()
+    except BrokenProcessPool:
+        raise RunError(
+            "a worker process died (out of memory, or it could not start); what is done is kept: run again, with fewer "
+            "--workers if memory is short."
+        ) from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
+    """Yield rows from the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+        from ray.util import ActorPool
+    except ImportError:
+        raise MissingDependencyError('--ray needs Ray; install with: pip install "edit3r[ray]"') from None
+    first = list(islice(jobs, workers.count))
+    if not first:
+        return
+    started = not ray.is_initialized()
+    if started:
+        address = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers.count, "include_dashboard": False}
+        ray.init(log_to_driver=False, **address)
+    try:
+        actor = ray.remote(num_cpus=workers.threads or 1)(_Task)
+        pool = ActorPool([actor.remote(task.function, task.failures, task.threads) for _ in first])
+        more = first
+        while more or pool.has_next():
+            for job in more:
+                pool.submit(lambda worker, job: worker.do.remote(job), job)
+            yield pool.get_next_unordered()
+            more = list(islice(jobs, 1))
+    finally:
+        if started:
+            ray.shutdown()

@@ -1,0 +1,318 @@
+"""Scenes with a known answer: folders of posed photos, stereo pairs with disparity, and data sets with truth.
+
+All three give the same `Scene`: some photos to reconstruct from, and what is known beside them (a real image between
+them, depth, the photos after a true edit). A scene can be written to a folder and laid out there as a user's photos
+are, so that `edit3r run` itself can be measured on it.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.errors import InputError, UnknownComponentError
+from edit3r.geometry.rotations import rotation_angle
+from edit3r.interfaces import Dataset, SceneSample
+from edit3r.io.cameras import PosedCamera, write_cameras
+from edit3r.io.framing import frame_for
+from edit3r.io.images import find_photos, read_image, save_image
+from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
+from edit3r.registry import Registry
+from edit3r.types import Cameras
+
+PHOTOS, STEREO = "photos", "stereo"
+DISPARITY_FILE = "disparity_left.npz"
+TRUTH_FILE = "truth.json"
+NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Posed photos of one scene and what is known beside them."""
+
+    source: str  # name of the folder or data set
+    kind: str  # PHOTOS, STEREO or the data set's name
+    files: tuple[str, ...]  # names of the inputs and of the target
+    inputs: tuple[Photo, ...]  # the first and the last are the farthest apart
+    target: Photo | None = None  # an image that is not among the inputs
+    depth: Float[np.ndarray, "height width"] | None = None  # true camera z of inputs[0] in any unit, 0 unknown
+    edited: tuple[Photo, ...] = ()  # inputs and target after the true edit, where it is known
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """A scene that has not been loaded yet."""
+
+    name: str  # unique among the scenes of a measurement
+    kind: str  # as in `Scene`
+    load: Callable[[], Scene]
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Which scenes are taken from each source, and how large."""
+
+    count: int  # most pairs of a folder, scenes of a data set
+    size: int  # side of the square photos [pixels]
+    datasets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # name to settings
+    more_inputs: bool = False  # from folders also a third photo between the two, never larger than the photos are
+
+
+# Pairs of photos and the photo between them.
+
+
+@dataclass(frozen=True)
+class Triple:
+    """Indices of two input photos and of the photo between them."""
+
+    first: int
+    second: int
+    target: int
+    degrees: float  # angle between the two input cameras
+
+
+def rotation_degrees(a: Float[np.ndarray, "3 3"], b: Float[np.ndarray, "3 3"]) -> float:
+    """Return the angle between two rotation matrices [degrees], accurate for small angles."""
+    return float(torch.rad2deg(rotation_angle(torch.from_numpy(a), torch.from_numpy(b))))
+
+
+def choose_triples(
+    cameras: Sequence[PosedCamera], count: int, degrees: tuple[float, float] = (5.0, 30.0)
+) -> list[Triple]:
+    """Return at most `count` triples, spread evenly over all pairs `degrees` apart which have a photo between them."""
+    poses = [camera.c2w for camera in cameras]
+    triples = []
+    for first, second in combinations(range(len(poses)), 2):
+        angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
+        if degrees[0] <= angle <= degrees[1]:
+            target = _photo_between(poses, first, second, angle)
+            if target is not None:
+                triples.append(Triple(first, second, target, angle))
+    chosen = np.unique(np.linspace(0, len(triples) - 1, min(count, len(triples))).round().astype(int))
+    return [triples[index] for index in chosen]
+
+
+def _photo_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int, angle: float) -> int | None:
+    """Return the photo nearest to the middle of the baseline that looks the same way; None when there is none."""
+    start, end = poses[first][:3, 3], poses[second][:3, 3]
+    baseline = end - start
+    best, best_distance = None, 0.4  # in baselines from the middle
+    for index, pose in enumerate(poses):
+        turns = (rotation_degrees(pose[:3, :3], poses[end][:3, :3]) for end in (first, second))
+        if index in (first, second) or max(turns) > angle:
+            continue
+        distance = np.linalg.norm(pose[:3, 3] - (start + end) / 2) / max(np.linalg.norm(baseline), 1e-12)
+        if distance < best_distance:
+            best, best_distance = index, distance
+    return best
+
+
+def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
+    """Return a photo between the two inputs besides the target, that whose larger angle to them is least, or none."""
+    poses = [camera.c2w[:3, :3] for camera in folder.cameras]
+    angles = {
+        index: max(rotation_degrees(pose, poses[end]) for end in (triple.first, triple.second))
+        for index, pose in enumerate(poses)
+        if index not in (triple.first, triple.second, triple.target)
+    }
+    nearest = min(angles, key=angles.__getitem__, default=None)
+    return [] if nearest is None or angles[nearest] >= triple.degrees else [nearest]
+
+
+# The three sources.
+
+
+def find_scenes(source: str, options: SceneOptions, registry: Registry) -> list[SceneSource]:
+    """Return the scenes of a folder of posed photos or of a data set, which may be none.
+
+    Raises InputError for what is neither, and for a folder whose camera file cannot be read.
+    """
+    if Path(source).is_dir():
+        return list(_photographed(read_posed_folder(source), options))
+    try:
+        return list(_generated(source, registry, options))
+    except UnknownComponentError as error:
+        raise InputError(f"{source}: no such folder of photos, and {error}") from None
+
+
+def _photographed(folder: PosedFolder, options: SceneOptions) -> Iterator[SceneSource]:
+    size = options.size
+    for triple in choose_triples(folder.cameras, options.count):
+        inputs = [triple.first, triple.second]
+        if options.more_inputs:
+            inputs[1:1] = _another_between(folder, triple)
+            first = folder.cameras[triple.first]
+            size = min(options.size, first.width, first.height)
+        name = f"{folder.name}-{options.size}-{triple.first}-{triple.second}"
+        indices = (*inputs, triple.target)
+        yield SceneSource(name, PHOTOS, partial(photo_scene, folder, indices, size))
+    if (folder.path / DISPARITY_FILE).is_file():
+        yield SceneSource(f"{folder.name}-{STEREO}", STEREO, partial(stereo_scene, folder, options.size))
+
+
+def photo_scene(folder: PosedFolder, indices: Sequence[int], size: int) -> Scene:
+    """Load the photos at `indices`, the last of them as target, as squares of `size` pixels."""
+    *inputs, target = (folder.load(index, size) for index in indices)
+    files = tuple(folder.cameras[index].file for index in indices)
+    return Scene(folder.name, PHOTOS, files, tuple(inputs), target)
+
+
+def stereo_scene(folder: PosedFolder, size: int) -> Scene:
+    """Load a rectified pair, the first two photos of a folder, with depth from its `disparity_left.npz`.
+
+    The key `disparity` of that file holds pixels at the stored size, 0 unknown; a point at x in the left photo is at
+    x - disparity in the right one.
+    """
+    files = tuple(camera.file for camera in folder.cameras[:2])
+    inputs = tuple(folder.load(index, size) for index in (0, 1))
+    return Scene(folder.name, STEREO, files, inputs, depth=_stereo_depth(folder, size))
+
+
+def _stereo_depth(folder: PosedFolder, size: int) -> Float[np.ndarray, "size size"]:
+    """Return camera z of the left photo's centred square [baselines], 0 where unknown."""
+    with np.load(folder.path / DISPARITY_FILE) as file:
+        disparity = file["disparity"].astype(np.float32)
+    left, right = folder.cameras[:2]
+    if disparity.shape != (left.height, left.width):
+        raise InputError(
+            f"{folder.path / DISPARITY_FILE}: expected {left.height} rows of {left.width}, got {disparity.shape}."
+        )
+    # The principal points differ between the two photos of some data sets.
+    motion = disparity + right.K[0, 2] - left.K[0, 2]
+    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)
+    x0, y0, x1, y1 = (round(edge) for edge in frame_for(disparity.shape, (size, size)).box)
+    return cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
+
+
+def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator[SceneSource]:
+    settings = dict(options.datasets.get(name, {}))
+    dataset = registry.build("dataset", name, **settings)
+    mark = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
+    for index in range(min(options.count, len(dataset))):
+        yield SceneSource(f"{name}-{mark}-{index}", name, partial(_load_sample, name, dataset, index))
+
+
+def _load_sample(name: str, dataset: Dataset, index: int) -> Scene:
+    return sample_scene(name, index, dataset[index])
+
+
+def sample_scene(dataset: str, index: int, sample: SceneSample) -> Scene:
+    """Turn a data set's sample into a scene: its context views, its first target, depth and true edit if known."""
+    inputs = _photos(sample.context, sample.context_cameras)
+    (target,) = _photos(sample.target[:1], sample.target_cameras.select([0]))
+    edited: tuple[Photo, ...] = ()
+    if sample.edited_context is not None and sample.edited_target is not None:
+        edited = _photos(sample.edited_context, sample.context_cameras)
+        edited += _photos(sample.edited_target[:1], sample.target_cameras.select([0]))
+    depth = None if sample.context_depths is None else sample.context_depths[0].numpy()
+    files = (*(f"{index}/{view}" for view in range(len(inputs))), f"{index}/target")
+    return Scene(dataset, dataset, files, inputs, target, depth, edited)
+
+
+def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> tuple[Photo, ...]:
+    channels_last = images.permute(0, 2, 3, 1).contiguous().numpy()
+    return tuple(map(Photo, channels_last, cameras.intrinsics[0].double().numpy(), cameras.c2w[0].double().numpy()))
+
+
+# Scenes on disk, for measuring `edit3r run` itself.
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A written scene: `photos/` with `cameras.json` (no poses: a run has to find them), targets and `truth.json`."""
+
+    path: Path
+    name: str
+    kind: str
+
+    @staticmethod
+    def open(path: str | Path) -> "SceneFolder":
+        """Open what `write_scene` wrote."""
+        truth = json.loads((Path(path) / TRUTH_FILE).read_text(encoding="utf-8"))
+        return SceneFolder(Path(path), truth["name"], truth["kind"])
+
+    @property
+    def photos(self) -> list[Path]:
+        """The input photos in order; the first and the last are the farthest apart."""
+        return find_photos(self.path / "photos")
+
+    @property
+    def cameras(self) -> Path:
+        return self.path / "cameras.json"
+
+    @property
+    def edited(self) -> Path | None:
+        """Folder of the photos after the true edit."""
+        return self.path / "edited" if (self.path / "edited").is_dir() else None
+
+    def truth(self, edited: bool = False) -> tuple[list[Photo], Photo]:
+        """Return the input photos and the target with true cameras; `edited`: as the true edit makes the target."""
+        poses = json.loads((self.path / TRUTH_FILE).read_text(encoding="utf-8"))
+        files = [*self.photos, self.path / ("edited_target.png" if edited else "target.png")]
+        images = (np.asarray(read_image(file), np.float32) / 255 for file in files)
+        *inputs, target = map(Photo, images, map(np.array, poses["intrinsics"]), map(np.array, poses["c2w"]))
+        return inputs, target
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything in the folder; two scenes with the same images and poses share it."""
+        digest = hashlib.sha256()
+        for file in sorted(path for path in self.path.rglob("*") if path.is_file()):
+            digest.update(file.relative_to(self.path).as_posix().encode() + b"\0" + file.read_bytes())
+        return digest.hexdigest()[:16]
+
+
+def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, registry: Registry) -> list[SceneFolder]:
+    """Write the scenes of each source that have a target. Raises InputError for a source without any."""
+    written = []
+    for source in sources:
+        scenes = [scene for scene in find_scenes(source, options, registry) if scene.kind != STEREO]
+        if not scenes:
+            raise InputError(f"{source}: {NO_TRIPLES}.")
+        written += [write_scene(scene, root) for scene in scenes]
+    return written
+
+
+def write_scene(source: SceneSource, root: Path) -> SceneFolder:
+    """Write a scene that has a target below `root`, unless it is there already."""
+    path = root / source.name
+    if not (path / TRUTH_FILE).is_file():
+        _write(path, source.load())
+    return SceneFolder.open(path)
+
+
+def _write(path: Path, scene: Scene) -> None:
+    """Write all files; the truth comes last, so that half a scene is not taken for a whole one."""
+    files = [f"{index}.png" for index in range(len(scene.inputs))]
+    _save_images([*scene.inputs, scene.target], [*(path / "photos" / file for file in files), path / "target.png"])
+    _save_images(scene.edited, [*(path / "edited" / file for file in files), path / "edited_target.png"])
+    height, width = scene.inputs[0].image.shape[:2]
+    to_pixels = np.array([[width], [height], [1.0]])
+    cameras = [
+        PosedCamera(f"photos/{file}", width, height, photo.intrinsics * to_pixels, None)
+        for file, photo in zip(files, scene.inputs)
+    ]
+    write_cameras(path / "cameras.json", cameras)
+    photos = [*scene.inputs, scene.target]
+    truth = {
+        "name": path.name,
+        "kind": scene.kind,
+        "intrinsics": [photo.intrinsics.tolist() for photo in photos],
+        "c2w": [photo.c2w.tolist() for photo in photos],
+    }
+    (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
+
+
+def _save_images(photos: Sequence[Photo], files: Sequence[Path]) -> None:
+    for photo, file in zip(photos, files):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        save_image(torch.from_numpy(photo.image).permute(2, 0, 1), file)

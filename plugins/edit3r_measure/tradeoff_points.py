@@ -1,0 +1,272 @@
+"""From a sweep's raw measurements to points, the Pareto front, and the presets that `edit3r run --quality` offers.
+
+A point is one choice of run settings. A cost is smaller-is-better (seconds), an accuracy larger-is-better (dB).
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
+from edit3r_measure.metrics import psnr
+from edit3r_measure.tradeoff_knobs import SweepPlan
+
+APART = 2.1
+"""How many times as quick each preset is as the next: the twice that is promised, and something for noise."""
+
+Measurement = Mapping[str, Any]
+"""One line of a sweep's `measurements.jsonl`."""
+
+
+# Means over repeats and scenes.
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The smallest, the middle and the largest of some figures."""
+
+    least: float
+    middle: float
+    most: float
+
+    @staticmethod
+    def of(values: Iterable[float]) -> "Spread":
+        values = list(values)
+        return Spread(min(values), median(values), max(values))
+
+    @staticmethod
+    def mean(spreads: Iterable["Spread"]) -> "Spread":
+        """Return the mean of each of the three, for scenes that are measured one by one."""
+        return Spread(*(fmean(values) for values in zip(*((s.least, s.middle, s.most) for s in spreads))))
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A point on one kind of scene: means over its scenes unless said otherwise."""
+
+    cpu: Spread  # all stages of one run [s]: over the repeats, then the mean over the scenes
+    wall: Spread  # the same
+    first: Mapping[str, float]  # the first run of a process, by clock: what a run of the command takes [s]
+    stages: Mapping[str, float]  # processor seconds of each stage, median of the repeats
+    memory_mb: float  # peak of the process, largest of the scenes [MiB]
+    start_memory_mb: float  # of which the program took before it made anything
+    gaussians: float
+    most_gaussians: float  # largest of the scenes
+    ply_mb: float  # [MB]
+    psnr: float  # novel view [dB]
+    psnr_of_scenes: Spread
+    ssim: float
+    perceptual: float | None
+    uptake: float | None
+    leak: float | None
+    distance: float | None = None  # PSNR of its novel views against those of the most accurate point [dB]
+
+    def seconds(self, clock: str) -> float:
+        """Return the time to rank by, of "cpu" or "wall": the quickest repeats', which others disturbed least."""
+        return getattr(self, clock).least
+
+
+@dataclass(frozen=True)
+class MeasuredPoint:
+    """A point that every kind of scene was measured at."""
+
+    label: str
+    settings: Mapping[str, Any]
+    kinds: Mapping[str, Figures]
+
+    def rated(self, clock: str) -> "Rated":
+        """Return its cost by `clock` ("cpu" or "wall") and its accuracy, the novel views' PSNR."""
+        costs = {kind: figures.seconds(clock) for kind, figures in self.kinds.items()}
+        return Rated(self.label, costs, {kind: figures.psnr for kind, figures in self.kinds.items()})
+
+
+def summarize(measurements: Sequence[Measurement]) -> list[MeasuredPoint]:
+    """Return the points measured on every scene that any point was measured on, and that failed on none."""
+    scenes = {m["scene"] for m in measurements}
+    return [
+        MeasuredPoint(label, group[0]["settings"], {kind: _figures(g) for kind, g in _grouped(group, "kind").items()})
+        for label, group in _grouped(measurements, "label").items()
+        if {m["scene"] for m in group} == scenes and not any("failure" in m for m in group)
+    ]
+
+
+def with_distances(
+    points: Sequence[MeasuredPoint], measurements: Sequence[Measurement], image: Callable[[str], Path]
+) -> list[MeasuredPoint]:
+    """Fill in `Figures.distance`; `image` is a measurement's key to the file of its novel view.
+
+    The most accurate point of a kind of scene has none, nor has a point whose files are gone.
+    """
+    for kind in points[0].kinds if points else ():
+        group = [m for m in measurements if m["kind"] == kind and image(m["key"]).is_file()]
+        images = {(m["label"], m["scene"]): np.asarray(Image.open(image(m["key"])), np.float32) / 255 for m in group}
+        best = max(points, key=lambda point: point.kinds[kind].psnr)
+        points = [_with_distance(point, best, kind, images) for point in points]
+    return list(points)
+
+
+def _with_distance(
+    point: MeasuredPoint,
+    best: MeasuredPoint,
+    kind: str,
+    images: Mapping[tuple[str, str], Float[np.ndarray, "height width 3"]],
+) -> MeasuredPoint:
+    """Compare novel views, which `images` holds by (label, scene)."""
+    scenes = [scene for label, scene in images if label == point.label and (best.label, scene) in images]
+    if point.label == best.label or not scenes:
+        return point
+    distance = fmean(psnr(images[point.label, scene], images[best.label, scene]) for scene in scenes)
+    return replace(point, kinds={**point.kinds, kind: replace(point.kinds[kind], distance=distance)})
+
+
+def _grouped(measurements: Iterable[Measurement], key: str) -> dict[str, list[Measurement]]:
+    groups: dict[str, list[Measurement]] = {}
+    for measurement in measurements:
+        groups.setdefault(measurement[key], []).append(measurement)
+    return groups
+
+
+def _figures(group: Sequence[Measurement]) -> Figures:
+    runs = [[run for run in m["runs"] if not run["warm_up"]] for m in group]
+    times = {
+        clock: Spread.mean(Spread.of(sum(run[clock].values()) for run in scene) for scene in runs)
+        for clock in ("cpu", "wall")
+    }
+    return Figures(
+        **times,
+        first={clock: fmean(sum(m["runs"][0][clock].values()) for m in group) for clock in times},
+        stages=_stages(runs),
+        memory_mb=max(m["memory_mb"] for m in group),
+        start_memory_mb=min(m["start_memory_mb"] for m in group),
+        gaussians=fmean(m["gaussians"] for m in group),
+        most_gaussians=max(m["gaussians"] for m in group),
+        ply_mb=fmean(m["ply_bytes"] for m in group) / 1e6,
+        psnr=fmean(m["psnr"] for m in group),
+        psnr_of_scenes=Spread.of(m["psnr"] for m in group),
+        ssim=fmean(m["ssim"] for m in group),
+        perceptual=_mean_of_known(group, "perceptual"),
+        uptake=_mean_of_known(group, "uptake"),
+        leak=_mean_of_known(group, "leak"),
+    )
+
+
+def _stages(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, float]:
+    """Return processor seconds by stage; component names in brackets are left out, so that points share the names."""
+    names = dict.fromkeys(name for scene in runs for run in scene for name in run["cpu"])
+    found: dict[str, float] = {}
+    for name in names:
+        seconds = fmean(median(run["cpu"].get(name, 0.0) for run in scene) for scene in runs)
+        plain = name.partition(" (")[0]
+        found[plain] = found.get(plain, 0.0) + seconds
+    return found
+
+
+def _mean_of_known(group: Sequence[Measurement], key: str) -> float | None:
+    values = [m[key] for m in group if m.get(key) is not None]
+    return fmean(values) if values else None
+
+
+# The front and the presets.
+
+
+@dataclass(frozen=True)
+class Rated:
+    """One point's cost and accuracy on every kind of scene; all points of a choice share the kinds."""
+
+    name: str
+    costs: Mapping[str, float]
+    accuracies: Mapping[str, float]
+
+    @property
+    def accuracy(self) -> float:
+        """Mean over the kinds of scene."""
+        return fmean(self.accuracies.values())
+
+
+def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
+    """Return for each point whether no other is at least as good in both and better in one (the Pareto front).
+
+    Points equal in both do not push each other out.
+    """
+    points = list(zip(costs, accuracies))
+
+    def beats(a: tuple[float, float], b: tuple[float, float]) -> bool:
+        return a[0] <= b[0] and a[1] >= b[1] and a != b
+
+    return [not any(beats(other, point) for other in points) for point in points]
+
+
+def on_every_front(points: Sequence[Rated]) -> list[bool]:
+    """Return for each point whether it is on the front of every kind of scene."""
+    kinds = points[0].costs if points else ()
+    fronts = [front([p.costs[k] for p in points], [p.accuracies[k] for p in points]) for k in kinds]
+    return [all(flags) for flags in zip(*fronts)]
+
+
+def choose_presets(points: Sequence[Rated], apart: float = 2.0) -> dict[str, Rated]:
+    """Return the presets by name, all of them points on every front; empty when there are no three such points.
+
+    `best` is the most accurate point for which the other two exist. `balanced` is the most accurate point that costs
+    at most 1/`apart` of it on every kind of scene, and `fast` the same below `balanced`.
+    """
+    candidates = [point for point, flag in zip(points, on_every_front(points)) if flag]
+    for best in sorted(candidates, key=lambda p: p.accuracy, reverse=True):
+        balanced = _most_accurate(candidates, best, apart)
+        fast = _most_accurate(candidates, balanced, apart) if balanced else None
+        if fast is not None:
+            return dict(zip(PRESETS, (fast, balanced, best)))
+    return {}
+
+
+def _most_accurate(points: Sequence[Rated], slower: Rated, apart: float) -> Rated | None:
+    """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of scene."""
+    quick = [p for p in points if all(apart * p.costs[kind] <= cost for kind, cost in slower.costs.items())]
+    return max(quick, key=lambda p: p.accuracy, default=None)
+
+
+def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], plan: SweepPlan) -> Quality:
+    """Return the content of the shipped file: all points, quickest first by `measured["clock"]`, with the presets.
+
+    Only what `plan.shipped` names is a preset's business; a point that differs from the base elsewhere (in the number
+    of photos, say) is measured but not shipped.
+    """
+    clock = measured["clock"]
+    shippable = [point for point in points if _not_shipped(point.settings, plan) == _not_shipped(plan.base, plan)]
+    rated = [point.rated(clock) for point in shippable]
+    chosen = {point.name: preset for preset, point in choose_presets(rated, APART).items()}
+    shipped = [
+        ShippedPoint(
+            label=point.label,
+            front=flag,
+            preset=chosen.get(point.label),
+            settings={key: value for key, value in point.settings.items() if key in plan.shipped},
+            expected={kind: _expected(figures, clock) for kind, figures in point.kinds.items()},
+        )
+        for point, flag in zip(shippable, on_every_front(rated))
+    ]
+    return Quality(measured=dict(measured), points=sorted(shipped, key=lambda point: point.seconds))
+
+
+def _not_shipped(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key not in plan.shipped}
+
+
+def _expected(figures: Figures, clock: str) -> Expected:
+    seconds: Spread = getattr(figures, clock)
+    return Expected(
+        seconds=round(seconds.least, 3),
+        seconds_first=round(figures.first[clock], 3),
+        seconds_middle=round(seconds.middle, 3),
+        seconds_most=round(seconds.most, 3),
+        memory_mb=round(figures.memory_mb),
+        start_memory_mb=round(figures.start_memory_mb),
+        gaussians=round(figures.most_gaussians),
+        psnr=round(figures.psnr, 2),
+        ssim=round(figures.ssim, 4),
+    )

@@ -1,0 +1,298 @@
+"""Every measure, on inputs small enough to reckon by hand or against an independent implementation."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from edit3r_measure.metrics import (
+    best_blurred_copy,
+    bootstrap_mean,
+    change_outside,
+    covered_psnr,
+    edit_strength,
+    edit_uptake,
+    frechet_distance,
+    kernel_distance,
+    psnr,
+    ssim,
+    warped_difference,
+    warped_image,
+    within_share,
+)
+from scipy.linalg import sqrtm
+from scipy.ndimage import gaussian_filter
+
+from edit3r.types import Cameras
+
+
+@pytest.fixture
+def picture():
+    return np.random.default_rng(0).random((32, 40, 3)).astype(np.float32)
+
+
+def test_psnr_of_a_constant_error_is_its_logarithm():
+    assert psnr(np.full((4, 4, 3), 0.6), np.full((4, 4, 3), 0.5)) == pytest.approx(20)
+
+
+def test_psnr_of_equal_pictures_is_infinite(picture):
+    assert math.isinf(psnr(picture, picture))
+
+
+def test_psnr_clips_what_no_screen_shows():
+    assert psnr(np.full((4, 4, 3), 7.0), np.full((4, 4, 3), 0.9)) == pytest.approx(20)
+
+
+def test_covered_psnr_looks_at_covered_pixels_alone(picture):
+    covered = np.zeros((32, 40), bool)
+    covered[:10] = True
+    wrong = picture.copy()
+    wrong[10:] = 0
+    wrong[:10] = np.clip(picture[:10] + 0.1, 0, 2)
+    assert covered_psnr(wrong, picture + 0.0, covered) >= 20 - 1e-6
+    assert math.isnan(covered_psnr(wrong, picture, np.zeros((32, 40), bool)))
+
+
+def test_ssim_is_1_for_equal_pictures_and_falls_with_noise(picture):
+    smooth = gaussian_filter(picture, (3, 3, 0))
+    assert ssim(smooth, smooth) == pytest.approx(1)
+    assert ssim(smooth + 0.1 * picture, smooth) < 0.9
+
+
+def test_ssim_refuses_pictures_below_its_window():
+    with pytest.raises(ValueError, match="3x3"):
+        ssim(np.zeros((2, 8, 3)), np.zeros((2, 8, 3)))
+
+
+def test_best_blurred_copy_finds_photo_and_blur(picture):
+    other = np.random.default_rng(1).random(picture.shape).astype(np.float32)
+    best = best_blurred_copy((other, picture), gaussian_filter(picture, (2, 2, 0)))
+    assert best.sigma == 2.0 and math.isinf(best.psnr) and best.ssim == pytest.approx(1)
+
+
+def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
+    covered = np.zeros((32, 40), bool)
+    covered[:, :20] = True
+    target = picture.copy()
+    target[:, 20:] = 0
+    assert math.isinf(best_blurred_copy([picture], target, covered).psnr)
+    assert best_blurred_copy([picture], target).psnr < 20
+
+
+def test_within_share_is_blind_to_scale_and_counts_missing_depth_as_wrong():
+    truth = np.full((10, 10), 2.0)
+    truth[0] = 0  # unknown
+    depth = np.where(truth > 0, 7.0, 3.0)
+    assert within_share(depth, truth) == 1
+    depth[1:4] = 0
+    assert within_share(depth, truth) == pytest.approx(6 / 9)
+    depth[4] = 7.9
+    assert within_share(depth, truth) == pytest.approx(5 / 9)
+    assert within_share(np.zeros((10, 10)), truth) == 0
+
+
+def test_psnr_of_a_tenth_off_everywhere_is_20_decibels(picture):
+    assert psnr(0.5 * picture + 0.1, 0.5 * picture) == pytest.approx(20, abs=1e-4)
+
+
+def test_ssim_agrees_with_an_independent_float64_calculation(picture):
+    """Wang et al. (2004) with a uniform 7x7 window and unbiased moments, written out."""
+    a = np.clip(picture + np.random.default_rng(1).normal(0, 0.1, picture.shape), 0, 1).astype(np.float64)
+    b = picture.astype(np.float64)
+    windows = [np.lib.stride_tricks.sliding_window_view(x, (7, 7), axis=(0, 1)) for x in (a, b)]
+    mean_a, mean_b = (w.mean((-2, -1)) for w in windows)
+    var_a, var_b = (w.var((-2, -1), ddof=1) for w in windows)
+    product = (windows[0] - mean_a[..., None, None]) * (windows[1] - mean_b[..., None, None])
+    covariance = product.sum((-2, -1)) / 48
+    c1, c2 = 0.01**2, 0.03**2
+    values = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    values = values / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    assert ssim(a, picture) == pytest.approx(values.mean(), rel=1e-3)
+
+
+@pytest.fixture
+def photos():
+    return np.random.default_rng(0).uniform(0.2, 0.6, (2, 40, 50, 3))
+
+
+@pytest.fixture
+def masks():
+    masks = np.zeros((2, 40, 50))
+    masks[:, :, :25] = 1
+    return masks
+
+
+def test_strength_of_a_uniform_change_is_that_change(photos):
+    assert edit_strength(photos + 0.25, photos) == pytest.approx(0.25)
+
+
+def test_nothing_done_has_no_strength_and_no_uptake(photos, masks):
+    assert edit_strength(photos, photos, masks) == 0
+    assert edit_uptake(photos, photos, photos + 0.1) == 0
+    assert edit_uptake(photos + 0.1, photos, photos) == 0  # nothing was wished
+
+
+def test_strength_ignores_fine_noise_and_counts_the_mask_alone(photos, masks):
+    noise = np.random.default_rng(1).choice([-0.2, 0.2], photos.shape)
+    assert edit_strength(photos + noise, photos) < 0.2 * np.abs(noise).mean() * 2.5
+    far = photos.copy()
+    far[:, :, 35:] += 0.3  # well away from the mask
+    assert edit_strength(far, photos, masks) < 1e-6
+    assert change_outside(far, photos, masks) == pytest.approx(0.3 * 15 / 25, rel=1e-6)
+
+
+def test_uptake_is_the_share_of_the_wish(photos, masks):
+    wish = photos + masks[..., None] * np.array([0.2, -0.1, 0.0])
+    assert edit_uptake(wish, photos, wish, masks) == pytest.approx(1)
+    assert edit_uptake(photos + 0.5 * (wish - photos), photos, wish, masks) == pytest.approx(0.5)
+    assert edit_uptake(photos - (wish - photos), photos, wish, masks) == pytest.approx(-1)
+    assert edit_uptake(photos + np.array([0, 0, 0.3]), photos, wish, masks) == pytest.approx(0)
+
+
+def test_masks_that_leave_nothing_measure_nothing(photos):
+    everything = np.ones(photos.shape[:3])
+    assert np.isnan(change_outside(photos, photos, everything))
+    assert np.isnan(edit_strength(photos, photos, 0 * everything))
+
+
+SIZE, DEPTH, SHIFT = 32, 2.0, 0.5  # of a wall that two cameras look at straight
+
+
+@pytest.fixture
+def cameras():
+    """The second stands `SHIFT` to the right: with fx = 1 the wall moves SHIFT / DEPTH = a quarter picture left."""
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = SHIFT
+    k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
+    return Cameras(c2w, k.expand(1, 2, 3, 3), (SIZE, SIZE))
+
+
+@pytest.fixture
+def wall():
+    """What both see, 8 pixels apart."""
+    texture = torch.rand(3, SIZE, SIZE + 8, generator=torch.Generator().manual_seed(0))
+    return torch.stack((texture[:, :, :SIZE], texture[:, :, 8:]))
+
+
+@pytest.fixture
+def depths():
+    return torch.full((2, SIZE, SIZE), DEPTH)
+
+
+def test_a_picture_is_carried_to_where_the_other_camera_sees_it(wall, depths, cameras):
+    carried, seen = warped_image(wall[1], depths[0], depths[1], cameras)
+    assert not seen[:, :8].any() and seen[:, 8:].all()
+    assert torch.allclose(carried[:, :, 8:], wall[0][:, :, 8:], atol=1e-5)
+
+
+def test_one_wall_agrees_and_a_tinted_one_differs_by_the_tint(wall, depths, cameras):
+    pairs = [(0, 1), (1, 0)]
+    assert warped_difference(wall, depths, cameras, pairs) == pytest.approx(0, abs=1e-5)
+    tinted = torch.stack((wall[0], wall[1] + 0.125))
+    assert warped_difference(tinted, depths, cameras, pairs) == pytest.approx(0.125, abs=1e-5)
+
+
+def test_only_the_mask_counts(wall, depths, cameras):
+    tinted = torch.stack((wall[0], wall[1].clone()))
+    tinted[1, :, :16] += 0.5
+    lower = torch.zeros(2, SIZE, SIZE)
+    lower[:, 18:] = 1
+    assert warped_difference(tinted, depths, cameras, [(0, 1)], lower) == pytest.approx(0, abs=1e-5)
+    assert warped_difference(tinted, depths, cameras, [(0, 1)], 1 - lower) > 0.3
+
+
+def test_hidden_points_do_not_count(wall, depths, cameras):
+    hiding = depths.clone()
+    hiding[1] = 1.0  # the second camera sees something nearer everywhere
+    assert warped_difference(wall, hiding, cameras, [(0, 1)]) != warped_difference(wall, hiding, cameras, [(0, 1)])
+
+
+def textbook_frechet(a, b):
+    """As FID is usually written: full covariances and a matrix square root."""
+    root = sqrtm(np.cov(a, rowvar=False) @ np.cov(b, rowvar=False))
+    trace = np.trace(np.cov(a, rowvar=False) + np.cov(b, rowvar=False) - 2 * np.real(root))
+    return ((a.mean(0) - b.mean(0)) ** 2).sum() + trace
+
+
+def loop_kernel(a, b):
+    """KID's unbiased estimator term by term."""
+
+    def kernel(x, y):
+        return (float(x @ y) / len(x) + 1) ** 3
+
+    within_a = np.mean([kernel(x, y) for i, x in enumerate(a) for j, y in enumerate(a) if i != j])
+    within_b = np.mean([kernel(x, y) for i, x in enumerate(b) for j, y in enumerate(b) if i != j])
+    return within_a + within_b - 2 * np.mean([kernel(x, y) for x in a for y in b])
+
+
+@pytest.fixture
+def features():
+    rng = np.random.default_rng(0)
+    mix = rng.normal(size=(12, 12))
+    return rng.normal(size=(90, 12)) @ mix, 0.5 + rng.normal(size=(70, 12)) @ mix * 1.3
+
+
+def test_frechet_distance_of_two_hand_made_lines():
+    # Means 1 and 4, unbiased variances 2 and 8: (1 - 4)^2 + 2 + 8 - 2 sqrt(2 * 8) = 11
+    assert frechet_distance(np.array([[0.0], [2.0]]), np.array([[2.0], [6.0]])) == pytest.approx(11.0)
+
+
+def test_kernel_distance_of_hand_made_points():
+    # One feature: within {0, 1}: (0 + 1)^3 = 1; within {1, 2}: (2 + 1)^3 = 27; across: (1 + 1 + 8 + 27) / 4
+    value = kernel_distance(np.array([[0.0], [1.0]]), np.array([[1.0], [2.0]]))
+    assert value == pytest.approx(1 + 27 - 2 * (1 + 1 + 8 + 27) / 4)
+
+
+def test_frechet_distance_agrees_with_the_matrix_square_root(features):
+    assert frechet_distance(*features) == pytest.approx(textbook_frechet(*features), rel=1e-6)
+
+
+def test_kernel_distance_agrees_with_the_double_loop(features):
+    assert kernel_distance(*features) == pytest.approx(loop_kernel(*features), rel=1e-9)
+
+
+def test_frechet_distance_is_exact_with_fewer_pictures_than_features():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(9, 40)), 0.3 + rng.normal(size=(7, 40))
+    assert frechet_distance(a, b) == pytest.approx(textbook_frechet(a, b), rel=1e-3)
+
+
+def test_equal_sets_are_at_distance_zero_and_order_does_not_matter(features):
+    a, b = features
+    assert frechet_distance(a, a[::-1]) == pytest.approx(0, abs=1e-9 * float(np.square(a).sum()))
+    assert frechet_distance(a, b) == pytest.approx(frechet_distance(b[::-1], a))
+    assert kernel_distance(a, b) == pytest.approx(kernel_distance(b[::-1], a))
+
+
+def test_kernel_distance_of_one_distribution_is_about_zero():
+    rng = np.random.default_rng(2)
+    values = [kernel_distance(*rng.normal(size=(2, 30, 16))) for _ in range(40)]
+    assert abs(np.mean(values)) < 3 * np.std(values) / np.sqrt(len(values))
+
+
+@pytest.mark.parametrize("distance", [frechet_distance, kernel_distance])
+def test_a_single_picture_is_no_distribution(distance):
+    with pytest.raises(ValueError, match="at least 2"):
+        distance(np.zeros((1, 3)), np.zeros((4, 3)))
+
+
+def test_the_mean_is_over_scenes_not_over_edits():
+    interval = bootstrap_mean({"a": [1.0, 1.0, 1.0, 1.0], "b": [3.0]})
+    assert interval.mean == 2 and (interval.low, interval.high) == (1, 3) and interval.scenes == 2
+
+
+def test_unknown_values_are_left_out_and_none_means_nothing_known():
+    assert bootstrap_mean({"a": [float("nan"), 2.0], "b": [float("nan")]}).mean == 2
+    assert bootstrap_mean({"a": [float("nan")]}) is None
+
+
+def test_the_interval_has_the_width_of_the_standard_error():
+    values = np.random.default_rng(0).normal(size=100)
+    interval = bootstrap_mean({str(i): [v] for i, v in enumerate(values)})
+    expected = 2 * 1.96 * values.std() / 10
+    assert interval.high - interval.low == pytest.approx(expected, rel=0.1)
+
+
+def test_the_same_values_give_the_same_interval():
+    values = {"a": [0.1], "b": [0.7], "c": [0.4]}
+    assert bootstrap_mean(values) == bootstrap_mean(values)

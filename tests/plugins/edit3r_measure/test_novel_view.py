@@ -1,0 +1,228 @@
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from edit3r_measure.evaluate import as_records, novel_view_table
+from edit3r_measure.novel_view import relative_pose, score_carried_edit, score_depth, score_novel_view, views_of
+from edit3r_measure.scene_sources import (
+    SceneOptions,
+    Triple,
+    choose_triples,
+    find_scenes,
+    photo_scene,
+    rotation_degrees,
+    stereo_scene,
+)
+from PIL import Image
+
+from edit3r.cli.main import main
+from edit3r.errors import InputError, MatchingError
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.interfaces import Reconstructor
+from edit3r.io.cameras import PosedCamera
+from edit3r.io.posed_folder import read_posed_folder
+from edit3r.registry import build, default_registry
+from edit3r.types import Cameras, Gaussians, Reconstruction
+
+DEPTH = 4.0  # of the wall that all photos show
+
+
+def camera(x, degrees, file="a.png", width=96, height=64):
+    c2w = np.eye(4)
+    c2w[:3, :3] = cv2.Rodrigues(np.array([0, np.radians(degrees), 0]))[0]
+    c2w[0, 3] = x
+    return PosedCamera(file, width, height, np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]]), c2w)
+
+
+def photo_of_wall(camera):
+    """A textured wall at z = DEPTH, seen by `camera`."""
+    grain = cv2.resize(np.random.default_rng(0).random((24, 48, 3)), (960, 480), interpolation=cv2.INTER_CUBIC)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
+    wall = rays / rays[..., 2:] * DEPTH + camera.c2w[:3, 3]
+    u, v = (wall[..., 0] + 6) / 12 * 959, (wall[..., 1] + 3) / 6 * 479
+    seen = cv2.remap(grain, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    return (np.clip(seen, 0, 1) * 255).astype(np.uint8)
+
+
+def written(folder, cameras):
+    """Save what the cameras see and give their entries for a camera file."""
+    for camera in cameras:
+        Image.fromarray(photo_of_wall(camera)).save(folder / camera.file)
+    sizes = [{"file": c.file, "width": c.width, "height": c.height} for c in cameras]
+    return [{**size, "K": c.K.tolist(), "c2w": c.c2w.tolist()} for size, c in zip(sizes, cameras)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scenes") / "wall"
+    path.mkdir()
+    cameras = [camera(x, turn, f"{i}.png") for i, (x, turn) in enumerate(((-0.4, 4), (0, 0), (0.4, -4)))]
+    entries = written(path, cameras)
+    entries.append({"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None})
+    (path / "cameras.json").write_text(json.dumps(entries))
+    return read_posed_folder(path)
+
+
+class WallKnown(Reconstructor):
+    """Puts the pixels of view 0 on the true wall, in a unit of length of its own."""
+
+    unit = 2.5
+
+    def __init__(self, folder, fails=False):
+        self.folder, self.fails = folder, fails
+
+    def __call__(self, views, source=None, request=None):
+        if self.fails:
+            raise MatchingError("nothing in common.")
+        first, second = (self.folder.cameras[i].c2w for i in (0, 2))
+        size = views.image_size
+        x, y = np.meshgrid((np.arange(size[1]) + 0.5) / size[1], (np.arange(size[0]) + 0.5) / size[0])
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(views.intrinsics[0, 0].double().numpy()).T
+        depth = DEPTH / (rays @ first[:3, :3].T)[..., 2:]
+        points = torch.from_numpy(self.unit * rays * depth).float().reshape(1, -1, 3)
+        c2w = np.stack([np.eye(4), np.linalg.inv(first) @ second])
+        c2w[:, :3, 3] *= self.unit
+        count = points.shape[1]
+        gaussians = Gaussians(
+            points,
+            torch.full((1, count, 3), 0.4 * self.unit * DEPTH / 80),
+            torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
+            torch.full((1, count), 0.8),
+            colour_to_dc(views.images[0, 0].permute(1, 2, 0)).reshape(1, count, 1, 3),
+        )
+        return Reconstruction(gaussians, Cameras(torch.from_numpy(c2w).float()[None], views.intrinsics, size))
+
+
+def test_photos_without_a_pose_are_left_out(folder):
+    assert [camera.file for camera in folder.cameras] == ["0.png", "1.png", "2.png"]
+
+
+def test_the_centre_square_sees_the_same_rays(folder):
+    photo = folder.load(0, 32)
+    assert photo.image.shape == (32, 32, 3)
+    # 64 of 96 columns are kept: the middle stays, the focal length counts in smaller widths.
+    assert photo.intrinsics == pytest.approx(np.array([[80 / 64, 0, 0.5], [0, 80 / 64, 0.5], [0, 0, 1]]))
+
+
+def test_a_folder_without_cameras_names_what_is_expected(tmp_path):
+    with pytest.raises(InputError, match=r"cameras\.json or a transforms\.json"):
+        read_posed_folder(tmp_path)
+
+
+def test_transforms_json_is_read_with_opencv_axes(tmp_path):
+    frame = {"file_path": "a.png", "transform_matrix": np.diag([1.0, -1, -1, 1]).tolist()}
+    content = {"w": 96, "h": 64, "fl_x": 80, "fl_y": 80, "cx": 48, "cy": 32, "frames": [frame]}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    assert np.allclose(read_posed_folder(tmp_path).cameras[0].c2w, np.eye(4))
+
+
+def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between():
+    cameras = [camera(x, -10 * x) for x in (0, 0.25, 0.5, 1, 5)]
+    assert choose_triples(cameras, 9, (8, 30)) == [Triple(0, 3, 2, pytest.approx(10))]
+    assert choose_triples(cameras[:2], 9) == []
+
+
+def test_triples_are_spread_over_all_pairs():
+    cameras = [camera(0.1 * i, -2.5 * i) for i in range(12)]
+    every = choose_triples(cameras, 999)
+    few = choose_triples(cameras, 3)
+    assert few == [every[0], few[1], every[-1]]
+
+
+def test_rotation_degrees_is_exact_for_small_angles():
+    turn = cv2.Rodrigues(np.array([0, np.radians(1e-4), 0]))[0]
+    assert rotation_degrees(turn, np.eye(3)) == pytest.approx(1e-4, rel=1e-6)
+
+
+def test_true_geometry_in_another_unit_scores_well(folder):
+    score = score_novel_view(photo_scene(folder, (0, 2, 1), 48), WallKnown(folder), build("rasterizer", "torch"))
+    assert score.degrees == pytest.approx(8)
+    assert score.rotation_error < 0.01 and score.direction_error < 0.05
+    assert score.covered_gain > 3
+    assert 0.7 < score.coverage < 1
+    assert not score.failure
+
+
+def test_a_failure_is_a_row_not_a_stop(folder):
+    scene = photo_scene(folder, (0, 2, 1), 48)
+    score = score_novel_view(scene, WallKnown(folder, fails=True), build("rasterizer", "torch"))
+    assert score.failure == "nothing in common."
+    table = novel_view_table([score])
+    assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
+    assert as_records([score])[0]["psnr"] is None
+
+
+def test_stereo_truth_scores_right_depth_as_right(tmp_path):
+    cameras = [camera(0, 0, "l.png"), camera(0.5, 0, "r.png")]
+    (tmp_path / "cameras.json").write_text(json.dumps(written(tmp_path, cameras)))
+    np.savez(tmp_path / "disparity_left.npz", disparity=np.full((64, 96), 80 * 0.5 / DEPTH, np.float32))
+    scene = read_posed_folder(tmp_path)
+    (source,) = find_scenes(str(tmp_path), SceneOptions(count=3, size=32), default_registry())
+    assert source.kind == "stereo"
+    assert source.load().depth == pytest.approx(DEPTH / 0.5)
+    flat = WallKnown(read_posed_folder(tmp_path))
+    flat.folder = type(scene)(scene.name, scene.path, (*scene.cameras, scene.cameras[1]))
+    assert score_depth(stereo_scene(scene, 32), flat, build("rasterizer", "torch")).right > 0.98
+
+
+def test_the_command_writes_a_table(folder, tmp_path, capsys):
+    out = tmp_path / "scores.json"
+    options = ["--recon", "classical", "--rasterizer", "numba", "--size", "64", "--pairs", "1", "--quiet"]
+    assert main(["evaluate", str(folder.path), *options, "--out", str(out)]) == 0
+    assert "| all pairs | 1 |" in capsys.readouterr().out
+    assert json.loads(out.read_text())[0]["scene"] == "wall"
+
+
+class Carries(Reconstructor):
+    """Knows a generated scene's poses and true edit, and shows the edit in both views when the first one does."""
+
+    def __init__(self, scene, carries):
+        self.posed = build("reconstructor", "classical", matcher="posed")
+        poses = np.stack([relative_pose(photo, scene.inputs[0]) for photo in scene.inputs])
+        self.c2w, self.carries = torch.from_numpy(poses).float()[None], carries
+        self.edited = views_of(scene.edited[:2]).images
+
+    def __call__(self, views, source=None, request=None):
+        is_edited = not torch.equal(views.images[:, 0], source.images[:, 0])
+        images = self.edited if self.carries and is_edited else source.images
+        return self.posed(replace(views, images=images, c2w=self.c2w))
+
+
+@pytest.fixture(scope="module")
+def edited_scene():
+    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10)}
+    options = SceneOptions(1, 64, {"procedural": settings})
+    return find_scenes("procedural", options, default_registry())[0].load()
+
+
+def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
+    score = score_carried_edit(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"))
+    assert score.uptake > 0.8 and score.error < 0.3 and score.leak < 0.01
+    assert score.disagreement < 0.2 and score.kept > 0.7
+
+
+def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
+    score = score_carried_edit(edited_scene, Carries(edited_scene, False), build("rasterizer", "numba"))
+    assert (score.uptake, score.error, score.leak, score.disagreement, score.kept) == (0, 1, 0, 0, 0)
+
+
+def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
+    with pytest.raises(InputError, match="nowhere: no such folder of photos, and no dataset named 'nowhere'"):
+        find_scenes("nowhere", SceneOptions(1, 32), default_registry())
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--pairs", "0"], "--pairs: must be at least 1, got 0"),
+        (["--out", "scores.csv"], "ends in .md or .json"),
+        (["--set", "editor.steps=3"], "settings of reconstructor, rasterizer and dataset only"),
+    ],
+)
+def test_wrong_use_of_the_command_is_one_sentence(folder, options, sentence, capsys):
+    assert main(["evaluate", str(folder.path), "--recon", "classical", *options]) == 2
+    assert sentence in capsys.readouterr().err
