@@ -121,12 +121,14 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _random_states() -> dict[str, Any]:
+    """The states of all generators as tensors and plain values."""
     kind, keys, *rest = np.random.get_state()
     numpy_state = (kind, torch.from_numpy(keys.astype(np.int64)), *rest)
     return {"python": random.getstate(), "numpy": numpy_state, "torch": torch.get_rng_state()}
 
 
 def _restore_random_states(states: dict[str, Any]) -> None:
+    """Undo `_random_states`."""
     kind, keys, *rest = states["numpy"]
     random.setstate(states["python"])
     np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))

@@ -71,6 +71,7 @@ def prepare(
 
 
 def _check_free(out: Path, may_hold_training: bool) -> None:
+    """Raise InputError unless a training may write to `out`."""
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: --out must be a folder, but a file of that name exists.")
     if (out / LAST).exists() and not may_hold_training:
@@ -81,6 +82,7 @@ def _check_free(out: Path, may_hold_training: bool) -> None:
 
 
 def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[float, Any]:
+    """Weight and loss from `{weight, settings...}`; the weight is 1 unless given."""
     settings = dict(given)
     weight = settings.pop("weight", 1.0)
     if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:

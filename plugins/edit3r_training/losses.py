@@ -120,6 +120,7 @@ class PerceptualLoss(Loss):
         return sum(F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)) / len(predicted)
 
     def _features(self, images: Float[Tensor, "batch view 3 height width"]) -> list[Float[Tensor, "image c h w"]]:
+        """Feature maps of all images at four strides, each pixel's features of length 1."""
         x = efficientnet_input(images.flatten(0, 1), self.settings.size)
         network = self._network.to(x.device)
         x = network._swish(network._bn0(network._conv_stem(x)))

@@ -82,6 +82,7 @@ class ProceduralDataset(Dataset):
         return self._sample(shown, edited, name=f"procedural-{chosen.seed}-{index}")
 
     def _cast(self, scene: Scene, poses: Float[np.ndarray, "view 4 4"], k: Float[Tensor, "3 3"]) -> "_CastViews":
+        """All views of a scene; `poses` camera-to-world, `k` normalised intrinsics."""
         size = (self.settings.image_size, self.settings.image_size)
         bank = texture_bank(self.settings.textures)
         return _CastViews(poses, k, scene.count, [cast(scene, bank, pose, k.double().numpy(), size) for pose in poses])

@@ -180,6 +180,7 @@ def texture_bank(
 
 
 def _photos() -> list[UInt8[np.ndarray, "height width 3"]]:
+    """The packaged photos that textures are cut from."""
     from skimage import data
 
     photos = []
@@ -191,6 +192,7 @@ def _photos() -> list[UInt8[np.ndarray, "height width 3"]]:
 
 
 def _photo_crop(rng: np.random.Generator, photos: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "tile tile 3"]:
+    """A random square of a random photo, mirrored and turned by chance."""
     photo = photos[rng.integers(len(photos))]
     side = int(rng.uniform(0.15, 0.8) * min(photo.shape[:2]))
     side = max(side, 24)
@@ -224,6 +226,7 @@ def _pattern(rng: np.random.Generator) -> UInt8[np.ndarray, "tile tile 3"]:
 
 
 def _mip_levels(tile: UInt8[np.ndarray, "tile tile 3"]) -> UInt8[np.ndarray, "level tile tile 3"]:
+    """The texture at all sizes, each in the top-left corner of its level."""
     levels = np.zeros((LEVELS, TILE, TILE, 3), np.uint8)
     for level in range(LEVELS):
         side = TILE >> level

@@ -57,6 +57,7 @@ class Re10kDataset(PhotoDataset):
 
 @lru_cache(maxsize=2)
 def _read_chunk(path: Path) -> list:
+    """The scenes of a chunk, read without unpickling code."""
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
@@ -82,6 +83,7 @@ def _checked(scene: dict) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor,
 
 
 def _c2w(cameras: Float[Tensor, "view 18"]) -> Float[Tensor, "view 4 4"]:
+    """Camera-to-world poses from the row-major 3x4 world-to-camera matrices of the file."""
     w2c = torch.eye(4, dtype=torch.float64).repeat(len(cameras), 1, 1)
     w2c[:, :3] = cameras[:, 6:].double().reshape(-1, 3, 4)
     return invert_rigid(w2c)

@@ -10,13 +10,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from edit3r.geometry.cameras import project, unproject
 from edit3r.interfaces import MatchedGeometry, SceneSample
+
+Map = Float[np.ndarray, "height width"]
+Where = Bool[np.ndarray, "height width"]
+Image = Float[np.ndarray, "height width 3"]  # sRGB in [0, 1]
 
 
 @dataclass(frozen=True)
@@ -57,25 +60,25 @@ def seen_by_partner(
     c2w: Float[Tensor, "view 4 4"],
     intrinsics: Float[Tensor, "view 3 3"],
     tolerance: float = 0.03,
-) -> Tensor:
-    """Which pixels' surfaces the partner view sees too (view 0's partner is view 1, everyone else's view 0)."""
+) -> Bool[Tensor, "view height width"]:
+    """Which pixels' surfaces the partner view sees too (view 0's partner is view 1, everyone else's view 0).
+
+    A surface is hidden there when it lies more than `tolerance` (relative) behind what the partner sees.
+    """
     index = [1] + [0] * (len(depths) - 1)
     height, width = depths.shape[1:]
     points = unproject(depths, intrinsics, c2w).reshape(len(depths), -1, 3)
-    places, z = project(points, intrinsics[index], c2w[index])
-    column = (places[..., 0] * width).floor().long()
-    row = (places[..., 1] * height).floor().long()
+    coordinates, z = project(points, intrinsics[index], c2w[index])
+    column = (coordinates[..., 0] * width).floor().long()
+    row = (coordinates[..., 1] * height).floor().long()
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     flat = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
     there = depths[index].flatten(1).gather(1, flat)
     return (inside & (z < there * (1 + tolerance))).reshape(depths.shape)
 
 
-def _corrupted(
-    inverse: NDArray, visible: NDArray, image: NDArray, rng: np.random.Generator, severity: float
-) -> tuple[NDArray, NDArray]:
-    """Inverse depth as measured or filled in, and where it was measured."""
-    true = inverse
+def _corrupted(true: Map, visible: Where, image: Image, rng: np.random.Generator, severity: float) -> tuple[Map, Where]:
+    """The `true` inverse depth as measured or filled in, and where it was measured."""
     low, high = np.percentile(true, [2, 98])
     step = max(high - low, 1e-3) / rng.integers(24, 96)
     spilled = cv2.dilate(true, np.ones((3, 3)), iterations=int(rng.integers(1, 3)))
@@ -93,36 +96,39 @@ def _corrupted(
     return np.where(measured, inverse, filled).clip(low * 0.5, high * 1.6).astype(np.float32), measured
 
 
-def _filled(inverse: NDArray, measured: NDArray, image: NDArray) -> NDArray:
-    """Edge-aware spreading from the measured places (fast global smoother)."""
+def _filled(inverse: Map, measured: Where, image: Image) -> Map:
+    """Inverse depth spread from the measured pixels along the image's edges (fast global smoother)."""
     guide = (image * 255).astype(np.uint8)
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, 2000.0, 6.0)
     weight = measured.astype(np.float32) + 1e-4
     return smoother.filter((inverse * weight).astype(np.float32)) / np.maximum(smoother.filter(weight), 1e-8)
 
 
-def _textureless(image: NDArray, rng: np.random.Generator, severity: float) -> NDArray:
+def _textureless(image: Image, rng: np.random.Generator, severity: float) -> Where:
+    """Patches that a matcher finds nothing in, the likelier the less texture they have."""
     grey = image.mean(2)
     gradient = cv2.blur(np.abs(cv2.Laplacian(grey, cv2.CV_32F)), (5, 5))
     chance = np.exp(-gradient / (0.015 * severity))
     return _smooth_uniform(rng, grey.shape, 16) < 0.7 * chance
 
 
-def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> NDArray:
+def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> Where:
+    """Random smooth patches that cover about `share` of the image."""
     return _smooth_uniform(rng, shape, 12) < share
 
 
-def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> NDArray:
+def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> Map:
+    """Smooth random field of mean 0 and variance about 1, with `cells` independent values along each side."""
     coarse = rng.normal(size=(cells, cells)).astype(np.float32)
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC) * 1.3
 
 
-def _smooth_uniform(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> NDArray:
+def _smooth_uniform(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> Map:
     """Smooth random field with values spread about evenly over [0, 1]."""
     return 1 / (1 + np.exp(-1.7 * _smooth_noise(rng, shape, cells)))
 
 
-def _noisy_pose(c2w: NDArray, rng: np.random.Generator, severity: float) -> NDArray:
+def _noisy_pose(c2w: Float[np.ndarray, "4 4"], rng: np.random.Generator, severity: float) -> Float[np.ndarray, "4 4"]:
     """Rotation and direction of translation off by some tenths of a degree, now and then by degrees."""
     spread = np.deg2rad(0.25) * severity * (8 if rng.random() < 0.05 else 1)
     result = c2w.copy()

@@ -69,6 +69,7 @@ class TransformsDataset(PhotoDataset):
         )
 
     def _choose(self, folder: PosedFolder, rng: np.random.Generator) -> list[int] | None:
+        """Indices of the context views, then of the targets; None when the photos do not fit."""
         chosen = self.settings
         if chosen.select == "gap":
             return choose_by_gap(rng, len(folder.cameras), chosen.context, chosen.targets, chosen.gap)
@@ -102,6 +103,7 @@ class SceneRegions:
         return torch.stack([torch.stack([self._mask(n, camera, size) for camera in cameras]) for n in numbers])
 
     def _mask(self, number: int, camera: PosedCamera, size: int) -> Float[Tensor, "size size"]:
+        """The mask of one object in one photo."""
         file = self.path / MASKS / str(number) / f"{Path(camera.file).stem}.png"
         if not file.is_file():
             return torch.zeros(size, size)

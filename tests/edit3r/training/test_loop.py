@@ -26,7 +26,7 @@ def test_resuming_takes_out_what_will_be_done_again(tmp_path):
     journal = Journal(tmp_path)
     for step in range(1, 6):
         journal.write(step, {"loss": 0.0})
-    journal.path.write_text(journal.path.read_text() + '{"half a li')
+    journal.path.write_text(journal.path.read_text() + 'no line of ours\n[1]\n{"half a li')
     assert _steps(Journal(tmp_path, step=3).path) == [1, 2, 3]
 
 

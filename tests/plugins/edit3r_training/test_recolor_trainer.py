@@ -139,8 +139,11 @@ ONLY_REFERENCE = {"reference": 1, "disagreeing": 0, "agreeing": 0, "unedited": 0
 
 
 def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
-    spy = _Spy(tiny_job(tmp_path), regimes=ONLY_REFERENCE, drop_first=0)
+    job = tiny_job(tmp_path)
+    spy = _Spy(job, regimes=ONLY_REFERENCE, drop_first=0)
     spy.step()
+    targets = [job.train_data[index].target[0] for index in range(len(job.train_data))]
+    assert min((spy.wished[0, 2] - target).abs().mean() for target in targets) > 0.02  # novel views show it too
     assert spy.wished.shape[1] == 3  # two context views and a target view
     assert torch.equal(spy.wished[:, 0], spy.edited[:, 0])  # the reference is right as it is
     assert torch.equal(spy.edited[:, 1], spy.source[:, 1])  # the other view is given unedited
