@@ -80,11 +80,11 @@ class ClassicalMatcher(Matcher):
     def _calibrated(self, images: Sequence[CalibratedImage], features: FoundFeatures) -> Sequence[CalibratedImage]:
         """The images with a field of view read from their matches, where they have enough."""
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
-        read = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
-        if read is None:
+        fov = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
+        if fov is None:
             return images
-        reporting.note("matcher.fov", round(read.fov, 1))
-        return [image.with_fov(read.fov) for image in images]
+        reporting.note("matcher.fov", round(fov, 1))
+        return [image.with_fov(fov) for image in images]
 
 
 class PosedMatcher(Matcher):

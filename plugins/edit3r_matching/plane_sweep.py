@@ -83,7 +83,7 @@ def _add_costs(
     for start in range(0, len(inverse_depths), BLOCK):
         for slot, inverse_depth in enumerate(inverse_depths[start : start + BLOCK]):
             warped, seen = _warp(reference, neighbour, inverse_depth)
-            moments, difference = _moments(reference.image, grey, warped)
+            moments, difference = _moments(reference.pixels, grey, warped)
             small, large = _box(moments, SMALL), _box(moments, LARGE)
             _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, block[slot])
         _write_block(volume, block, start, np.float32(weight))
@@ -98,7 +98,7 @@ def _warp(
     centred = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])  # OpenCV counts from pixel centres
     homography = np.linalg.inv(centred) @ homography @ centred
     size, inverse = reference.size[::-1], cv2.WARP_INVERSE_MAP
-    image = neighbour.image.image
+    image = neighbour.image.pixels
     warped = cv2.warpPerspective(
         image, homography, size, flags=cv2.INTER_LINEAR | inverse, borderMode=cv2.BORDER_REPLICATE
     )
