@@ -38,7 +38,7 @@ class ClassicalMatcher(Matcher):
     Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at 256².
     """
 
-    class Settings(DepthSettings, FeatureSettings):
+    class Settings(FeatureSettings, DepthSettings):
         threshold: float = Field(
             1.0, gt=0, le=10, description="distance from the epipolar line that agrees [pixels at a long side of 256]"
         )
@@ -93,7 +93,7 @@ class PosedMatcher(Matcher):
     Features that agree with the known epipolar geometry tell the range of depths, plane sweep measures it.
     """
 
-    class Settings(DepthSettings, FeatureSettings):
+    class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
 

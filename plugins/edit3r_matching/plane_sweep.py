@@ -19,7 +19,7 @@ __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
 COLOUR_LIMIT = 0.15  # colour differences above it cost no more: they are occlusions or highlights
-UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's picture is neither good nor bad
+UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
 BLOCK = 16  # planes written to the volume together: one cache line
 
 
@@ -138,7 +138,7 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
 def _correlation_cost(value, square, product, mean, variance):  # pragma: no cover - compiled
-    """1 - normalised cross-correlation, in [0, 1]; flat windows in both pictures agree weakly."""
+    """1 - normalised cross-correlation, in [0, 1]; flat windows in both images agree weakly."""
     other = max(square - value * value, np.float32(0))
     norm = np.sqrt((variance + np.float32(4e-5)) * (other + np.float32(4e-5)))
     cost = np.float32(1) - (product - mean * value + np.float32(2e-5)) / norm

@@ -18,7 +18,7 @@ from edit3r_matching_network.network import MatchingNetwork, load_network
 from edit3r_matching_network.pair_geometry import PairGeometry, pair_geometry
 
 MIN_SIZE = 16
-"""Pictures with a shorter side show too little [pixels]."""
+"""Images with a shorter side show too little [pixels]."""
 SURE = 0.5
 """Confidence above which a cell counts as matched."""
 FLAT = 0.005
