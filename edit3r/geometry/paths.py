@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from edit3r.geometry.cameras import invert_rigid
@@ -58,6 +58,7 @@ def interpolate_poses(
 def _one_scene(
     c2w: Float[Tensor, "view 4 4"], intrinsics: Float[Tensor, "view 3 3"], frames: int, depth: float | None
 ) -> tuple[Float[Tensor, "frame 4 4"], Float[Tensor, "frame 3 3"]]:
+    """Poses and intrinsics of the path through one scene's views."""
     order = _short_tour(c2w[:, :3, 3])
     views = len(order)
     position = torch.arange(frames, dtype=c2w.dtype, device=c2w.device) * (views / frames)
@@ -78,7 +79,7 @@ def _one_scene(
     return poses @ _side_step(offsets, depth), between
 
 
-def _short_tour(centres: Float[Tensor, "view 3"]) -> Tensor:
+def _short_tour(centres: Float[Tensor, "view 3"]) -> Int[Tensor, "view"]:
     """Views in the order of a walk that always goes to the nearest one left, from view 0."""
     left = list(range(1, len(centres)))
     order = [0]
@@ -89,12 +90,13 @@ def _short_tour(centres: Float[Tensor, "view 3"]) -> Tensor:
     return torch.tensor(order, device=centres.device)
 
 
-def _ease(share: Tensor) -> Tensor:
+def _ease(share: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Smoothstep: at rest at 0 and 1."""
     return share * share * (3 - 2 * share)
 
 
 def _swing(step: float, depth: float | None) -> float:
+    """How far the path leaves the straight way, for views `step` apart [scene units]."""
     swing = SIDE_STEP * step
     if depth is None:
         return swing
@@ -104,7 +106,7 @@ def _swing(step: float, depth: float | None) -> float:
 
 
 def _side_step(offsets: Float[Tensor, "frame 2"], depth: float | None) -> Float[Tensor, "frame 4 4"]:
-    """Camera-frame motions by (x, y) that keep the point straight ahead at `depth` in the middle of the picture."""
+    """Camera-frame motions by (x, y) that keep the point straight ahead at `depth` in the middle of the image."""
     motion = torch.eye(4, dtype=offsets.dtype, device=offsets.device).repeat(len(offsets), 1, 1)
     motion[:, :2, 3] = offsets
     if depth is not None:

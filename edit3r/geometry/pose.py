@@ -28,7 +28,7 @@ def estimate_cameras(gaussians: Gaussians, views: Views, grid: tuple[int, int] |
     """Cameras of `views` in the frame of `gaussians`; view 0 is the identity.
 
     Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on a `grid` of
-    (height, width); by default the one whose sides multiply to their number and are nearest to the pictures' shape.
+    (height, width); by default the one whose sides multiply to their number and are nearest to the images' shape.
     Deterministic, not differentiable. Raises MatchingError for a view that cannot be placed.
     """
     poses = [_scene_poses(gaussians, views, scene, grid) for scene in range(len(views.images))]
@@ -37,7 +37,7 @@ def estimate_cameras(gaussians: Gaussians, views: Views, grid: tuple[int, int] |
 
 
 def pixel_layout(count: int, image_size: tuple[int, int]) -> tuple[int, int]:
-    """(height, width) with height * width = count nearest in shape to a picture of `image_size`."""
+    """(height, width) with height * width = count nearest in shape to an image of `image_size`."""
     wanted = image_size[0] / image_size[1]
     heights = [h for h in range(1, count + 1) if count % h == 0]
     height = min(heights, key=lambda h: abs(np.log(h * h / count / wanted)))
@@ -47,6 +47,7 @@ def pixel_layout(count: int, image_size: tuple[int, int]) -> tuple[int, int]:
 def _scene_poses(
     gaussians: Gaussians, views: Views, scene: int, grid: tuple[int, int] | None
 ) -> Float[np.ndarray, "view 4 4"]:
+    """Camera-to-world poses of one scene's views."""
     poses = [np.eye(4)]
     for view in range(1, views.count):
         own = gaussians.view_index == view
@@ -96,7 +97,7 @@ def _pose(
 
 
 def _voters(
-    points: Tensor, opacities: Tensor, layout: tuple[int, int]
+    points: Float[Tensor, "pixel 3"], opacities: Float[Tensor, "pixel"], layout: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 2"]]:
     """Visible, finite centres and the (x, y) of their pixels, thinned evenly."""
     visible = (opacities > MIN_OPACITY) & points.isfinite().all(-1)
@@ -106,7 +107,9 @@ def _voters(
     return points[torch.from_numpy(index).to(points.device)].detach().cpu().double().numpy(), pixels
 
 
-def _camera_to_world(rotation: np.ndarray, translation: np.ndarray) -> Float[np.ndarray, "4 4"]:
+def _camera_to_world(
+    rotation: Float[np.ndarray, "3 1"], translation: Float[np.ndarray, "3 1"]
+) -> Float[np.ndarray, "4 4"]:
     """Invert OpenCV's world-to-camera rotation vector and translation."""
     matrix = cv2.Rodrigues(rotation)[0].T
     pose = np.eye(4)

@@ -42,7 +42,7 @@ def apron(views: Views, geometry: MatchedGeometry, width: float, opacity: float)
 def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussians:
     """What lies behind depth edges and guessed depths of every registered view, in the colours of `views`.
 
-    A guess in front of it may be faint without letting the background of the picture through.
+    A guess in front of it may be faint without letting the empty background through.
     """
     depths, colours, needed = _surface_behind(views, geometry)
     needed &= geometry.registered[..., None, None] & ~_hides_a_photo(depths, views, geometry)

@@ -26,18 +26,18 @@ __all__ = [
 class CalibratedImage:
     """An image with the intrinsics of its camera."""
 
-    image: Float[np.ndarray, "height width 3"]  # sRGB in [0, 1], float32
+    pixels: Float[np.ndarray, "height width 3"]  # sRGB in [0, 1], float32
     intrinsics: Float[np.ndarray, "3 3"]  # in pixels
 
     @property
     def size(self) -> tuple[int, int]:
         """(height, width) [pixels]."""
-        return self.image.shape[:2]
+        return self.pixels.shape[:2]
 
     @property
     def grey(self) -> Float[np.ndarray, "height width"]:
         """Mean of the channels."""
-        return self.image.mean(axis=2)
+        return self.pixels.mean(axis=2)
 
     def reduced(self, longest: int) -> "CalibratedImage":
         """The image with a long side of at most `longest` [pixels]."""
@@ -47,13 +47,13 @@ class CalibratedImage:
             return self
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         stretch = np.array([[size[0] / width], [size[1] / height], [1.0]])
-        return CalibratedImage(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA), self.intrinsics * stretch)
+        return CalibratedImage(cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA), self.intrinsics * stretch)
 
     def with_fov(self, fov: float) -> "CalibratedImage":
         """The image as if taken with a field of view of `fov` [degrees] across its longer side."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 0] = intrinsics[1, 1] = 0.5 * max(self.size) / np.tan(np.radians(fov) / 2)
-        return CalibratedImage(self.image, intrinsics)
+        return CalibratedImage(self.pixels, intrinsics)
 
 
 def calibrated_images(views: Views, scene: int) -> list[CalibratedImage]:

@@ -46,7 +46,7 @@ def measure_depths(
     maps = [_blank(image.size) for image in images]
     for view in raw:
         inverse = _completed(small[view], around[view], view, raw, measured)
-        maps[view] = upsample_depth(inverse, measured[view], small[view].image, images[view].image)
+        maps[view] = upsample_depth(inverse, measured[view], small[view].pixels, images[view].pixels)
     inverse, confidence = zip(*maps)
     return np.stack(inverse), np.stack(confidence)
 
@@ -100,7 +100,7 @@ def _completed(
 ) -> Float[np.ndarray, "height width"]:
     """Inverse depth everywhere: spread what was measured, then push back what would hide a neighbour's surface."""
     own, sure = raw[view], measured[view]
-    inverse = fill(own.inverse, sure, own.step, image.image)
+    inverse = fill(own.inverse, sure, own.step, image.pixels)
     for other, neighbour in around.items():
         inverse = push_back(inverse, sure, own, image, neighbour, raw[other], measured[other])
     return np.where(sure, inverse, cv2.medianBlur(inverse, 5))

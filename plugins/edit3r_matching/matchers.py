@@ -39,7 +39,7 @@ class ClassicalMatcher(Matcher):
     Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at 256².
     """
 
-    class Settings(DepthSettings, FeatureSettings):
+    class Settings(FeatureSettings, DepthSettings):
         threshold: float = Field(
             1.0, gt=0, le=10, description="distance from the epipolar line that agrees [pixels at a long side of 256]"
         )
@@ -82,11 +82,11 @@ class ClassicalMatcher(Matcher):
     def _calibrated(self, images: Sequence[CalibratedImage], features: FoundFeatures) -> Sequence[CalibratedImage]:
         """The images with a field of view read from their matches, where they have enough."""
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
-        read = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
-        if read is None:
+        fov = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
+        if fov is None:
             return images
-        reporting.note("matcher.fov", round(read.fov, 1))
-        return [image.with_fov(read.fov) for image in images]
+        reporting.note("matcher.fov", round(fov, 1))
+        return [image.with_fov(fov) for image in images]
 
 
 class PosedMatcher(Matcher):
@@ -95,7 +95,7 @@ class PosedMatcher(Matcher):
     Features that agree with the known epipolar geometry tell the range of depths, plane sweep measures it.
     """
 
-    class Settings(DepthSettings, FeatureSettings):
+    class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
 

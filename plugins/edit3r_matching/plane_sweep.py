@@ -19,7 +19,7 @@ __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
 COLOUR_LIMIT = 0.15  # colour differences above it cost no more: they are occlusions or highlights
-UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's picture is neither good nor bad
+UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
 BLOCK = 16  # planes written to the volume together: one cache line
 
 
@@ -83,7 +83,7 @@ def _add_costs(
     for start in range(0, len(inverse_depths), BLOCK):
         for slot, inverse_depth in enumerate(inverse_depths[start : start + BLOCK]):
             warped, seen = _warp(reference, neighbour, inverse_depth)
-            moments, difference = _moments(reference.image, grey, warped)
+            moments, difference = _moments(reference.pixels, grey, warped)
             small, large = _box(moments, SMALL), _box(moments, LARGE)
             _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, block[slot])
         _write_block(volume, block, start, np.float32(weight))
@@ -98,7 +98,7 @@ def _warp(
     centred = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])  # OpenCV counts from pixel centres
     homography = np.linalg.inv(centred) @ homography @ centred
     size, inverse = reference.size[::-1], cv2.WARP_INVERSE_MAP
-    image = neighbour.image.image
+    image = neighbour.image.pixels
     warped = cv2.warpPerspective(
         image, homography, size, flags=cv2.INTER_LINEAR | inverse, borderMode=cv2.BORDER_REPLICATE
     )
@@ -138,7 +138,7 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
 def _correlation_cost(value, square, product, mean, variance):  # pragma: no cover - compiled
-    """1 - normalised cross-correlation, in [0, 1]; flat windows in both pictures agree weakly."""
+    """1 - normalised cross-correlation, in [0, 1]; flat windows in both images agree weakly."""
     other = max(square - value * value, np.float32(0))
     norm = np.sqrt((variance + np.float32(4e-5)) * (other + np.float32(4e-5)))
     cost = np.float32(1) - (product - mean * value + np.float32(2e-5)) / norm

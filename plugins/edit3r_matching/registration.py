@@ -114,7 +114,7 @@ class FoundFeatures:
 
 def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) -> FoundFeatures:
     """Detect features and match every two images; needs no intrinsics."""
-    keypoints = tuple(detect(image.image, settings.keypoints, settings.detection_size) for image in images)
+    keypoints = tuple(detect(image.pixels, settings.keypoints, settings.detection_size) for image in images)
     every = combinations(range(len(images)), 2)
     return FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
 

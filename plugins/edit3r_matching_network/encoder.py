@@ -21,6 +21,10 @@ GRID = 8
 """Images have sides that are multiples of this [pixels]."""
 FRONT_CHANNELS = (16, 24, 40)
 """Channels of the front's three maps, at strides 2, 4 and 8."""
+BLOCKS = ((3, 1, 32, 16, 1), (3, 2, 16, 24, 6), (3, 1, 24, 24, 6), (5, 2, 24, 40, 6), (5, 1, 40, 40, 6))
+"""Kernel, stride, channels in and out, and expansion of each of the front's blocks."""
+TAPS = (0, 2, 4)
+"""Blocks whose outputs are handed on."""
 
 
 @dataclass(frozen=True)
@@ -60,33 +64,13 @@ def _conv(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(inputs, outputs, 3, padding=1), nn.GroupNorm(8, outputs), nn.SiLU())
 
 
-@dataclass(frozen=True)
-class _Block:
-    kernel: int
-    stride: int
-    inputs: int
-    outputs: int
-    expansion: int
-
-
-_BLOCKS = (
-    _Block(3, 1, 32, 16, 1),
-    _Block(3, 2, 16, 24, 6),
-    _Block(3, 1, 24, 24, 6),
-    _Block(5, 2, 24, 40, 6),
-    _Block(5, 1, 40, 40, 6),
-)
-_TAPS = (0, 2, 4)
-"""Blocks whose outputs are handed on."""
-
-
 class Front(nn.Module):
     """The part that is not trained: 0.08 million weights that take no gradient, random until loaded."""
 
     def __init__(self) -> None:
         super().__init__()
         self.stem = _SameConv(3, 32, 3, stride=2)
-        self.blocks = nn.ModuleList([_InvertedBottleneck(block) for block in _BLOCKS])
+        self.blocks = nn.ModuleList([_InvertedBottleneck(*sizes) for sizes in BLOCKS])
         self.requires_grad_(False)
 
     def forward(self, images: Float[Tensor, "image 3 height width"]) -> list[Float[Tensor, "image c h w"]]:
@@ -95,7 +79,7 @@ class Front(nn.Module):
         maps = []
         for index, block in enumerate(self.blocks):
             x = block(x)
-            if index in _TAPS:
+            if index in TAPS:
                 maps.append(0.1 * x)  # the blocks' outputs spread by about 10
         return maps
 
@@ -103,13 +87,13 @@ class Front(nn.Module):
 class _InvertedBottleneck(nn.Module):
     """Widen, filter each channel, narrow; added to its input where shapes allow."""
 
-    def __init__(self, block: _Block) -> None:
+    def __init__(self, kernel: int, stride: int, inputs: int, outputs: int, expansion: int) -> None:
         super().__init__()
-        wide = block.inputs * block.expansion
-        self.expand = _SameConv(block.inputs, wide, 1) if block.expansion > 1 else None
-        self.depthwise = _SameConv(wide, wide, block.kernel, block.stride, groups=wide)
-        self.project = _SameConv(wide, block.outputs, 1)
-        self.adds = block.stride == 1 and block.inputs == block.outputs
+        wide = inputs * expansion
+        self.expand = _SameConv(inputs, wide, 1) if expansion > 1 else None
+        self.depthwise = _SameConv(wide, wide, kernel, stride, groups=wide)
+        self.project = _SameConv(wide, outputs, 1)
+        self.adds = stride == 1 and inputs == outputs
 
     def forward(self, x: Float[Tensor, "image channel height width"]) -> Float[Tensor, "image c h w"]:
         wide = x if self.expand is None else F.relu6(self.expand(x))
@@ -119,9 +103,6 @@ class _InvertedBottleneck(nn.Module):
 
 class _SameConv(nn.Conv2d):
     """Padded as TensorFlow does: an odd pixel goes to the right and below."""
-
-    def __init__(self, inputs: int, outputs: int, size: int, stride: int = 1, groups: int = 1) -> None:
-        super().__init__(inputs, outputs, size, stride, groups=groups)
 
     def forward(self, x: Float[Tensor, "image channel height width"]) -> Float[Tensor, "image c h w"]:
         before, after = (self.kernel_size[0] - self.stride[0]) // 2, (self.kernel_size[0] - self.stride[0] + 1) // 2

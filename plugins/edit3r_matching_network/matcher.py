@@ -9,6 +9,7 @@ from torch import Tensor
 from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.errors import MatchingError
+from edit3r.geometry.alignment import scale_poses
 from edit3r.geometry.upsampling import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
@@ -18,7 +19,7 @@ from edit3r_matching_network.network import MatchingNetwork, load_network
 from edit3r_matching_network.pair_geometry import PairGeometry, pair_geometry
 
 MIN_SIZE = 16
-"""Pictures with a shorter side show too little [pixels]."""
+"""Images with a shorter side show too little [pixels]."""
 SURE = 0.5
 """Confidence above which a cell counts as matched."""
 FLAT = 0.005
@@ -97,36 +98,35 @@ def _joined(
     images: Float[Tensor, "batch view 3 height width"],
 ) -> MatchedGeometry:
     """Everything in the unit of the first placed pair: each pair has view 0's depths, too."""
-    ratios = _units(pairs, placed)
-    c2w = [torch.eye(4).to(images).expand(len(images), 4, 4)]
-    maps, sure = [_first_depths(pairs, ratios, placed)], [torch.stack([p.confidence[:, 0] for p in pairs]).amax(0)]
-    for index, pair in enumerate(pairs):
-        pose, good = pair.c2w.clone(), placed[:, index]
-        pose[:, :3, 3] *= ratios[:, index, None]
-        identity = torch.eye(4).to(pose)
-        c2w.append(torch.where(good[:, None, None], pose, identity))
-        maps.append(torch.where(good[:, None, None], pair.depths[:, 1] * ratios[:, index, None, None], 1.0))
-        sure.append(pair.confidence[:, 1] * good[:, None, None])
-    depths, confidence = _at_full_size(torch.stack(maps, 1), torch.stack(sure, 1), small, images)
-    registered = torch.cat((torch.ones_like(placed[:, :1]), placed), 1)
-    return MatchedGeometry(torch.stack(c2w, 1), depths, confidence, registered)
+    c2w, depths, confidence = (torch.stack(part, 1) for part in zip(*(vars(pair).values() for pair in pairs)))
+    units = _units(depths[:, :, 0].log(), placed)
+    good = placed[..., None, None]
+    poses = torch.where(good, scale_poses(c2w, units), torch.eye(4).to(c2w))
+    poses = torch.cat((torch.eye(4).to(poses).expand(len(poses), 1, 4, 4), poses), 1)
+    others = torch.where(good, depths[:, :, 1] * units[..., None, None], 1.0)
+    first = _first_depths(depths[:, :, 0].log() + units.log()[..., None, None], confidence[:, :, 0], placed)
+    sure = torch.cat((confidence[:, :, 0].amax(1, keepdim=True), confidence[:, :, 1] * good), 1)
+    depths, sure = _at_full_size(torch.cat((first[:, None], others), 1), sure, small, images)
+    return MatchedGeometry(poses, depths, sure, torch.cat((torch.ones_like(placed[:, :1]), placed), 1))
 
 
-def _units(pairs: list[PairGeometry], placed: Bool[Tensor, "batch pair"]) -> Float[Tensor, "batch pair"]:
-    """Factors from each pair's unit to that of the scene's first placed pair."""
-    logs = torch.stack([pair.depths[:, 0].log().flatten(1) for pair in pairs], 1)
+def _units(
+    log_depths: Float[Tensor, "batch pair h w"], placed: Bool[Tensor, "batch pair"]
+) -> Float[Tensor, "batch pair"]:
+    """Factors from each pair's unit to that of the scene's first placed pair, from view 0's depths in each unit."""
     first = placed.int().argmax(1)
-    reference = logs[torch.arange(len(logs)), first]
-    return (reference[:, None] - logs).median(2).values.exp()
+    reference = log_depths[torch.arange(len(log_depths)), first]
+    return (reference[:, None] - log_depths).flatten(2).median(2).values.exp()
 
 
 def _first_depths(
-    pairs: list[PairGeometry], ratios: Float[Tensor, "batch pair"], placed: Bool[Tensor, "batch pair"]
+    log_depths: Float[Tensor, "batch pair h w"],
+    confidence: Float[Tensor, "batch pair h w"],
+    placed: Bool[Tensor, "batch pair"],
 ) -> Float[Tensor, "batch h w"]:
     """View 0's depths: over the placed pairs the mean of their logs, weighted by confidence."""
-    logs = torch.stack([pair.depths[:, 0].log() for pair in pairs], 1) + ratios.log()[..., None, None]
-    weights = (torch.stack([pair.confidence[:, 0] for pair in pairs], 1) + 0.01) * placed[..., None, None]
-    return ((logs * weights).sum(1) / weights.sum(1)).exp()
+    weights = (confidence + 0.01) * placed[..., None, None]
+    return ((log_depths * weights).sum(1) / weights.sum(1)).exp()
 
 
 def _at_full_size(

@@ -103,7 +103,7 @@ def evidence_of(
     spread: Float[Tensor, "batch 2 height width"],
     intrinsics: Float[Tensor, "batch 2 3 3"],
 ) -> Evidence:
-    """In double precision, from maps of matches (normalised coordinates in the other view) and depth predictions."""
+    """The evidence in double precision; `coordinates` are the matches, normalised (x, y) in the other view."""
     grid = weights.shape[-2:]
     other = intrinsics.flip(1).double()
     seen = torch.stack([rays_through(coordinates[:, view].double(), other[:, view])[..., :2] for view in range(2)], 1)
@@ -132,13 +132,14 @@ def start_at(
     translation: Float[Tensor, "batch 3"],
     scale: Float[Tensor, "batch"],
 ) -> Estimate:
-    """Begin with a pose and the predicted depths."""
+    """The estimate with the given pose and the predicted depths; `scale` is that of view 1's depths."""
     log_scale = scale.double().clamp(min=1e-6).log()
     log_depths = evidence.prior + torch.stack((torch.zeros_like(log_scale), log_scale), 1)[..., None]
     return Estimate(rotation.double(), translation.double(), log_scale, log_depths)
 
 
 def _linearise(evidence: Evidence, at: Estimate, match_spread: float) -> _Linearised:
+    """The Gauss-Newton system at an estimate, where a good match has a standard error of `match_spread` [cells]."""
     points = evidence.rays * at.log_depths.exp()[..., None]
     turns = torch.stack((at.rotation.transpose(1, 2), at.rotation), 1)  # own camera to the other's
     turned = torch.einsum("bvij,bvnj->bvni", turns, points)

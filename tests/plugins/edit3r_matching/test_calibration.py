@@ -41,13 +41,12 @@ def read(found, **options):
 @pytest.mark.parametrize("fov", [35, 50, 60, 75, 90])
 def test_the_field_of_view_is_read_from_a_camera_that_turns_and_moves(fov):
     found = read(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)))
-    assert found.fov == pytest.approx(fov, abs=4)
-    assert found.support >= found.assumed_support
+    assert found == pytest.approx(fov, abs=4)
 
 
 def test_a_camera_that_only_moved_sideways_keeps_what_was_assumed():
     """Every focal length explains such matches, so nothing is gained by another."""
-    assert read(matches(60, (0, 0, 0), (-1, 0, 0))).fov == pytest.approx(60, abs=6)
+    assert read(matches(60, (0, 0, 0), (-1, 0, 0))) == pytest.approx(60, abs=6)
 
 
 def test_matches_that_agree_on_no_motion_tell_nothing():
