@@ -123,24 +123,16 @@ class AsymmetricViT(Backbone):
         wanted: tuple[int, ...],
     ) -> Features:
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
-        grid = self._grid(images)
-        has_token = self.settings.intrinsics == "token"
-        tokens = self._encode(images, intrinsics, self._rotation(grid, self.settings.width // self.heads, images))
-        width = self.settings.decoder_width // self.decoder_heads
-        levels = self._decode(tokens, self._rotation(grid, width, images), wanted)
-        kept = slice(None, -1) if has_token else slice(None)
-        return Features(tuple(level[:, :, kept] for level in levels), grid)
-
-    def _encode(
-        self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
-        rotation: Rotation,
-    ) -> Float[Tensor, "batch view token width"]:
+        grid, size = self._grid(images), self.settings
         tokens = self._embed(images, intrinsics)
+        rotation = self._rotation(grid, size.width // self.heads, images.device)
         for block in self.encoder:
             tokens = block(tokens, rotation)
-        return self.encoder_norm(tokens).unflatten(0, images.shape[:2])
+        encoded = self.encoder_norm(tokens).unflatten(0, images.shape[:2])
+        rotation = self._rotation(grid, size.decoder_width // self.decoder_heads, images.device)
+        levels = self._decode(encoded, rotation, wanted)
+        kept = slice(None, -1) if size.intrinsics == "token" else slice(None)
+        return Features(tuple(level[:, :, kept] for level in levels), grid)
 
     def _embed(
         self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
@@ -194,8 +186,8 @@ class AsymmetricViT(Backbone):
             )
         return height // self.patch_size, width // self.patch_size
 
-    def _rotation(self, grid: tuple[int, int], head_width: int, like: Tensor) -> Rotation:
-        return _rotation(grid, self.settings.intrinsics == "token", head_width, self.settings.rope_base, like.device)
+    def _rotation(self, grid: tuple[int, int], head_width: int, device: torch.device) -> Rotation:
+        return _cached_rotation(grid, self.settings.intrinsics == "token", head_width, self.settings.rope_base, device)
 
 
 @dataclass(frozen=True)
@@ -221,7 +213,9 @@ def hook_levels(depth: int) -> tuple[int, int, int, int]:
 
 
 @lru_cache(maxsize=16)
-def _rotation(grid: tuple[int, int], extra_token: bool, head_width: int, base: float, device: torch.device) -> Rotation:
+def _cached_rotation(
+    grid: tuple[int, int], extra_token: bool, head_width: int, base: float, device: torch.device
+) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
         return make_rotation(patch_positions(grid, extra_token), head_width, base, device)
 

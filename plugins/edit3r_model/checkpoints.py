@@ -72,13 +72,14 @@ def load_weights(source: str | Path) -> LoadedWeights:
         return _official(read_torch_file(path), path, str(source))
     tensors = _read_safetensors(path)
     embedded = tensors.pop(EXTRA_STATE, None)
-    if (path.parent / CONFIG).is_file():
-        config, licence = _read_config(path.parent / CONFIG)
-        return LoadedWeights(config, tensors, str(source), "edit3r", _sha256(path), licence)
-    if embedded is not None:
-        config = _parse_config(json.loads(bytes(embedded.tolist())), path)
-        return LoadedWeights(config, tensors, str(source), "edit3r", _sha256(path), "not stated")
-    return _official(tensors, path, str(source))
+    described = path.parent / CONFIG
+    if described.is_file():
+        config, licence = _parse_config(described.read_bytes(), described)
+    elif embedded is not None:
+        config, licence = _parse_config(bytes(embedded.tolist()), path)
+    else:
+        return _official(tensors, path, str(source))
+    return LoadedWeights(config, tensors, str(source), "edit3r", _sha256(path), licence)
 
 
 def save_weights(
@@ -178,22 +179,13 @@ def _converted_state(
     return {name: value.detach() for name, value in network.named_parameters()}
 
 
-def _read_config(path: Path) -> tuple[NetworkConfig, str]:
-    """(the network of a `config.json`, what it says of the licence)."""
+def _parse_config(text: bytes, path: Path) -> tuple[NetworkConfig, str]:
+    """(the network that the JSON text of `path` describes, what it says of the licence)."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); our weights need it beside {WEIGHTS}.") from None
-    except ValueError as error:
-        raise InputError(f"{path}: not a configuration of edit3r weights ({type(error).__name__}: {error}).") from None
-    return _parse_config(content, path), content.get("licence", "not stated")
-
-
-def _parse_config(content: Any, path: Path) -> NetworkConfig:
-    try:
+        content = json.loads(text)
         if content.get("format", FORMAT) != FORMAT:
             raise InputError(f"{path}: format {content['format']} is newer than this edit3r knows ({FORMAT}).")
-        return NetworkConfig.from_json(content)
+        return NetworkConfig.from_json(content), content.get("licence", "not stated")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a configuration of edit3r weights ({type(error).__name__}: {error}).") from None
 

@@ -35,12 +35,8 @@ class PackedLinear(nn.Module):
 
     def forward(self, x: Float[Tensor, "*batch in"]) -> Float[Tensor, "*batch out"]:
         flat = x.reshape(-1, self.in_features).to(self.dtype).contiguous()
-        return _ops._linear_pointwise(flat, self._weight, self.bias, self.activation, [], "none").view(
-            *x.shape[:-1], self.out_features
-        )
-
-    def extra_repr(self) -> str:
-        return f"{self.in_features} -> {self.out_features}, {self.dtype}, activation={self.activation}"
+        result = _ops._linear_pointwise(flat, self._weight, self.bias, self.activation, [], "none")
+        return result.view(*x.shape[:-1], self.out_features)
 
 
 class StoredLinear(nn.Module):
@@ -61,10 +57,7 @@ class StoredLinear(nn.Module):
 
 
 class FusedConv(nn.Module):
-    """A convolution in channels-last layout, with the activation that follows fused in.
-
-    Held in `dtype`, computed in `arithmetic` (default: the same).
-    """
+    """A convolution in channels-last layout, held in `dtype` and computed in `arithmetic` (default: the same)."""
 
     def __init__(
         self,
@@ -74,7 +67,7 @@ class FusedConv(nn.Module):
         arithmetic: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        self.stride, self.padding, self.dilation, self.groups = conv.stride, conv.padding, conv.dilation, conv.groups
+        self.geometry = conv.padding, conv.stride, conv.dilation, conv.groups
         self.activation, self.arithmetic = activation, arithmetic or dtype
         weight = conv.weight.detach().to(dtype).contiguous(memory_format=torch.channels_last)
         self.register_buffer("weight", weight, persistent=False)
@@ -83,90 +76,52 @@ class FusedConv(nn.Module):
 
     def forward(self, x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch out h2 w2"]:
         x = x.to(self.arithmetic).contiguous(memory_format=torch.channels_last)
-        return _ops._convolution_pointwise(
-            x,
-            self.weight.to(self.arithmetic),
-            self.bias,
-            self.padding,
-            self.stride,
-            self.dilation,
-            self.groups,
-            self.activation,
-            [],
-            "",
-        )
+        weight = self.weight.to(self.arithmetic)
+        return _ops._convolution_pointwise(x, weight, self.bias, *self.geometry, self.activation, [], "")
 
 
-class Int8Linear(nn.Module):
+class _Int8Layer(nn.Module):
+    """What int8 layers share: scales of the weights, bias, and how results are made float32 again."""
+
+    def __init__(self, layer: nn.Linear | nn.Conv2d, scales: Float[Tensor, "out"], activation: Activation) -> None:
+        super().__init__()
+        self.register_buffer("scales", scales, persistent=False)
+        self.register_buffer("zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False)
+        bias = None if layer.bias is None else layer.bias.detach().float()
+        self.register_buffer("bias", bias, persistent=False)
+        self.float_output = 1.0, 0, torch.float32, activation, []  # scale and zero point of a float are 1 and 0
+
+
+class Int8Linear(_Int8Layer):
     """Linear layer on int8 products, float32 in and out, with the activation that follows fused in."""
 
     def __init__(self, linear: nn.Linear, activation: Activation = "none") -> None:
-        super().__init__()
-        self.in_features, self.out_features, self.activation = linear.in_features, linear.out_features, activation
         weight, scales = quantise_weight(linear.weight.detach())
+        super().__init__(linear, scales, activation)
+        self.in_features, self.out_features = linear.in_features, linear.out_features
         self._weight = _int8_ops.qlinear_prepack(weight, [ROWS_HINT, linear.in_features])
-        self.register_buffer("scales", scales, persistent=False)
-        self.register_buffer("zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False)
-        self.register_buffer("bias", linear.bias.detach().float(), persistent=False)
 
     def forward(self, x: Float[Tensor, "*batch in"]) -> Float[Tensor, "*batch out"]:
-        values, scale, zero = quantise_input(x.reshape(-1, self.in_features).contiguous())
-        result = _int8_ops.qlinear_pointwise(
-            values,
-            scale,
-            zero,
-            self._weight,
-            self.scales,
-            self.zeros,
-            self.bias,
-            1.0,
-            0,
-            torch.float32,
-            self.activation,
-            [],
-            "none",
-        )
+        values = quantise_input(x.reshape(-1, self.in_features).contiguous())
+        weights = self._weight, self.scales, self.zeros, self.bias
+        result = _int8_ops.qlinear_pointwise(*values, *weights, *self.float_output, "none")
         return result.view(*x.shape[:-1], self.out_features)
 
 
-class Int8Conv(nn.Module):
+class Int8Conv(_Int8Layer):
     """Convolution on int8 products, float32 in and out, channels-last, with the activation that follows fused in."""
 
     def __init__(self, conv: nn.Conv2d, activation: Activation = "none") -> None:
-        super().__init__()
-        self.stride, self.padding, self.dilation, self.groups = conv.stride, conv.padding, conv.dilation, conv.groups
-        self.activation = activation
         weight, scales = quantise_weight(conv.weight.detach())
+        super().__init__(conv, scales, activation)
+        self.geometry = conv.stride, conv.padding, conv.dilation, conv.groups
         # The input's scale is passed again with each call; packing only needs some value.
-        self._weight = _int8_ops.qconv_prepack(
-            weight, scales, 1.0, _LEVELS // 2, self.stride, self.padding, self.dilation, self.groups
-        )
-        self.register_buffer("scales", scales, persistent=False)
-        self.register_buffer("zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False)
-        bias = None if conv.bias is None else conv.bias.detach().float()
-        self.register_buffer("bias", bias, persistent=False)
+        self._weight = _int8_ops.qconv_prepack(weight, scales, 1.0, _LEVELS // 2, *self.geometry)
 
     def forward(self, x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch out h2 w2"]:
-        values, scale, zero = quantise_input(x.contiguous(memory_format=torch.channels_last))
-        return _int8_ops.qconv_pointwise(
-            values,
-            scale,
-            zero,
-            self._weight,
-            self.scales,
-            self.zeros,
-            self.bias,
-            self.stride,
-            self.padding,
-            self.dilation,
-            self.groups,
-            1.0,
-            0,
-            torch.float32,
-            self.activation,
-            [],
-            "",
-        )
+        values = quantise_input(x.contiguous(memory_format=torch.channels_last))
+        weights = self._weight, self.scales, self.zeros, self.bias
+        return _int8_ops.qconv_pointwise(*values, *weights, *self.geometry, *self.float_output, "")
 
 
 def quantise_weight(weight: Float[Tensor, "out *rest"]) -> tuple[Tensor, Float[Tensor, "out"]]:

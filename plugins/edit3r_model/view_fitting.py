@@ -111,13 +111,13 @@ def regrid(
     opacities = _maps(gaussians.opacities[..., None], views, grid)
     harmonics = _maps(gaussians.harmonics.flatten(2), views, grid)
     spacing = (grid[0] * grid[1] / (finer[0] * finer[1])) ** 0.5
-    fine_harmonics = _rows(_smooth(harmonics, finer), views).unflatten(-1, (-1, 3)).clone()
+    fine_harmonics = _rows(_resample(harmonics, finer), views).unflatten(-1, (-1, 3)).clone()
     fine_harmonics[:, :, 0] += _rows(_detail(images, grid, finer).flatten(0, 1), views) / DC
     return Gaussians(
         means=_rows(_within_surfaces(means, finer), views),
-        scales=_rows(_smooth(scales, finer), views).exp() * spacing,
-        quats=_rows(_nearest(quats, finer), views),
-        opacities=_rows(_smooth(opacities, finer), views).squeeze(-1).clamp(0, 1),
+        scales=_rows(_resample(scales, finer), views).exp() * spacing,
+        quats=_rows(_resample(quats, finer, "nearest-exact"), views),
+        opacities=_rows(_resample(opacities, finer), views).squeeze(-1).clamp(0, 1),
         harmonics=fine_harmonics,
         view_index=torch.arange(views, device=means.device).repeat_interleave(finer[0] * finer[1]),
     )
@@ -135,29 +135,23 @@ def _detail(
 ) -> Float[Tensor, "batch view 3 h w"]:
     """What the images show on the finer grid beyond what the coarse one holds."""
     coarse = resize(images, grid).flatten(0, 1)
-    return resize(images, finer) - _smooth(coarse, finer).unflatten(0, images.shape[:2])
+    return resize(images, finer) - _resample(coarse, finer).unflatten(0, images.shape[:2])
 
 
 def _within_surfaces(
     means: Float[Tensor, "batch_view 3 height width"], size: tuple[int, int]
 ) -> Float[Tensor, "batch_view 3 h w"]:
     """Centres interpolated bilinearly, except between surfaces."""
-    smooth, nearest = _smooth(means, size), _nearest(means, size)
+    smooth, nearest = _resample(means, size), _resample(means, size, "nearest-exact")
     distance = nearest.norm(dim=1, keepdim=True)
     jumps = (smooth - nearest).norm(dim=1, keepdim=True) > DEPTH_JUMP * distance
     return torch.where(jumps, nearest, smooth)
 
 
-def _smooth(
-    maps: Float[Tensor, "batch_view channel height width"], size: tuple[int, int]
+def _resample(
+    maps: Float[Tensor, "batch_view channel height width"], size: tuple[int, int], mode: str = "bilinear"
 ) -> Float[Tensor, "batch_view channel h w"]:
-    return F.interpolate(maps, size=size, mode="bilinear", align_corners=False)
-
-
-def _nearest(
-    maps: Float[Tensor, "batch_view channel height width"], size: tuple[int, int]
-) -> Float[Tensor, "batch_view channel h w"]:
-    return F.interpolate(maps, size=size, mode="nearest-exact")
+    return F.interpolate(maps, size=size, mode=mode)
 
 
 def _maps(
