@@ -1,7 +1,6 @@
 """Gaussians while they are fitted: unconstrained parameters, Adam's moments, and Gaussians that come and go."""
 
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,16 +12,12 @@ from edit3r.geometry.rotations import normalise_quats
 from edit3r.types import Gaussians
 
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-EPSILON = 1e-15  # of Adam; gradients of single Gaussians are tiny (3D Gaussian Splatting, released code)
-MOMENTS = ("exp_avg", "exp_avg_sq")
-
-Change = Callable[[str, Tensor], Tensor]
-"""A function from a parameter's name and tensor to the new tensor."""
+BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Unconstrained parameters of the Gaussians of one scene, one row each."""
+    """Unconstrained parameters of the Gaussians of one scene, or a number for each of them, one row per Gaussian."""
 
     means: Float[Tensor, "gaussian 3"]
     scales: Float[Tensor, "gaussian 3"]  # logarithms
@@ -48,8 +43,13 @@ class Parameters:
             harmonics[:, 1:].clone(),
         )
 
+    def map(self, function: Callable[..., Tensor], *others: "Parameters") -> "Parameters":
+        """Apply `function` to each tensor, together with those of the same name in `others`."""
+        rows = (vars(parameters).values() for parameters in (self, *others))
+        return Parameters(*(function(*tensors) for tensors in zip(*rows)))
+
     def __getitem__(self, index: Tensor) -> "Parameters":
-        return Parameters(**{name: value[index] for name, value in vars(self).items()})
+        return self.map(lambda value: value[index])
 
     def __len__(self) -> int:
         return len(self.means)
@@ -60,14 +60,9 @@ class TrainableGaussians:
 
     def __init__(self, gaussians: Gaussians, degree: int) -> None:
         self.view_index = gaussians.view_index.clone()  # children take their parent's
-        values = vars(Parameters.of(gaussians, degree))
-        groups = [{"name": name, "params": [value.requires_grad_(True)], "lr": 0.0} for name, value in values.items()]
-        self._optimizer = torch.optim.Adam(groups, eps=EPSILON)
-
-    @property
-    def parameters(self) -> Parameters:
-        """The parameters themselves, with gradients where they are recorded."""
-        return Parameters(**{group["name"]: group["params"][0] for group in self._optimizer.param_groups})
+        self.parameters = Parameters.of(gaussians, degree).map(lambda value: value.requires_grad_(True))
+        self.first, self.second = (self.parameters.map(torch.zeros_like) for _ in range(2))  # moments of the gradient
+        self.steps = 0
 
     def __len__(self) -> int:
         return len(self.view_index)
@@ -87,70 +82,60 @@ class TrainableGaussians:
 
     def gradients(self, loss: Float[Tensor, ""]) -> Parameters:
         """Return the gradient of `loss` by every parameter; 0 where it does not depend on it."""
-        values = vars(self.parameters)
-        found = torch.autograd.grad(loss, list(values.values()), allow_unused=True)
-        pairs = zip(values.items(), found)
-        return Parameters(**{n: torch.zeros_like(value) if g is None else g for (n, value), g in pairs})
+        values = list(vars(self.parameters).values())
+        found = torch.autograd.grad(loss, values, allow_unused=True)
+        return Parameters(*(torch.zeros_like(value) if g is None else g for value, g in zip(values, found)))
 
+    @torch.no_grad()
     def step(self, gradients: Parameters, sizes: Mapping[str, float]) -> None:
-        """Take one step of Adam; `sizes` are the step sizes by name of the parameter."""
-        for group in self._optimizer.param_groups:
-            group["lr"] = sizes[group["name"]]
-            group["params"][0].grad = getattr(gradients, group["name"])
-        self._optimizer.step()
+        """Take one step of Adam in place; `sizes` are the step sizes by name of the parameter."""
+        self.steps += 1
+        unbiased = [1 - beta**self.steps for beta in BETAS]
+        for name, size in sizes.items():
+            gradient, first, second = (getattr(p, name) for p in (gradients, self.first, self.second))
+            first.lerp_(gradient, 1 - BETAS[0])
+            second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
+            spread = second.sqrt().div_(unbiased[1] ** 0.5).add_(EPSILON)
+            getattr(self.parameters, name).addcdiv_(first, spread, value=-size / unbiased[0])
 
     def keep(self, chosen: Bool[Tensor, "gaussian"]) -> None:
         """Drop all other Gaussians; those that stay keep their moments."""
-        self.view_index = self.view_index[chosen]
-        self._change(lambda name, tensor: tensor[chosen], lambda name, moment: moment[chosen])
+        self._replace(self.parameters[chosen], self.view_index[chosen], self.first[chosen], self.second[chosen])
 
     def append(self, added: Parameters, view_index: Int[Tensor, "added"]) -> None:
         """Add Gaussians with moments of 0."""
-        self.view_index = torch.cat((self.view_index, view_index))
-        self._change(
-            lambda name, tensor: torch.cat((tensor, getattr(added, name))),
-            lambda name, moment: torch.cat((moment, torch.zeros_like(getattr(added, name)))),
-        )
+        grown = [self.parameters.map(_concatenated, added)]
+        grown += [moment.map(_concatenated, added.map(torch.zeros_like)) for moment in (self.first, self.second)]
+        self._replace(grown[0], torch.cat((self.view_index, view_index)), *grown[1:])
 
     def cap_opacities(self, most: float) -> None:
         """Lower opacities to at most `most` and forget where they were heading."""
-        limit = torch.tensor(most).logit().item()
-        self._change(
-            lambda name, tensor: tensor.clamp(max=limit) if name == "opacities" else tensor,
-            lambda name, moment: torch.zeros_like(moment) if name == "opacities" else moment,
-        )
-
-    def moments(self, name: str) -> dict[str, Tensor]:
-        """Return Adam's running means of gradient and squared gradient of one group; {} before the first step."""
-        group = next(group for group in self._optimizer.param_groups if group["name"] == name)
-        state = self._optimizer.state.get(group["params"][0], {})
-        return {moment: state[moment] for moment in MOMENTS if moment in state}
+        capped = self.parameters.opacities.clamp(max=torch.tensor(most).logit().item())
+        zero = torch.zeros_like(capped)
+        moments = (replace(moment, opacities=zero.clone()) for moment in (self.first, self.second))
+        self._replace(replace(self.parameters, opacities=capped), self.view_index, *moments)
 
     def state(self) -> dict[str, Any]:
         """Return all that the next steps depend on."""
-        return {
-            "parameters": {name: value.detach().clone() for name, value in vars(self.parameters).items()},
-            "view_index": self.view_index.clone(),
-            "adam": deepcopy(self._optimizer.state_dict()),
-        }
+        kept = {"parameters": self.parameters, "first": self.first, "second": self.second}
+        copies = {name: vars(part.map(lambda value: value.detach().clone())) for name, part in kept.items()}
+        return {**copies, "view_index": self.view_index.clone(), "steps": self.steps}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from what `state` returned."""
-        self.view_index = state["view_index"]
-        self._change(lambda name, tensor: state["parameters"][name], lambda name, moment: moment)
-        self._optimizer.load_state_dict(deepcopy(state["adam"]))
+        parameters, first, second = (Parameters(**state[name]) for name in ("parameters", "first", "second"))
+        self._replace(parameters, state["view_index"], first, second)
+        self.steps = state["steps"]
 
-    @torch.no_grad()
-    def _change(self, of_values: Change, of_moments: Change) -> None:
-        """Replace every group's tensor and move its moments along."""
-        for group in self._optimizer.param_groups:
-            name, old = group["name"], group["params"][0]
-            new = of_values(name, old.detach()).clone().requires_grad_(True)
-            state = self._optimizer.state.pop(old, None)
-            if state is not None:
-                moved = {moment: of_moments(name, state[moment]) for moment in MOMENTS}
-                self._optimizer.state[new] = {**state, **moved}
-            group["params"] = [new]
+    def _replace(self, parameters: Parameters, view_index: Tensor, first: Parameters, second: Parameters) -> None:
+        """Take copies, so that steps in place change nothing else."""
+        self.parameters = parameters.map(lambda value: value.detach().clone().requires_grad_(True))
+        self.first, self.second = (moment.map(torch.clone) for moment in (first, second))
+        self.view_index = view_index
+
+
+def _concatenated(old: Float[Tensor, "old *shape"], new: Float[Tensor, "new *shape"]) -> Float[Tensor, "all *shape"]:
+    return torch.cat((old, new))
 
 
 def detached(gaussians: Gaussians) -> Gaussians:

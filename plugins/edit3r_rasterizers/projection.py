@@ -6,22 +6,9 @@ import numpy as np
 
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers import layout
+from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
-from edit3r_rasterizers.projection_maths import (
-    GROUP,
-    INPUTS,
-    OPACITY,
-    SCALE,
-    U,
-    camera_position,
-    factorised_conic,
-    image_rows,
-    offset_from_camera,
-    rotation_matrix,
-    stage,
-    staged_row,
-    unit_quats,
-)
+from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, SCALE, U, staged_row
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum, square_root
@@ -79,7 +66,7 @@ def project(
     for start in range(U(first), U(last), GROUP):
         end = min(start + GROUP, U(last))
         for lane in range(GROUP):  # a short group repeats its last Gaussian
-            stage(scratch, lane, min(start + lane, end - U(1)), means, scales, quats, opacities)
+            maths.stage(scratch, lane, min(start + lane, end - U(1)), means, scales, quats, opacities)
         visible, finite = _project_group(scratch, camera, width, height, near, far, eps2d, min_alpha)
         for i in range(start, end):
             lane = i - start
@@ -102,21 +89,21 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     for row in range(INPUTS):
         total += staged_row(staged, row) * 0.0  # stays 0 unless something is not finite
     finite = total >= 0.0
-    dx, dy, dz = offset_from_camera(staged, camera)
-    x, y, z = camera_position(camera, dx, dy, dz)
+    dx, dy, dz = maths.offset_from_camera(staged, camera)
+    x, y, z = maths.camera_position(camera, dx, dy, dz)
     opacity = staged_row(staged, OPACITY)
     seen = finite & (z >= near) & (broadcast(far) >= z) & (opacity >= min_alpha)
     z = maximum(z, near)  # lanes that are not seen stay harmless
     per_z = 1.0 / z
     u, v = x * per_z, y * per_z
-    a, b, c, d, _ = unit_quats(staged)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation_matrix(a, b, c, d)
-    j0, j1, j2, k0, k1, k2 = image_rows(camera, u, v, per_z)
+    a, b, c, d, _ = maths.unit_quats(staged)
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
+    j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
     s0, s1, s2 = staged_row(staged, SCALE), staged_row(staged, SCALE + U(1)), staged_row(staged, SCALE + U(2))
     a0, b0 = (j0 * r0 + j1 * r3 + j2 * r6) * s0, (k0 * r0 + k1 * r3 + k2 * r6) * s0
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
-    x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
     mean_x, mean_y = (
         u * camera[layout.FOCAL_X] + camera[layout.CENTRE_X],
         v * camera[layout.FOCAL_Y] + camera[layout.CENTRE_Y],

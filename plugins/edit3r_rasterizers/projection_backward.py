@@ -6,23 +6,10 @@ import numpy as np
 
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers import layout
+from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
-from edit3r_rasterizers.projection_maths import (
-    GROUP,
-    INPUTS,
-    OPACITY,
-    SCALE,
-    U,
-    camera_position,
-    factorised_conic,
-    image_rows,
-    offset_from_camera,
-    rotation_matrix,
-    stage,
-    staged_row,
-    unit_quats,
-)
+from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, SCALE, U, staged_row
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
@@ -94,12 +81,12 @@ def project_backward(
     for i in range(U(first), U(last)):
         if splat_offsets[i] < splat_offsets[i + U(1)]:
             group[found] = i
-            stage(scratch, found, i, means, scales, quats, opacities)
+            maths.stage(scratch, found, i, means, scales, quats, opacities)
             _add_up(scratch, found, splat_offsets[i], splat_offsets[i + U(1)], positions, sums)
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
             for lane in range(found, GROUP):  # lanes of a short group hold some sound Gaussian, and are not read
-                stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
+                maths.stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
             _differentiate_group(scratch, camera, eps2d)
             for lane in range(found):
                 k = group[lane]
@@ -130,20 +117,20 @@ def _add_up(totals, lane, start, end, positions, sums):
 @inlined
 def _differentiate_group(staged, camera, eps2d):
     """Compute gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
-    dx, dy, dz = offset_from_camera(staged, camera)
-    x, y, z = camera_position(camera, dx, dy, dz)
+    dx, dy, dz = maths.offset_from_camera(staged, camera)
+    x, y, z = maths.camera_position(camera, dx, dy, dz)
     per_z = 1.0 / z
     u, v = x * per_z, y * per_z
-    a, b, c, d, inverse = unit_quats(staged)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation_matrix(a, b, c, d)
-    j0, j1, j2, k0, k1, k2 = image_rows(camera, u, v, per_z)
+    a, b, c, d, inverse = maths.unit_quats(staged)
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
+    j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
     s0, s1, s2 = staged_row(staged, SCALE), staged_row(staged, SCALE + U(1)), staged_row(staged, SCALE + U(2))
     # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
     m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
     m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
     m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
-    x_per_y, inv_std_x, inv_std_y, _, _ = factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, _, _ = maths.factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
 
     # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
     ss = staged_row(staged, _TOTALS + U(layout.SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
@@ -185,7 +172,11 @@ def _differentiate_group(staged, camera, eps2d):
     for axis in range(U(3)):
         world = gx * camera[U(3) * axis] + gy * camera[U(3) * axis + U(1)] + gz * camera[U(3) * axis + U(2)]
         store(staged, (_MEAN + axis) * GROUP, world)
-    store(staged, _OPACITY * GROUP, staged_row(staged, _TOTALS + U(layout.SUM_V)) / staged_row(staged, OPACITY))
+    store(
+        staged,
+        _OPACITY * GROUP,
+        staged_row(staged, _TOTALS + U(layout.SUM_V)) / staged_row(staged, OPACITY),
+    )
 
 
 @inlined

@@ -41,28 +41,28 @@ def test_harmonics_are_cut_or_filled_up_to_the_degree():
 
 def test_rows_that_stay_keep_their_numbers_and_moments(scene):
     kept = torch.tensor([True, False, True, True, False, False])
-    before = {n: (v.detach().clone(), scene.moments(n)) for n, v in vars(scene.parameters).items()}
+    before = [part.map(lambda value: value.detach().clone()) for part in (scene.parameters, scene.first, scene.second)]
     scene.keep(kept)
-    for name, (value, moments) in before.items():
-        assert torch.equal(getattr(scene.parameters, name), value[kept]), name
-        assert all(torch.equal(scene.moments(name)[m], moments[m][kept]) for m in moments) and moments, name
+    for part, old in zip((scene.parameters, scene.first, scene.second), before):
+        for name, value in vars(old).items():
+            assert torch.equal(getattr(part, name), value[kept]) and value.any(), name
 
 
 def test_new_rows_begin_without_moments_and_leave_the_others_alone(scene):
-    before = scene.moments("means")["exp_avg"]
+    before = scene.first.means
     scene.append(scene.parameters[torch.tensor([4, 0])], scene.view_index[[4, 0]])
-    moment = scene.moments("means")["exp_avg"]
+    moment = scene.first.means
     assert len(scene) == 8 and torch.equal(moment[:6], before) and before.abs().min() > 0
-    assert not moment[6:].any() and not scene.moments("detail")["exp_avg_sq"][6:].any()
+    assert not moment[6:].any() and not scene.second.detail[6:].any()
     assert torch.equal(scene.parameters.means[6:], scene.parameters.means[[4, 0]])
 
 
 def test_capped_opacities_forget_their_moments_and_nothing_else_changes(scene):
-    means, colour = scene.parameters.means.detach().clone(), scene.moments("colour")["exp_avg"]
+    means, colour = scene.parameters.means.detach().clone(), scene.first.colour
     scene.cap_opacities(0.01)
     assert scene.gaussians().opacities.max() <= 0.01 + 1e-6
-    assert not scene.moments("opacities")["exp_avg"].any()
-    assert torch.equal(scene.parameters.means, means) and torch.equal(scene.moments("colour")["exp_avg"], colour)
+    assert not scene.first.opacities.any()
+    assert torch.equal(scene.parameters.means, means) and torch.equal(scene.first.colour, colour)
 
 
 def test_a_restored_scene_takes_the_same_next_step(scene):
@@ -70,6 +70,5 @@ def test_a_restored_scene_takes_the_same_next_step(scene):
     twin.restore(scene.state())
     for one in (scene, twin):
         one.step(one.gradients(one.parameters.means.square().sum()), SIZES)
-    assert torch.equal(scene.parameters.means, twin.parameters.means) and torch.equal(
-        scene.parameters.colour, twin.parameters.colour
-    )
+    assert torch.equal(scene.parameters.means, twin.parameters.means)
+    assert torch.equal(scene.parameters.colour, twin.parameters.colour)
