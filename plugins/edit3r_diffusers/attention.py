@@ -23,7 +23,9 @@ class CrossViewAttention:
     def __init__(self, views: int, references: int, weight: float) -> None:
         self.views, self.references, self.weight = views, min(references, views), weight
 
-    def __call__(self, attn: Any, hidden_states: Float[Tensor, "batch token channel"], *_: Any, **__: Any) -> Tensor:
+    def __call__(
+        self, attn: Any, hidden_states: Float[Tensor, "batch token channel"], *_: Any, **__: Any
+    ) -> Float[Tensor, "batch token channel"]:
         query, key, value = (_heads(to(hidden_states), attn.heads) for to in (attn.to_q, attn.to_k, attn.to_v))
         own = F.scaled_dot_product_attention(query, key, value)
         others = [
@@ -34,7 +36,9 @@ class CrossViewAttention:
         projected = attn.to_out[0](mixed.transpose(1, 2).flatten(2))
         return attn.to_out[1](projected)
 
-    def _of_view(self, tensor: Float[Tensor, "batch head token dim"], view: int) -> Tensor:
+    def _of_view(
+        self, tensor: Float[Tensor, "batch head token dim"], view: int
+    ) -> Float[Tensor, "batch head token dim"]:
         """Replace every view's entry by `view`'s of the same guidance half."""
         return tensor.unflatten(0, (-1, self.views))[:, view].repeat_interleave(self.views, dim=0)
 
@@ -73,7 +77,7 @@ class WordAttention:
         encoder_hidden_states: Float[Tensor, "batch word channel"],
         *_: Any,
         **__: Any,
-    ) -> Tensor:
+    ) -> Float[Tensor, "batch token channel"]:
         query = _heads(attn.to_q(hidden_states), attn.heads)
         key, value = (_heads(to(encoder_hidden_states), attn.heads) for to in (attn.to_k, attn.to_v))
         shares = (query.float() @ key.float().transpose(-1, -2) * attn.scale).softmax(-1)

@@ -44,7 +44,7 @@ def edit_one_by_one(
 ) -> Views:
     """Edit every view by `denoise`, from its image of `starts` if given; one whose mask is empty stays as it is."""
 
-    def edit_view(scene: int, view: int) -> Tensor:
+    def edit_view(scene: int, view: int) -> Float[Tensor, "3 height width"]:
         photo = views.images[scene, view]
         mask = request.masks[scene, view][None, None] if request.masks is not None else None
         if mask is not None and not mask.any():

@@ -57,7 +57,7 @@ class InstructPix2PixEditor(Editor):
         words = attention.word_count(pipeline.tokenizer, request.prompt)
         copies = GUIDANCE_COPIES if self.settings.guidance > 1 else 1
 
-        def denoise(job: ViewJob) -> Tensor:
+        def denoise(job: ViewJob) -> Float[Tensor, "1 3 height width"]:
             with attention.listening(pipeline.unet, words, copies) as listener:
                 result = self._denoise(pipeline, self.settings.steps, job)
             maps.append(listener.image(views.image_size))
@@ -67,7 +67,13 @@ class InstructPix2PixEditor(Editor):
         edit_one_by_one(views, replace(request, masks=None), pipeline, *size, denoise)
         return torch.stack(maps).view(*views.images.shape[:2], *views.image_size).to(views.images)
 
-    def _edited(self, views: Views, request: EditRequest, start: Tensor | None, strength: float) -> Views:
+    def _edited(
+        self,
+        views: Views,
+        request: EditRequest,
+        start: Float[Tensor, "batch view 3 height width"] | None,
+        strength: float,
+    ) -> Views:
         if not request.prompt.strip():
             raise PromptError("instruct-pix2pix needs an instruction; give one with --prompt.")
         pipeline = self._loaded(views.images.device)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from edit3r.reporting import progress
@@ -32,7 +32,10 @@ class StepEnd:
     ) -> None:
         self.text, self.steps, self.mask, self.photo_at = text, steps, mask, photo_at
 
-    def __call__(self, pipeline: Any, step: int, timestep: Tensor, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    def __call__(
+        self, pipeline: Any, step: int, timestep: Num[Tensor, ""], tensors: dict[str, Tensor]
+    ) -> dict[str, Tensor]:
+        """Replace the `latents` `[n, c, h, w]` among `tensors`, as pipelines ask after every step."""
         progress(self.text, step + 1, self.steps)
         if self.mask is None or self.photo_at is None:
             return tensors
@@ -42,7 +45,7 @@ class StepEnd:
         return {**tensors, "latents": torch.where(inside, latents, photo)}
 
 
-def next_timestep(scheduler: Any, timestep: Tensor) -> Tensor | None:
+def next_timestep(scheduler: Any, timestep: Num[Tensor, ""]) -> Num[Tensor, ""] | None:
     """Find the timestep after `timestep` in the scheduler's order; None after the last."""
     positions = (scheduler.timesteps == timestep).nonzero().flatten()
     following = int(positions[-1]) + 1
@@ -52,7 +55,7 @@ def next_timestep(scheduler: Any, timestep: Tensor) -> Tensor | None:
 def noised(clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"]) -> LatentsAt:
     """Give the photo's latents under one fixed noise, the edit's own, at the strength of any timestep."""
 
-    def at(scheduler: Any, timestep: Tensor | None) -> Tensor:
+    def at(scheduler: Any, timestep: Num[Tensor, ""] | None) -> Float[Tensor, "n c h w"]:
         if timestep is None:
             return clean
         return scheduler.add_noise(clean, noise, timestep.expand(len(clean)))
@@ -132,7 +135,7 @@ def invert(
     inverse.set_progress_bar_config(disable=True)
     trajectory: Trajectory = {}
 
-    def keep(_: Any, step: int, timestep: Tensor, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    def keep(_: Any, step: int, timestep: Num[Tensor, ""], tensors: dict[str, Tensor]) -> dict[str, Tensor]:
         trajectory[int(timestep)] = tensors["latents"]
         progress("inverting the photos", step + 1, steps)
         return tensors

@@ -76,18 +76,22 @@ class _Job:
         self.values = {"prompt": request.prompt, "seed": request.seed}
 
     def write(self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "view height width"]) -> None:
+        """Write the program's input: images and grey masks."""
         for name, image, mask in zip(self.names, images, masks):
             save_image(image, self.folders["input"] / f"{name}.png")
             save_image(mask.expand(3, -1, -1), self.folders["mask"] / f"{name}.png")
 
     def run_per_view(self) -> None:
+        """Run the program once for every view."""
         for name in reporting.track(self.names, "external program"):
             self._call({kind: str(folder / f"{name}.png") for kind, folder in self.folders.items()})
 
     def run_once(self) -> None:
+        """Run the program once for all views."""
         self._call({f"{kind}_dir": str(folder) for kind, folder in self.folders.items()})
 
     def read(self, like: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 height width"]:
+        """Read what the program wrote, at the size of `like`. Raises RunError when something is missing."""
         outputs = self.folders["output"]
         files = [outputs / f"{name}.png" for name in self.names]
         missing = next((file.name for file in files if not file.is_file()), None)

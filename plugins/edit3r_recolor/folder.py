@@ -113,7 +113,7 @@ def _label_maps(folder: Path, photos: tuple[Photo, ...]) -> list[Float[Tensor, "
     if len(numbers) > MOST_LABELS:
         raise InputError(f"{folder}: {len(numbers)} different values; expected object numbers, or a folder per object.")
 
-    def mask(number: int, photo: Photo, file: Path | None, labels: np.ndarray | None) -> Tensor:
+    def mask(number: int, photo: Photo, file: Path | None, labels: np.ndarray | None) -> Float[Tensor, "height width"]:
         if file is None or labels is None:
             return _none(photo)
         return fitted_mask(Image.fromarray(((labels == number) * 255).astype(np.uint8)), photo.frame, file)

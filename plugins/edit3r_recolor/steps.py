@@ -6,7 +6,7 @@ from typing import Literal
 import kornia
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
@@ -94,8 +94,8 @@ def _lightness_curve(lightness: Masks, start: float, goal: float) -> Masks:
     return torch.from_numpy(curve(np.clip(lightness.detach().cpu().numpy(), 0, 100))).to(lightness)
 
 
-def weighted_median(values: Tensor, weights: Tensor) -> float:
-    """Find the value with half of the weight below it; both of one shape, weights >= 0 with a positive sum."""
+def weighted_median(values: Float[Tensor, "*shape"], weights: Num[Tensor, "*shape"]) -> float:
+    """Find the value with half of the weight below it; weights are >= 0 and have a positive sum."""
     ordered, index = values.flatten().sort()
     total = weights.flatten()[index].double().cumsum(0)
     return float(ordered[int(torch.searchsorted(total, total[-1:] / 2))])

@@ -42,6 +42,7 @@ class _Analysis:
         return (row[self.superpixels.labels] for row in self.members)
 
     def measure(self, mask: np.ndarray, areas: tuple[float, float] = (0.0, 1.0)) -> Objectness | None:
+        """Measure a bool mask `[H, W]`; None when its share of the image is outside `areas`."""
         return measure(mask, self.superpixels, self.background, areas)
 
 
@@ -106,6 +107,7 @@ class ClassicalSegmenter(Segmenter):
 
 
 def _analyse(rgb: np.ndarray, size: int) -> _Analysis:
+    """Read everything from a float RGB image `[H, W, 3]` at the working size."""
     small = reduced(rgb, size)
     cells = superpixels(small)
     weights = background_weights(cells)
@@ -113,7 +115,7 @@ def _analyse(rgb: np.ndarray, size: int) -> _Analysis:
 
 
 def _distinct(candidates: list[tuple[np.ndarray, Objectness]], limit: int) -> list[tuple[np.ndarray, Objectness]]:
-    """Keep the most salient of each group of candidates that overlap, most salient first."""
+    """Keep the most salient of each group of candidates (bool `[H, W]`) that overlap, most salient first."""
     kept: list[tuple[np.ndarray, Objectness]] = []
     for mask, cues in sorted(candidates, key=lambda c: -c[1].salience):
         if len(kept) == limit:
@@ -124,7 +126,7 @@ def _distinct(candidates: list[tuple[np.ndarray, Objectness]], limit: int) -> li
 
 
 def _refined(analysis: _Analysis, mask: np.ndarray, cues: Objectness) -> tuple[np.ndarray, Objectness]:
-    """Snap a candidate's outline to edges, unless that makes it less of an object."""
+    """Snap the outline of a candidate (bool `[H, W]`) to edges, unless that makes it less of an object."""
     moved = snapped(analysis.pixels, mask, *SNAP)
     moved_cues = analysis.measure(moved, (MIN_AREA, MAX_AREA))
     return (moved, moved_cues) if moved_cues is not None and moved_cues.salience > 0.8 * cues.salience else (mask, cues)
@@ -164,7 +166,7 @@ def _in_box(analysis: _Analysis, box: tuple[float, float, float, float], seeds: 
     return mask if mask.sum() > 0.05 * inside.sum() else inside  # nothing in the box stands out: all of it
 
 
-def _proposal(rgb: np.ndarray, mask: np.ndarray, quality: float, like: Tensor) -> Proposal:
+def _proposal(rgb: np.ndarray, mask: np.ndarray, quality: float, like: Float[Tensor, "3 height width"]) -> Proposal:
     """Make a bool mask of any size a proposal on the image `[H, W, 3]`, its soft edge following the image's own."""
     soft = softened(rgb, mask)
     inside = soft > 0.5

@@ -78,7 +78,7 @@ def without(special_tokens: Iterable[str], label: str) -> str:
 
 
 def ranked(
-    labels: list[str], scores: Tensor, boxes: Float[Tensor, "n 4"], size: tuple[int, int]
+    labels: list[str], scores: Float[Tensor, "n"], boxes: Float[Tensor, "n 4"], size: tuple[int, int]
 ) -> tuple[Detection, ...]:
     """Make detections inside an image of `size` from corner boxes (x0, y0, x1, y1) [pixels], best first."""
     height, width = size

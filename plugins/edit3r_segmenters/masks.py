@@ -92,7 +92,7 @@ def reduced(image: np.ndarray, size: int) -> np.ndarray:
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
-    """Round a float image in [0, 1] to uint8."""
+    """Round a float image `[H, W, 3]` in [0, 1] to uint8."""
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
@@ -102,7 +102,7 @@ def distance_to(mask: np.ndarray) -> np.ndarray:
 
 
 def _window(mask: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Slice a non-empty mask's box, `margin` pixels wider on each side as far as the image goes."""
+    """Slice the box of a non-empty mask `[H, W]`, `margin` pixels wider on each side as far as the image goes."""
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     margin = int(np.ceil(margin))
     rows, columns = slice(max(0, y - margin), y + height + margin), slice(max(0, x - margin), x + width + margin)

@@ -79,7 +79,7 @@ def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
 
 
 def _outline(bits: np.ndarray, edges: np.ndarray) -> float:
-    """Mean edge strength on the inner outline, the image's own border left out."""
+    """Mean edge strength on the inner outline of a 0/1 mask, both `[H, W]`, the image's own border left out."""
     outline = bits > cv2.erode(bits, np.ones((3, 3), np.uint8))
     outline[[0, -1]] = False
     outline[:, [0, -1]] = False

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from pydantic import Field
 from torch import Tensor
 
@@ -166,8 +166,8 @@ class Candidates:
     area: Float[Tensor, "n"]  # share of the image, in [0, 1]
     boxes: Float[Tensor, "n 4"]  # x, y, width, height [pixels]; zeros for an empty mask
 
-    def select(self, index: Tensor) -> "Candidates":
-        """Return those at `index`, a mask `[n]` or numbers."""
+    def select(self, index: Bool[Tensor, "n"] | Int[Tensor, "m"]) -> "Candidates":
+        """Return those that a mask or a list of indices chooses."""
         return Candidates(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
     @staticmethod

@@ -180,6 +180,7 @@ def background_weights(superpixels: Superpixels) -> np.ndarray:
 
 
 def _touches_border(superpixels: Superpixels) -> np.ndarray:
+    """Tell which superpixels touch the image's border, bool `[N]`."""
     labels = superpixels.labels
     touching = np.zeros(len(superpixels.areas), dtype=bool)
     touching[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])] = True

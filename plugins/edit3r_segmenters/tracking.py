@@ -76,6 +76,7 @@ def follow(images: list[np.ndarray], masks: np.ndarray, size: int) -> tuple[np.n
 
 
 def _view(image: np.ndarray, size: int) -> _View:
+    """Reduce a float RGB image `[H, W, 3]` to tracking size."""
     pixels = to_bytes(reduced(image, size))
     return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 
@@ -96,7 +97,7 @@ class _Search:
         self.flows: dict[int, Flow] = {}
 
     def find(self, number: int) -> np.ndarray | None:
-        """Mask of object `number` in this view, None when it is lost."""
+        """Find the bool mask `[h, w]` of object `number` in this view; None when it is lost."""
         if self.found[0][number] is None:
             return None
         best, best_score = None, 0.0
@@ -121,7 +122,7 @@ class _Search:
         return self._carried(self.found[source][number], self.flows[source])
 
     def _by_features(self, source: int, number: int) -> _Guess | None:
-        """By an affine map, and flow for what it leaves; by the map alone where flow does not agree."""
+        """Guess by an affine map, and flow for what it leaves; by the map alone where flow does not agree."""
         grey, mask, here = self.views[source].grey, self.found[source][number], self.views[self.index].grey
         matrix = affine_between(grey, here, mask)
         if matrix is None:
@@ -134,13 +135,14 @@ class _Search:
         return self._carried(moved, rest) or _Guess(self._snapped(moved, 3 * SNAP_BAND), UNCHECKED)
 
     def _carried(self, mask: np.ndarray, flow: Flow) -> _Guess | None:
+        """Carry a bool mask `[h, w]` along the flow and snap it; None when too little of it leads back."""
         carried = carry(mask, flow)
         if carried.consistent < MIN_CONSISTENT:
             return None
         return _Guess(self._snapped(carried.mask, SNAP_BAND, carried.mask & ~carried.sure), carried.consistent)
 
     def _snapped(self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None) -> np.ndarray:
-        """The outline on the colours of this view; as carried where graph cut would change the object itself."""
+        """Put a mask's outline `[h, w]` on the colours of this view, unless that would change the object itself."""
         moved = snapped(self.views[self.index].pixels, mask, band, band, rounds=2, unsure=unsure)
         sure = mask if unsure is None else mask & ~unsure
         return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
@@ -164,7 +166,7 @@ def _growth(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def _likeness(one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray) -> float:
-    """Overlap in [0, 1] of the colour histograms of two masked regions; tolerates slight changes of light."""
+    """Overlap in [0, 1] of the colour histograms of two images `[H, W, 3]` under masks `[H, W]`."""
     first, second = _histogram(one, one_mask), _histogram(other, other_mask)
     return float(np.sqrt(first * second).sum())
 
