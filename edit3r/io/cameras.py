@@ -166,7 +166,7 @@ def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float
     return None
 
 
-def _matrix(value: Any, shape: tuple[int, int], name: str) -> np.ndarray | None:
+def _matrix(value: Any, shape: tuple[int, int], name: str) -> Float64[np.ndarray, "rows columns"] | None:
     if value is None:
         return None
     matrix = np.array(value, dtype=np.float64)

@@ -49,8 +49,8 @@ def decode(path: str | Path) -> DecodedImage:
         focal, source = _exif_focal(image, path)
         try:
             image.load()
-            pixels = _to_srgb(image, path)
-            return DecodedImage(_upright(image, pixels, path), focal, source, _is_transparent(image))
+            pixels, transparent = _to_srgb(image, path)
+            return DecodedImage(_upright(image, pixels, path), focal, source, transparent)
         except InputError:
             raise
         except Exception as error:  # damaged files make Pillow's decoders raise almost anything
@@ -148,26 +148,20 @@ def _register_heic(path: Path) -> None:
     register_heif_opener()
 
 
-def _to_srgb(image: Image.Image, path: Path) -> Image.Image:
-    """Any Pillow mode to RGB in sRGB."""
+def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, bool]:
+    """Any Pillow mode to RGB in sRGB, and whether some of it was see-through."""
     if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":  # MPO: phones keep a preview behind the photo
         warn(f"{path}: holds {image.n_frames} pictures; the first is used.")
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
-        return _from_high_depth(image, path)
-    if image.has_transparency_data:
-        image = image.convert("RGBA")
-        alpha = image.getchannel("A")
-        opaque = _through_profile(image.convert("RGB"), image.info.get("icc_profile"), path)
-        white = Image.new("RGB", image.size, "white")
-        white.paste(opaque, mask=alpha)
-        return white
-    return _through_profile(image, image.info.get("icc_profile"), path)
-
-
-def _is_transparent(image: Image.Image) -> bool:
-    if not image.has_transparency_data or image.mode.startswith("I"):
-        return False
-    return image.convert("RGBA").getchannel("A").getextrema()[0] < 255
+        return _from_high_depth(image, path), False
+    if not image.has_transparency_data:
+        return _through_profile(image, image.info.get("icc_profile"), path), False
+    image = image.convert("RGBA")
+    alpha = image.getchannel("A")
+    opaque = _through_profile(image.convert("RGB"), image.info.get("icc_profile"), path)
+    white = Image.new("RGB", image.size, "white")
+    white.paste(opaque, mask=alpha)
+    return white, alpha.getextrema()[0] < 255
 
 
 def _from_high_depth(image: Image.Image, path: Path) -> Image.Image:

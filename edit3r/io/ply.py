@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float64, Int64
 
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
@@ -121,7 +122,7 @@ def _view_runs(view_index: np.ndarray) -> list[str]:
     return [f"{_VIEWS} {runs}"]
 
 
-def _read_view_runs(header: "PlyHeader") -> np.ndarray:
+def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
     """`view_index` from the header's comment, -1 where it says nothing that fits the number of Gaussians."""
     for comment in header.comments:
         if comment.startswith(_VIEWS):
@@ -170,8 +171,8 @@ def _degree(header: "PlyHeader") -> int:
     )
 
 
-def _columns(table: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """[G, len(names)] in double precision."""
+def _columns(table: np.ndarray, names: Sequence[str]) -> Float64[np.ndarray, "gaussian column"]:
+    """The columns called `names`, in double precision."""
     if not names:
         return np.zeros((len(table), 0))
     return np.stack([table[name].astype(np.float64) for name in names], -1)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -48,14 +49,10 @@ def save_before_after(
     photos: Float[Tensor, "view 3 height width"],
     edited: Float[Tensor, "view 3 height width"],
     rendered: Float[Tensor, "view 3 height width"],
-    *,
-    names: Sequence[str] = (),
-    title: str = "",
-    subtitle: str = "",
+    **captions: Any,
 ) -> None:
-    """Write the sheet of V views as PNG. `title` is usually the prompt, `subtitle` editor and reconstructor."""
-    sheet = draw_before_after(photos, edited, rendered, names=names, title=title, subtitle=subtitle)
-    save_pixels(np.asarray(sheet), path)
+    """Write the sheet of `draw_before_after`, which explains the captions, as PNG."""
+    save_pixels(np.asarray(draw_before_after(photos, edited, rendered, **captions)), path)
 
 
 def draw_before_after(
@@ -67,7 +64,10 @@ def draw_before_after(
     title: str = "",
     subtitle: str = "",
 ) -> Image.Image:
-    """The sheet as an image: one block a view, blocks arranged so that the sheet is nearest to 3:2."""
+    """The sheet as an image: one block a view, blocks arranged so that the sheet is nearest to 3:2.
+
+    `title` is usually the prompt, `subtitle` names editor and reconstructor.
+    """
     views = len(photos)
     if not views or any(len(images) != views for images in (edited, rendered)):
         raise ValueError(f"the sheet needs as many edits and results as photos, got {len(edited)}, {len(rendered)}")

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import basis
@@ -68,7 +70,7 @@ def save_viewer(
         partial.write_bytes(b"".join((head.encode(), base64.b64encode(data), tail.encode())))
 
 
-def _shown(gaussians: Gaussians) -> torch.Tensor:
+def _shown(gaussians: Gaussians) -> Int[Tensor, "shown"]:
     """Indices of the Gaussians that go into the page, in their order."""
     opacities = gaussians.opacities[0]
     index = torch.nonzero(opacities >= LEAST_OPACITY)[:, 0]
@@ -96,8 +98,8 @@ def _pack(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float, bytes]:
     return low, step, b"".join(part.tobytes() for part in parts)
 
 
-def _seen_colours(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
-    """sRGB `[G, 3]` of each Gaussian as seen from the camera of its own view, camera 0 for those without one."""
+def _seen_colours(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "gaussian 3"]:
+    """sRGB of each Gaussian as seen from the camera of its own view, camera 0 for those without one."""
     own = torch.where(gaussians.view_index < cameras.count, gaussians.view_index, 0).clamp(min=0)
     directions = gaussians.means[0] - cameras.c2w[0, own, :3, 3].float()
     directions = directions / directions.norm(dim=-1, keepdim=True).clamp(min=1e-12)

@@ -1,6 +1,7 @@
 """Contracts of what changes and finds things in images: editor, segmenter and detector."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.interfaces import Detection, Detector, Editor, Proposal, Segmenter, Tracks
@@ -24,7 +25,7 @@ class EditorContract(Contract):
         count = min(max(view_count or 2, least), most)
         return photograph(count, image_size or self.image_size, batch).views.to(self.device)
 
-    def edit(self, views: Views, seed: int = 3, masks: torch.Tensor | None = None) -> Views:
+    def edit(self, views: Views, seed: int = 3, masks: Float[Tensor, "batch view height width"] | None = None) -> Views:
         """One edit; what it raises or returns that is no Views becomes a violation."""
         batch, count, _, height, width = views.images.shape
         what = f"edit() of {batch} x {count} photos of {height}x{width}"
@@ -154,14 +155,16 @@ class SegmenterContract(Contract):
             tracks.present[0].all(), "an object is lost on view 0, where its mask was given; report it present."
         )
 
-    def _photos(self) -> Tensor:
+    def _photos(self) -> Float[Tensor, "view 3 height width"]:
         return photograph(2, self.image_size).views.images[0].to(self.device)
 
-    def _masks(self) -> Tensor:
+    def _masks(self) -> Float[Tensor, "object height width"]:
         """The two balls on view 0."""
         return photograph(2, self.image_size).objects[:, 0, 0].to(self.device)
 
-    def _track(self, images: Tensor, masks: Tensor) -> Tracks:
+    def _track(
+        self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+    ) -> Tracks:
         tracks = self.call("track()", self.subject.track, images, masks)
         self.require_type("track() returned", tracks, Tracks, "Tracks")
         return tracks
@@ -186,13 +189,13 @@ class SegmenterContract(Contract):
         )
 
 
-def _centre(mask: Tensor) -> tuple[float, float]:
+def _centre(mask: Float[Tensor, "height width"]) -> tuple[float, float]:
     """Normalised (x, y) of the middle of a mask."""
     ys, xs = torch.nonzero(mask, as_tuple=True)
     return (xs.float().mean().item() + 0.5) / mask.shape[1], (ys.float().mean().item() + 0.5) / mask.shape[0]
 
 
-def _box(mask: Tensor) -> tuple[float, float, float, float]:
+def _box(mask: Float[Tensor, "height width"]) -> tuple[float, float, float, float]:
     """Normalised (x, y, w, h) around a mask."""
     ys, xs = torch.nonzero(mask, as_tuple=True)
     left, top, right, bottom = xs.min().item(), ys.min().item(), xs.max().item() + 1, ys.max().item() + 1
@@ -200,7 +203,8 @@ def _box(mask: Tensor) -> tuple[float, float, float, float]:
     return left / width, top / height, (right - left) / width, (bottom - top) / height
 
 
-def _iou(first: Tensor, second: Tensor) -> Tensor:
+def _iou(first: Float[Tensor, "height width"], second: Float[Tensor, "height width"]) -> Float[Tensor, ""]:
+    """Intersection over union of two soft masks."""
     return torch.minimum(first, second).sum() / torch.maximum(first, second).sum().clamp(min=1)
 
 
@@ -219,7 +223,7 @@ class DetectorContract(Contract):
     def test_a_blank_image_is_no_error(self) -> None:
         self._check(torch.full((3, *self.image_size), 0.5, device=self.device))
 
-    def _check(self, image: torch.Tensor) -> None:
+    def _check(self, image: Float[Tensor, "3 height width"]) -> None:
         found = self.call(f"detect({self.text!r})", self.subject.detect, image, self.text)
         kind = type(found).__name__
         self.require(isinstance(found, tuple), f"detect() returned a {kind}; return a tuple, () for none.")

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.config import Settings
@@ -26,7 +27,9 @@ class TinyBackbone(Backbone):
             torch.manual_seed(0)
             self.levels = nn.ModuleList(nn.Conv2d(3, width, patch_size, patch_size) for width in feature_widths)
 
-    def forward(self, images: Tensor, intrinsics: Tensor) -> Features:
+    def forward(
+        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+    ) -> Features:
         batch, views = images.shape[:2]
         maps = [level(images.flatten(0, 1)) for level in self.levels]  # [B * V, C, rows, columns]
         tokens = tuple(m.flatten(2).transpose(1, 2).unflatten(0, (batch, views)) for m in maps)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.interfaces import Rasterizer
@@ -123,7 +124,7 @@ class RasterizerContract(Contract):
         fix = "depth is the expected camera z, sum(w z) / sum(w)"
         self.require_equal(f"depths differ from rasterizer 'torch' ({case})", a[covered], b[covered], fix, 0.02)
 
-    def _loss(self, rasterizer: Rasterizer, scene: Gaussians, cameras: Cameras) -> Tensor:
+    def _loss(self, rasterizer: Rasterizer, scene: Gaussians, cameras: Cameras) -> Float[Tensor, ""]:
         """A smooth scalar of everything rendered, summed in float64."""
         rendering = rasterizer.render(scene, cameras)
         generator = torch.Generator().manual_seed(2)
@@ -147,7 +148,7 @@ class RasterizerContract(Contract):
         return list(gradients)
 
     def _finite_difference(self, scene: Gaussians, cameras: Cameras, field: str, direction: Tensor) -> float:
-        """Central difference along `direction`, Richardson-extrapolated from two step sizes."""
+        """Central difference along `direction`, of the field's shape, Richardson-extrapolated from two step sizes."""
 
         def central(step: float) -> float:
             losses = []

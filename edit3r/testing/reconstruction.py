@@ -4,7 +4,8 @@ import math
 from dataclasses import replace
 
 import torch
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from edit3r.errors import Edit3rError, MatchingError
 from edit3r.geometry.rotations import rotation_angle
@@ -70,7 +71,7 @@ class MatcherContract(Contract):
         return geometry
 
 
-def _depth_error(depths: torch.Tensor, true: torch.Tensor) -> float:
+def _depth_error(depths: Float[Tensor, "*shape"], true: Float[Tensor, "height width"]) -> float:
     """Mean relative error after the best common scale; an outlier counts as at most 100 %."""
     ratio = depths / true
     return (ratio / ratio.median() - 1).abs().clamp(max=1).mean().item()
@@ -214,7 +215,7 @@ class RefinerContract(Contract):
     image_size: tuple[int, int] = (24, 32)  # (height, width) [pixels]
     largest_change: float = 0.1  # mean difference allowed between images before and after, from the same cameras
 
-    def refine(self, scene: Photographed, masks: torch.Tensor | None = None) -> Gaussians:
+    def refine(self, scene: Photographed, masks: Float[Tensor, "1 view height width"] | None = None) -> Gaussians:
         """One refinement of the Gaussians that lie on the surfaces of `scene` (batch 1), edited to be brighter."""
         before = _on_surfaces(scene)
         request = EditRequest("make it brighter", 3, masks, before)

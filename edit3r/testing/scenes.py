@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from edit3r.geometry.cameras import intrinsics_from_fov, pixel_rays
@@ -64,8 +64,10 @@ def _pose(view: int) -> Float[Tensor, "4 4"]:
     return pose
 
 
-def _cast(c2w: Tensor, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Where each ray first hits: world points `[V, H, W, 3]`, camera z `[V, H, W]`, and what (0 wall, 1.. balls)."""
+def _cast(
+    c2w: Float[Tensor, "view 4 4"], rays: Float[Tensor, "height width 3"]
+) -> tuple[Float[Tensor, "view height width 3"], Float[Tensor, "view height width"], Int[Tensor, "view height width"]]:
+    """Where each ray first hits: world points, camera z, and what it hits (0 the wall, 1 and 2 the balls)."""
     directions = torch.einsum("vij,hwj->vhwi", c2w[:, :3, :3], rays)
     origins = c2w[:, None, None, :3, 3].expand_as(directions)
     normal = torch.tensor([0.25, 0.1, 1.0])
@@ -80,7 +82,9 @@ def _cast(c2w: Tensor, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return origins + directions * depth[..., None], depth, hit
 
 
-def _solid_texture(points: Tensor, hit: Tensor, seed: int) -> Float[Tensor, "view 3 height width"]:
+def _solid_texture(
+    points: Float[Tensor, "view height width 3"], hit: Int[Tensor, "view height width"], seed: int
+) -> Float[Tensor, "view 3 height width"]:
     """Colours of points: three octaves of smooth noise filling space, tinted by what was hit."""
     generator = torch.Generator().manual_seed(seed)
     colours = torch.zeros(*points.shape[:-1], 3)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.config import Settings
@@ -149,7 +150,7 @@ class LossContract(Contract):
         self._value(inputs)
         self.require_equal("it changed inputs.rendered", inputs.rendered, before, "do not use in-place operations")
 
-    def _value(self, inputs: LossInputs) -> Tensor:
+    def _value(self, inputs: LossInputs) -> Float[Tensor, ""]:
         value = self.call("the loss", self.subject, inputs)
         self.require_tensor("the loss", value, ())
         return value
@@ -269,7 +270,7 @@ class _FormulaScenes(Dataset):
 class _MeanSquares(Loss):
     settings = Settings()
 
-    def __call__(self, inputs: LossInputs) -> Tensor:
+    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         return F.mse_loss(inputs.rendered, inputs.target)
 
 
