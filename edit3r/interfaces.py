@@ -171,6 +171,11 @@ class MatchedGeometry:
     registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
     intrinsics: Float[Tensor, "batch view 3 3"] | None = None  # normalised, as read from the photos; None: as given
 
+    @property
+    def measured(self) -> Float[Tensor, "batch view"]:
+        """Share of each view's pixels whose depth was measured, not filled in."""
+        return (self.confidence >= 0.5).to(self.depths.dtype).mean((2, 3))
+
     def calibrated(self, views: Views) -> Views:
         """`views` with the intrinsics that this geometry was read with."""
         return views if self.intrinsics is None else replace(views, intrinsics=self.intrinsics)

@@ -56,4 +56,4 @@ class ClassicalReconstructor(Reconstructor):
             gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
         if chosen.apron > 0:
             gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
-        return Reconstruction(gaussians, cameras)
+        return Reconstruction(gaussians, cameras, geometry.registered, geometry.measured)

@@ -101,7 +101,8 @@ class Edit3rReconstructor(Reconstructor):
         views, source = geometry.calibrated(views), geometry.calibrated(source)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
-            return self._with_surroundings(reconstruction, source, geometry)
+            reconstruction = self._with_surroundings(reconstruction, source, geometry)
+        return replace(reconstruction, placed=geometry.registered, measured=geometry.measured)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""

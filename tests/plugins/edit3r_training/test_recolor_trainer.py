@@ -7,7 +7,7 @@ from typing import ClassVar
 import pytest
 import safetensors.torch
 import torch
-from edit3r.testing.trainer import _tiny_job as tiny_job
+from edit3r.testing.training import tiny_job
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 
 from edit3r.errors import MatchingError, PluginError
