@@ -16,12 +16,14 @@ from edit3r.types import Rendering, Views
 
 Label = Literal["good", "fair", "poor", "failed"]
 
-MEAN_PSNR = {"good": 24.0, "fair": 20.0, "poor": 16.0}
+MEAN_PSNR = {"good": 24.0, "fair": 21.0, "poor": 16.0}
 """Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed."""
-WORST_PSNR = {"good": 22.0, "fair": 18.0, "poor": 14.0}
+WORST_PSNR = {"good": 22.0, "fair": 19.0, "poor": 13.0}
 """Least PSNR [dB] of the worst placed input view for each label."""
-MOST_FILLED = {"good": 0.5, "fair": 0.8, "poor": 1.0}
+MOST_FILLED = {"good": 0.5, "fair": 0.6, "poor": 1.0}
 """Largest share of a view's pixels whose depth may be guessed, for each label."""
+MOST_LEFT_OUT = {"good": 0.0, "fair": 0.4, "poor": 1.0}
+"""Largest share of the photos that may be left out, for each label."""
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 
 
@@ -58,17 +60,13 @@ def _label(edited: Views, psnr: list[float], filled: list[float | None], placed:
     """The best label whose conditions hold, and one sentence for it."""
     mean, worst = sum(psnr) / len(psnr), min(psnr)
     guessed = max((share for share in filled if share is not None), default=0.0)
-    found = next(
-        (
-            label
-            for label in LABELS[:-1]
-            if mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label] and guessed <= MOST_FILLED[label]
-        ),
-        LABELS[-1],
-    )
-    left_out = len(placed) - sum(map(bool, placed))
-    if left_out and found == "good":
-        found = "fair"
+    left_out = sum(not there for there in placed)
+
+    def holds(label: Label) -> bool:
+        shown = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
+        return shown and guessed <= MOST_FILLED[label] and left_out <= MOST_LEFT_OUT[label] * len(placed)
+
+    found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
     name = edited.names[psnr.index(worst)] if edited.names else f"view {psnr.index(worst)}"
     shown = f"the scene shows its photos at {mean:.1f} dB on average, the worst ({name}) at {worst:.1f} dB"
     if left_out:

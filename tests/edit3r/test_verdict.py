@@ -45,9 +45,14 @@ def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
     assert verdict.input_psnr[2] == pytest.approx(41, abs=1e-3)
 
 
+def test_half_of_the_photos_left_out_is_poor():
+    verdict = judge(EDITED.select([0]), rendered(40.0), [True, False], None)
+    assert verdict.label == "poor" and "1 of 2 photos could not be placed" in verdict.reason
+
+
 def test_much_guessed_depth_is_never_good():
-    verdict = judge(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([[0.4, 0.9, 0.9]]))
-    assert verdict.label == "fair" and "up to 60% of a photo's depth is guessed" in verdict.reason
+    verdict = judge(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([[0.45, 0.9, 0.9]]))
+    assert verdict.label == "fair" and "up to 55% of a photo's depth is guessed" in verdict.reason
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
