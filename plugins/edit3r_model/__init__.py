@@ -1,5 +1,12 @@
-"""The NoPoSplat / Edit3r network: photos without poses to 3D Gaussians in one pass, any number of views.
+"""The networks of the paper: photos without poses to 3D Gaussians in one pass, any number of views.
 
+The small network, reconstructor `edit3r`, repairs matched geometry and carries edits between views; its weights ship:
+`small_reconstructor` runs `small_network`, which is made of `small_encoder` and works on `edit_colour`.
+
+The full network, reconstructor `noposplat`, finds geometry by itself and needs weights: `full_reconstructor` brings
+images to its size (`view_fitting`) and runs `full_network`, that is `backbone` (of blocks in `transformer`) and
+`dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`. `checkpoints` and `official_checkpoints` read weights
+of any origin; `engine` turns loaded layers into quicker ones (`fast_layers`, `winograd`) within the limits of `memory`.
 Written from a description of the published network; no code of that family is used.
 """
 
@@ -63,5 +70,5 @@ def register_commands() -> list[Component]:
             "convert",
             "edit3r_model.command:ConvertCommand",
             "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
-        ),
+        )
     ]

@@ -15,14 +15,7 @@ from edit3r.types import EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_model.engine import EnginePlan, Precision, compile_blocks, make_plan, prepare_leaf
 from edit3r_model.full_network import GaussianNetwork, NetworkConfig, PartConfig
-from edit3r_model.memory import (
-    check_fits,
-    draw_leaf,
-    estimate_bytes,
-    explaining_exhaustion,
-    leaf_names,
-    release_heap,
-)
+from edit3r_model.memory import check_fits, draw_leaf, estimate_bytes, explaining_exhaustion, leaf_names, release_heap
 from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
 
 EMPTY = {"seed": None}  # sizes come with the weights; nothing is drawn before

@@ -36,7 +36,7 @@ def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]
     return torch.where(norm > MIN_QUAT, unit, torch.zeros_like(unit)).roll(1, -1)
 
 
-def harmonics_mask(degree: int, like: Tensor) -> Float[Tensor, "coefficient"]:
+def harmonics_mask(degree: int, like: Float[Tensor, "*shape"]) -> Float[Tensor, "coefficient"]:
     """Return the fixed damping of view dependence: 1 for l = 0, 0.1 * 0.25^l for higher l."""
     factors = [1.0 if level == 0 else 0.1 * 0.25**level for level in range(degree + 1) for _ in range(2 * level + 1)]
     return torch.tensor(factors, dtype=like.dtype, device=like.device)
