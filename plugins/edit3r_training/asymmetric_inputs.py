@@ -58,15 +58,14 @@ def edit_sample(sample: SceneSample, shares: RegimeShares, rng: np.random.Genera
     masks = _regions(sample, shares, rng)
     chosen = [visible_parameters(rng, everything, mask) for mask in masks]
     truth = recolored(everything, masks, chosen)
-    edited = [_edited_view(sample.context, masks[:, :views], chosen, 0, shares, rng)]
+    edited = [_edited_view(sample.context[0], masks[:, 0], chosen, shares, rng)]
     for view in range(1, views):
-        own = chosen
-        if regime == "disagreeing":
-            own = [visible_parameters(rng, everything, mask) for mask in masks]
         if regime == "reference":
             edited.append(sample.context[view])
-        else:
-            edited.append(_edited_view(sample.context, masks[:, :views], own, view, shares, rng))
+            continue
+        if regime == "disagreeing":
+            chosen = [visible_parameters(rng, everything, mask) for mask in masks]
+        edited.append(_edited_view(sample.context[view], masks[:, view], chosen, shares, rng))
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
 
 
@@ -98,17 +97,15 @@ def _regions(
 
 
 def _edited_view(
-    images: Float[Tensor, "view 3 height width"],
-    masks: Float[Tensor, "region view height width"],
+    image: Float[Tensor, "3 height width"],
+    masks: Float[Tensor, "region height width"],
     parameters: list,
-    view: int,
     shares: RegimeShares,
     rng: np.random.Generator,
 ) -> Float[Tensor, "3 height width"]:
-    """One view as a 2D editor would return it: the region's border, and its colours, are never quite right."""
-    own = masks[:, view : view + 1]
+    """One view as a 2D editor would return it: now and then its outlines or its colours are a little off."""
     if rng.random() < shares.mask_jitter:
-        own = with_outline(own, draw_outline(rng))
+        masks = with_outline(masks, draw_outline(rng))
     if shares.palette_jitter and rng.random() < shares.palette_jitter:
         parameters = [perturbed(given, rng) for given in parameters]
-    return recolored(images[view : view + 1], own, parameters)[0]
+    return recolored(image[None], masks[:, None], parameters)[0]

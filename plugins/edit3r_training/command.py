@@ -6,7 +6,7 @@ from edit3r.command import Command
 
 
 class TrainCommand(Command):
-    """`edit3r train`."""
+    """Train a reconstructor as one configuration file says."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("config", help="a YAML file, or the name of a shipped one such as training/edit3r-small")

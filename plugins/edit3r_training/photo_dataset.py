@@ -74,6 +74,7 @@ class PhotoDataset(Dataset):
         raise InputError(f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used.")
 
     def _skip(self, label: str, reason: str) -> None:
+        """Warn of a scene that cannot be used, the first time."""
         if label not in self._skipped:
             self._skipped.add(label)
             reporting.warn(f"dataset {self.name}: {label} is skipped ({len(self._skipped)} so far): {reason}")

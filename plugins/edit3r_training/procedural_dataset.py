@@ -103,6 +103,7 @@ class ProceduralDataset(Dataset):
     def _sample(
         self, shown: "_CastViews", edited: Float[Tensor, "view 3 height width"] | None, name: str
     ) -> SceneSample:
+        """The sample with poses relative to the first view."""
         views, images, masks = self.settings.context, shown.images, shown.masks
         relative = torch.from_numpy(np.linalg.inv(shown.poses[0]) @ shown.poses).float()
         relative[0] = torch.eye(4)

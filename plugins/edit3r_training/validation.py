@@ -7,12 +7,12 @@ from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 
 from edit3r import reporting
 from edit3r.errors import MatchingError
 from edit3r.interfaces import Dataset, MatchedGeometry, TrainingJob
+from edit3r.io.images import save_image
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
 from edit3r.types import Reconstruction, Views
@@ -80,6 +80,7 @@ def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[Train
 
 
 def _measured(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
+    """All measures of one batch; `score` decides about the best weights."""
     colour = float(colour_error(maps, batch))
     score = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
     return {"colour": colour, **edit_measures(maps, batch), "score": score}
@@ -105,9 +106,8 @@ def _save_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6
             shown = (batch.depths, batch.geometry.depths, maps.depths)
             images += [_inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown]
         lines.append(torch.cat(images, -1))
-    sheet = torch.cat(lines, -2).clamp(0, 1).permute(1, 2, 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray((sheet.cpu().numpy() * 255).round().astype("uint8")).save(path)
+    save_image(torch.cat(lines, -2).nan_to_num(), path)
 
 
 def _inverse_depth(
