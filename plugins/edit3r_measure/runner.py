@@ -94,7 +94,7 @@ def append_row(path: Path, row: Row) -> dict[str, Any]:
 
 
 def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
-    """Return rows by key, without a last line that a kill cut off. Raises InputError for another line that is no row."""
+    """Return rows by key, without a last line cut off by a kill. Raises InputError for another line without a row."""
     if not path.is_file():
         return {}
     found = {}
