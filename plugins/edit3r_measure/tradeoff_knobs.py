@@ -52,9 +52,6 @@ class Point(Settings):
 def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     """Read a knobs file. Raises SettingsError naming the key that is wrong."""
     content = read_yaml(path)
-    for name, knob in content.get("knobs", {}).items():
-        values = knob.get("values", {}) if isinstance(knob, Mapping) else {}
-        content["knobs"][name] = {**knob, "values": {str(key): value for key, value in values.items()}}
     content["combinations"] = [{k: str(v) for k, v in c.items()} for c in content.get("combinations", [])]
     plan = make_settings(SweepPlan, content, where=str(path))
     for choice in plan.combinations:

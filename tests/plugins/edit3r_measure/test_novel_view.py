@@ -15,6 +15,7 @@ from edit3r_measure.scene_sources import (
     photo_scene,
     rotation_degrees,
     stereo_scene,
+    write_scenes,
 )
 from PIL import Image
 
@@ -175,6 +176,21 @@ def test_the_command_writes_a_table(folder, tmp_path, capsys):
     assert main(["evaluate", str(folder.path), *options, "--out", str(out)]) == 0
     assert "| all pairs | 1 |" in capsys.readouterr().out
     assert json.loads(out.read_text())[0]["scene"] == "wall"
+
+
+def test_a_pair_of_a_folder_is_written_as_a_users_photos_are_with_its_truth_beside(folder, tmp_path):
+    options = SceneOptions(count=1, size=512, more_inputs=True)
+    (scene,) = write_scenes([str(folder.path)], options, tmp_path, default_registry())
+    assert scene.name == "wall-512-0-2" and [file.name for file in scene.photos] == ["0.png", "1.png"]
+    (first, second), target = scene.truth()
+    assert target.image.shape == (64, 64, 3)  # never larger than the photos are
+    assert np.allclose(relative_pose(second, first), relative_pose(folder.load(2, 64), folder.load(0, 64)))
+
+
+def test_a_folder_without_pairs_cannot_be_written(tmp_path):
+    (tmp_path / "cameras.json").write_text(json.dumps(written(tmp_path, [camera(0, 0)])))
+    with pytest.raises(InputError, match="no two photos are 5 to 30 degrees apart"):
+        write_scenes([str(tmp_path)], SceneOptions(1, 32), tmp_path / "out", default_registry())
 
 
 class Carries(Reconstructor):

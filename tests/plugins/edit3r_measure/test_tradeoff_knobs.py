@@ -18,7 +18,7 @@ PLAN = {
     "unedited": {"editor": "none"},
     "edited": {"editor": "folder"},
     "knobs": {
-        "size": {"about": "pixels", "values": {128: {"size": 128}, 512: {"size": 512}}},
+        "size": {"about": "pixels", "values": {"128": {"size": 128}, "512": {"size": 512}}},
         "planes": {"about": "hypotheses", "values": {"few": {"reconstructor": {"planes": 24}}}},
     },
     "combinations": [{"size": 128, "planes": "few"}],

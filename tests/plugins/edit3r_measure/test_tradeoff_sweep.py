@@ -138,7 +138,7 @@ base: {editor: none, reconstructor: edit3r, rasterizer: numba, frames: 2}
 unedited: {editor: none}
 edited: {editor: {name: folder, path: "{folder}"}, edit_views: first}
 datasets: {procedural: {image_size: 96, context: 2, targets: 1, edit: recolor, angles: [6, 10], seed: 4}}
-knobs: {size: {about: pixels, values: {80: {size: 80}}}}
+knobs: {size: {about: pixels, values: {"80": {size: 80}}}}
 """
 
 
