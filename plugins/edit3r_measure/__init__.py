@@ -20,7 +20,7 @@ def register_commands() -> list[Component]:
         ),
         Component(
             "tradeoff",
-            "edit3r_measure.tradeoff_command:TradeoffCommand",
+            "edit3r_measure.tradeoff:TradeoffCommand",
             "measure speed against accuracy over the settings of a run, and choose the presets",
         ),
     ]
