@@ -58,12 +58,12 @@ class ControlNetDepthEditor(Editor):
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
             chosen = self.settings
-            device = pick_device(chosen.device, photos_on, "editor.device")
-            dtype = loading.pick_dtype(chosen.dtype, device, torch.float16)
+            half = torch.float16
+            dtype = loading.pick_dtype(chosen.dtype, pick_device(chosen.device, photos_on, "editor.device"), half)
             weights = loading.part_weights(chosen.controlnet, "controlnet", chosen)
             controlnet = load_pretrained(foreign("diffusers", "ControlNetModel"), weights, dtype=dtype)
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
-            pipeline = loading.load("StableDiffusionControlNetImg2ImgPipeline", chosen, device, dtype, **parts)
+            pipeline = loading.load("StableDiffusionControlNetImg2ImgPipeline", chosen, photos_on, half, **parts)
             # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
             pipeline.scheduler = foreign("diffusers", "DDIMScheduler").from_config(
                 pipeline.scheduler.config, clip_sample=False, set_alpha_to_one=False, timestep_spacing="leading"

@@ -11,7 +11,6 @@ from torch import Tensor
 from edit3r.cache import remembered
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import pick_device
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import loading
 from edit3r_diffusers.images import ViewJob, edit_one_by_one, mask_on_grid
@@ -56,9 +55,7 @@ class FluxKontextEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            device = pick_device(self.settings.device, photos_on, "editor.device")
-            dtype = loading.pick_dtype(self.settings.dtype, device, torch.bfloat16)
-            self._pipeline = loading.load("FluxKontextInpaintPipeline", self.settings, device, dtype)
+            self._pipeline = loading.load("FluxKontextInpaintPipeline", self.settings, photos_on, torch.bfloat16)
         return self._pipeline
 
     def _denoise(self, pipeline: Any, job: ViewJob) -> Float[Tensor, "1 3 height width"]:

@@ -13,7 +13,6 @@ from torch import Tensor
 from edit3r.cache import remembered
 from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
-from edit3r.io.pretrained import pick_device
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import attention, latents, loading
 from edit3r_diffusers.images import ViewJob, edit_one_by_one
@@ -83,10 +82,8 @@ class InstructPix2PixEditor(Editor):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            device = pick_device(self.settings.device, photos_on, "editor.device")
-            dtype = loading.pick_dtype(self.settings.dtype, device, torch.float16)
             name = "StableDiffusionInstructPix2PixPipeline"
-            self._pipeline = loading.load(name, self.settings, device, dtype, **loading.NO_SAFETY_CHECKER)
+            self._pipeline = loading.load(name, self.settings, photos_on, torch.float16, **loading.NO_SAFETY_CHECKER)
         return self._pipeline
 
     def _denoise(self, pipeline: Any, left: int, job: ViewJob) -> Float[Tensor, "1 3 height width"]:

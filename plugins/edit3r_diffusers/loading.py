@@ -45,8 +45,10 @@ def pick_dtype(name: str, device: torch.device, half: torch.dtype) -> torch.dtyp
     return getattr(torch, name)
 
 
-def load(pipeline: str, settings: DiffusionSettings, device: torch.device, dtype: torch.dtype, **parts: Any) -> Any:
-    """Load the class of diffusers named `pipeline` with the settings' weights on `device`; `parts` replace its own."""
+def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, half: torch.dtype, **parts: Any) -> Any:
+    """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its own."""
+    device = pretrained.pick_device(settings.device, photos_on, "editor.device")
+    dtype = pick_dtype(settings.dtype, device, half)
     weights = Weights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
     loaded = pretrained.load_pretrained(pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts)
     loaded.set_progress_bar_config(disable=True)

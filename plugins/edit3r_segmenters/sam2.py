@@ -6,13 +6,12 @@ logits, which the paper's filter and soft blending need; so the grid of the auto
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
@@ -59,10 +58,7 @@ class Sam2Segmenter(Segmenter):
         model = self._model("Sam2Model", image.device)
         with torch.no_grad(), self._memory("segmenting"):
             found = self._candidates(model, self._embed(model, image), size)
-            return tuple(
-                proposal(enlarge(logits[None], size)[0], float(iou))
-                for logits, iou in zip(found.logits, found.predicted_iou)
-            )
+            return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
 
     @remembered
     def segment(
@@ -116,22 +112,27 @@ class Sam2Segmenter(Segmenter):
             )
         return found
 
-    def _candidates(self, model: Any, embeddings: list[Tensor], image_size: tuple[int, int]) -> "Candidates":
-        """Ask for three masks at every point of a grid; keep the sure and stable ones that no better one covers."""
+    def _candidates(
+        self, model: Any, embeddings: list[Tensor], image_size: tuple[int, int]
+    ) -> list[tuple[Float[Tensor, "h w"], float]]:
+        """Ask for three masks at every point of a grid; keep the sure and stable ones that no better one covers.
+
+        Returns small logits and predicted IoU in [0, 1] of each, best first.
+        """
         chosen = self.settings
         points = point_grid(chosen.points_per_side).to(embeddings[0]) * model.config.prompt_encoder_config.image_size
-        found: list[Candidates] = []
+        found = []
         for some in points.split(chosen.points_per_batch):
             output = model(image_embeddings=embeddings, input_points=some[None, :, None], multimask_output=True)
             logits, iou = output.pred_masks[0].flatten(0, 1), output.iou_scores[0].flatten()
-            sure = iou >= chosen.min_predicted_iou
+            logits, iou = (values[iou >= chosen.min_predicted_iou] for values in (logits, iou))
+            large = enlarge(logits, image_size)
+            stable = (stability(large) >= chosen.min_stability) & (large > 0).flatten(1).any(1)
             # Only the small logits are kept: large masks of all points would fill the memory.
-            fields = describe(logits[sure], enlarge(logits[sure], image_size), iou[sure])
-            found.append(fields.select((fields.stability >= chosen.min_stability) & (fields.area > 0)))
+            found.append((logits[stable], iou[stable].clamp(0, 1), boxes_of(large[stable] > 0)))
             progress("segmenting", min(len(found) * chosen.points_per_batch, len(points)), len(points))
-        every = Candidates.cat(found)
-        kept = best_boxes(every.boxes, every.predicted_iou, chosen.max_box_overlap)
-        return every.select(torch.tensor(kept, dtype=torch.long))
+        logits, iou, boxes = (torch.cat(parts) for parts in zip(*found))
+        return [(logits[index], float(iou[index])) for index in best_boxes(boxes, iou, chosen.max_box_overlap)]
 
     def _embed(self, model: Any, image: Float[Tensor, "3 height width"]) -> list[Tensor]:
         pixels = pixel_values(image[None].float(), model.config.prompt_encoder_config.image_size)
@@ -156,41 +157,11 @@ class Sam2Segmenter(Segmenter):
         )
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """N masks of one image."""
-
-    logits: Float[Tensor, "n h w"]  # as the network gives them, small
-    predicted_iou: Float[Tensor, "n"]  # in [0, 1]
-    stability: Float[Tensor, "n"]  # in [0, 1]
-    area: Float[Tensor, "n"]  # share of the image, in [0, 1]
-    boxes: Float[Tensor, "n 4"]  # x, y, width, height [pixels]; zeros for an empty mask
-
-    def select(self, index: Bool[Tensor, "n"] | Int[Tensor, "m"]) -> "Candidates":
-        """Return those that a mask or a list of indices chooses."""
-        return Candidates(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
-
-    @staticmethod
-    def cat(parts: "list[Candidates]") -> "Candidates":
-        """Join lists of candidates."""
-        names = Candidates.__dataclass_fields__
-        return Candidates(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
-
-
-def describe(
-    logits: Float[Tensor, "n h w"], large: Float[Tensor, "n height width"], predicted_iou: Float[Tensor, "n"]
-) -> Candidates:
-    """Measure masks that are given small and at the photo's size."""
-    inside = large > 0
-    area = inside.float().mean((1, 2))
-    return Candidates(logits, predicted_iou.clamp(0, 1), stability(large), area, boxes_of(inside))
-
-
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:
     """Make one mask at the photo's size a proposal."""
-    found = describe(logits[None], logits[None], torch.tensor([predicted_iou]))
-    area, stable, iou = (float(value) for value in (found.area, found.stability, found.predicted_iou))
-    return Proposal(logits.sigmoid(), area, stable, iou, tuple(found.boxes[0].tolist()))
+    inside = logits > 0
+    area, stable, iou = float(inside.float().mean()), float(stability(logits[None])), min(max(predicted_iou, 0.0), 1.0)
+    return Proposal(logits.sigmoid(), area, stable, iou, tuple(boxes_of(inside[None])[0].tolist()))
 
 
 def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:

@@ -136,10 +136,10 @@ class _Search:
 
     def _carried(self, mask: np.ndarray, flow: Flow) -> _Guess | None:
         """Carry a bool mask `[h, w]` along the flow and snap it; None when too little of it leads back."""
-        carried = carry(mask, flow)
-        if carried.consistent < MIN_CONSISTENT:
+        moved, sure, consistent = carry(mask, flow)
+        if consistent < MIN_CONSISTENT:
             return None
-        return _Guess(self._snapped(carried.mask, SNAP_BAND, carried.mask & ~carried.sure), carried.consistent)
+        return _Guess(self._snapped(moved, SNAP_BAND, moved & ~sure), consistent)
 
     def _snapped(self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None) -> np.ndarray:
         """Put a mask's outline `[h, w]` on the colours of this view, unless that would change the object itself."""
@@ -193,21 +193,16 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
     return Flow(forward, backward, _returns(forward, backward), _returns(backward, forward))
 
 
-@dataclass(frozen=True)
-class Carried:
-    """A mask carried to another view."""
+def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
+    """Carry the source's bool mask `[H, W]` to the target's grid.
 
-    mask: np.ndarray  # bool [H, W]
-    sure: np.ndarray  # bool [H, W], the part of it that leads back to where it came from
-    consistent: float  # share of the source's mask that arrives somewhere and leads back, in [0, 1]
-
-
-def carry(mask: np.ndarray, flow: Flow) -> Carried:
-    """Carry the source's bool mask `[H, W]` to the target's grid."""
+    Returns it, the part of it that leads back to where it came from, and the share in [0, 1] of the source's mask that
+    arrives somewhere and leads back.
+    """
     height, width = mask.shape
     came_from = _grid(height, width) + flow.backward
     warped = cv2.remap(mask.astype(np.float32), came_from, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0.5
-    return Carried(warped, warped & flow.arrives, float(flow.leaves[mask].mean()) if mask.any() else 0.0)
+    return warped, warped & flow.arrives, float(flow.leaves[mask].mean()) if mask.any() else 0.0
 
 
 def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:

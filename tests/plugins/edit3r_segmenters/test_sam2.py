@@ -206,8 +206,7 @@ def test_of_boxes_that_overlap_more_than_allowed_the_best_stays():
 
 
 def test_predicted_iou_outside_its_range_is_brought_into_it():
-    fields = sam2.describe(cone(9.0)[None], cone(9.0)[None], torch.tensor([1.2]))
-    assert fields.predicted_iou.item() == 1
+    assert [sam2.proposal(cone(9.0), iou).predicted_iou for iou in (1.2, -0.1)] == [1, 0]
 
 
 def test_grey_becomes_imagenet_normalised_whatever_the_shape():
