@@ -30,7 +30,7 @@ OWN_WEIGHT = 0.25
 
 
 class EditSplatReconstructor(FittingMethod):
-    """Multi-view fusion guidance and attention-guided trimming (Lee et al. 2025) around a second fit.
+    """Fuses edits across views and trims attended Gaussians before a second fit (EditSplat, Lee et al. 2025).
 
     First edits are the views it is given, or its own where those are not edited. Each view is then edited again,
     starting from what its neighbours' edits look like from there.
@@ -128,7 +128,7 @@ class GivesAttention(Protocol):
     """An editor that can say where an edit looks."""
 
     def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
-        """Cross-attention of the prompt's words, any scale >= 0."""
+        """Return the cross-attention of the prompt's words, of any scale >= 0."""
 
 
 def attention_maps(

@@ -37,7 +37,7 @@ class FittedGeometry(Matcher):
 
 
 class GaussCtrlReconstructor(FittingMethod):
-    """Renders of the fitted scene, its depths as condition, attention across views, then a second fit (Wu et al. 2024).
+    """Edits renders of the fitted scene together and fits them (GaussCtrl, Wu et al. 2024).
 
     Depth and alignment are the editor's to use: `controlnet-depth` does both. With another editor the views are edited
     as that editor edits, and the run says what is missing. It edits by itself: the edited views it is given are not

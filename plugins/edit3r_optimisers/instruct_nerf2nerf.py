@@ -21,7 +21,7 @@ from edit3r_optimisers.settings import MethodSettings
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
-    """Iterative dataset update on Gaussians instead of a NeRF (Haque et al. 2023).
+    """Updates the images one after the other while Gaussians, instead of a NeRF, are fitted (Haque et al. 2023).
 
     It edits by itself: the edited views it is given are not looked at, only the photos before editing. Real partial
     denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which the run says.

@@ -1,4 +1,4 @@
-"""What the pictures of a scene need: how much each Gaussian adds to them, and which bands of harmonics."""
+"""Which Gaussians and which bands of harmonics the rendered images of a scene need."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians
 
 PATH_CAMERAS = 2  # cameras between and around, per input view
-PATH_REDUCTION = 2  # of the sides of their pictures
+PATH_REDUCTION = 2  # of the sides of their images
 PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
 
 

@@ -1,4 +1,4 @@
-"""What a user may ask of `simplify`: how many Gaussians, and how much the pictures may change."""
+"""What a user may ask of `simplify`: how many Gaussians, and how much the images may change."""
 
 from typing import Any, Literal
 
