@@ -5,6 +5,8 @@ Read from the sources alone (ast); nothing is imported but the registry, for the
 
 import ast
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -22,6 +24,7 @@ MOST_LINES = 36_000
 MOST_IMPORTS_BETWEEN_PLUGINS = 12
 LONGEST_FUNCTION = 60  # lines, with signature and docstring
 MOST_PARAMETERS = 8
+MOST_FILES_OF_A_RUN = 70
 
 LONG_FUNCTIONS: set[str] = set()
 """Functions that may be longer, as 'module.function', each with a reason beside it."""
@@ -258,3 +261,35 @@ def test_the_house_stays_small(package, most):
     chosen = [module for module in modules().values() if package in ("", module.package)]
     lines = sum(len(module.text.splitlines()) for module in chosen)
     assert lines <= most, f"{lines} lines in {len(chosen)} files; at most {most}"
+
+
+# ---- what a run goes through ----
+
+ENTERED = """
+import inspect, sys, threading
+files = set()
+
+def note(frame, event, _):
+    code = frame.f_code
+    if event == "call" and code.co_flags & inspect.CO_OPTIMIZED:  # a function, not the body of a module or class
+        files.add(code.co_filename)
+
+from edit3r.cli.main import main
+threading.setprofile(note)
+sys.setprofile(note)
+failed = main(["run", "--size", "64", "--frames", "2", "--quiet", "--out", sys.argv[1]])
+sys.setprofile(None)
+print(*sorted(files), sep="\\n")
+sys.exit(failed)
+"""
+
+
+def test_the_default_run_enters_few_files(tmp_path):
+    """Files of the project in which a function is called, on the photos that are packaged."""
+    done = subprocess.run(
+        [sys.executable, "-c", ENTERED, str(tmp_path / "out")], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    known = {str(module.path): module.name for module in modules().values()}
+    entered = sorted(known[file] for file in done.stdout.splitlines() if file in known)
+    assert 20 < len(entered) <= MOST_FILES_OF_A_RUN, f"{len(entered)} files:\n" + "\n".join(entered)

@@ -36,6 +36,12 @@ CONTRACTS: dict[str, type[Contract]] = {
 }
 """The contract of each kind."""
 
+__all__ = [
+    *(contract.__name__ for contract in CONTRACTS.values()),
+    *("CONTRACTS", "Contract", "ContractViolation", "Outcome", "check", "claims", "contract_for", "run_contract"),
+    *("Photographed", "TinyBackbone", "broad_gaussians", "cameras_around", "gaussian_cloud", "photograph"),
+]
+
 
 def contract_for(
     kind: str,
@@ -49,43 +55,6 @@ def contract_for(
     return type(f"{kind.title()}{component.title().replace('-', '')}", (CONTRACTS[kind],), bound)
 
 
-def check(
-    kind: str,
-    component: str,
-    plugin_files: tuple[str | Path, ...] = (),
-    parts: Mapping[str, Any] | None = None,
-    **settings: Any,
-) -> tuple[Outcome, ...]:
-    """Run a component's contract without pytest: `check("editor", "sepia", strength=0.5)`."""
-    return run_contract(contract_for(kind, component, plugin_files, parts, **settings))
-
-
-__all__ = [
-    "CONTRACTS",
-    "BackboneContract",
-    "CommandContract",
-    "Contract",
-    "ContractViolation",
-    "DatasetContract",
-    "DetectorContract",
-    "EditorContract",
-    "HeadContract",
-    "LossContract",
-    "MatcherContract",
-    "Outcome",
-    "Photographed",
-    "RasterizerContract",
-    "ReconstructorContract",
-    "RefinerContract",
-    "SegmenterContract",
-    "TinyBackbone",
-    "TrainerContract",
-    "broad_gaussians",
-    "cameras_around",
-    "check",
-    "claims",
-    "contract_for",
-    "gaussian_cloud",
-    "photograph",
-    "run_contract",
-]
+def check(kind: str, component: str, *args: Any, **settings: Any) -> tuple[Outcome, ...]:
+    """Run a component's contract without pytest: `check("editor", "sepia", strength=0.5)`; see `contract_for`."""
+    return run_contract(contract_for(kind, component, *args, **settings))

@@ -84,9 +84,8 @@ class BackboneContract(Contract):
         return features
 
     def _views(self, count: int, batch: int = 1) -> Views:
-        size = self.subject.patch_size
-        rows, columns = self.patches
-        return photograph(count, (rows * size, columns * size), batch).views.to(self.device)
+        size = tuple(side * self.subject.patch_size for side in self.patches)
+        return photograph(count, size, batch).views.to(self.device)
 
 
 class HeadContract(Contract):
@@ -150,9 +149,8 @@ class HeadContract(Contract):
             return self.call(f"forward() of {views.count} views", self.subject, features, views.images)
 
     def _views(self, count: int) -> Views:
-        size = self.backbone.patch_size
-        rows, columns = self.patches
-        return photograph(count, (rows * size, columns * size)).views.to(self.device)
+        size = tuple(side * self.backbone.patch_size for side in self.patches)
+        return photograph(count, size).views.to(self.device)
 
 
 def backward(contract: Contract, outputs: Iterable[Tensor]) -> None:
