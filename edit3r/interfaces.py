@@ -73,6 +73,8 @@ class Tracks:
 class Segmenter(Configured, ABC):
     """Finds objects on one picture and follows them through other views of the scene."""
 
+    prompt: str = ""  # what it is asked for by words, instead of what the edit's prompt names; "": the latter
+
     @abstractmethod
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """All candidate objects, most salient first."""

@@ -42,7 +42,7 @@ def masks_from_prompt(
     The segmenter is asked for its own `prompt` setting where it has one, else for the prompt's object. Each mask is 1
     on the object, falls off within a small margin around it and is exactly 0 beyond.
     """
-    words = getattr(segmenter.settings, "prompt", "") or object_in_prompt(prompt)
+    words = segmenter.prompt or object_in_prompt(prompt)
     if not words:
         warn("the instruction names no one object, so nothing confines the edit; name it with segmenter.prompt=...")
         return None

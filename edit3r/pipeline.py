@@ -183,7 +183,7 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     if segmenter is None:
         return request
     with torch.no_grad():
-        return masks_from_prompt(request, views, segmenter)
+        return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter))
 
 
 def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:

@@ -2,7 +2,7 @@
 
 A budget takes the most accurate measured point that fits it. A preset is one point; with a budget that it does not fit,
 the most accurate point that fits and is no slower is taken. What is chosen lies under everything else the user says.
-The points are in `edit3r/presets/quality.yaml`, written by `edit3r tradeoff --update-presets`.
+The points are in `edit3r/presets/quality.yaml`, measured as docs/tradeoff.md says.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ PRESETS = ("fast", "balanced", "best")
 """The presets, quickest first."""
 
 SHIPPED = Path(__file__).parent / "presets" / "quality.yaml"
-_HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see docs/tradeoff.md.\n"
+_HEADER = "# Measured settings; docs/tradeoff.md says how.\n"
 
 
 class Expected(Settings):
@@ -132,7 +132,7 @@ def choose(wish: Wish, photos: int, quality: Quality | None = None) -> Choice:
     """
     quality = quality or read_quality()
     if not quality.points:
-        raise SettingsError("--quality: nothing has been measured yet; run edit3r tradeoff --update-presets.")
+        raise SettingsError("--quality: nothing has been measured yet; see docs/tradeoff.md.")
     costs = [expectation(point, photos / quality.photos) for point in quality.points]
     limits = _budgets(wish)
     preset = _preset(wish, quality)
@@ -165,7 +165,7 @@ def _preset(wish: Wish, quality: Quality) -> int | None:
         return None
     found = [index for index, point in enumerate(quality.points) if point.preset == wish.quality]
     if not found:
-        raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see edit3r tradeoff.")
+        raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see docs/tradeoff.md.")
     return found[0]
 
 

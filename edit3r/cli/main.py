@@ -16,6 +16,7 @@ from edit3r.command import Command
 from edit3r.config import Settings
 from edit3r.errors import Edit3rError, RunError, is_out_of_memory, suggest
 from edit3r.registry import default_registry
+from edit3r.run_config import DEFAULTS
 
 
 class UsageError(Edit3rError):
@@ -116,7 +117,7 @@ def _overview() -> str:
         f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
         "usage: edit3r COMMAND [options]\n\n"
         f"{listed}\n\n"
-        "Start with: edit3r run --editor recolor --recon edit3r\n"
+        f"Start with: edit3r run --editor {DEFAULTS['editor']} --recon {DEFAULTS['reconstructor']}\n"
         "Each command explains itself: edit3r run --help"
     )
 

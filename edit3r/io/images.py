@@ -32,7 +32,6 @@ __all__ = [
     "LoadedPhotos",
     "Photo",
     "Pixels",
-    "decode_png",
     "encode_png",
     "evenly",
     "find_photos",
@@ -238,14 +237,6 @@ def encode_png(pixels: Pixels) -> bytes:
     if not good:
         raise ValueError(f"an image of shape {list(pixels.shape)} cannot be coded as PNG")
     return content.tobytes()
-
-
-def decode_png(content: bytes) -> Pixels:
-    """The pixels of a file that `encode_png` made. Raises ValueError for one that is damaged."""
-    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
-    if pixels is None:
-        raise ValueError("the PNG is damaged")
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
 
 def _to_tensor(image: Image.Image) -> Float[Tensor, "3 height width"]:

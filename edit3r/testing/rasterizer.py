@@ -9,11 +9,12 @@ from torch import Tensor
 
 from edit3r.interfaces import Rasterizer
 from edit3r.registry import default_registry
+from edit3r.run_config import DEFAULTS
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r.testing.scenes import broad_gaussians, cameras_around, gaussian_cloud
 from edit3r.types import Cameras, Gaussians, Rendering
 
-REFERENCE = "rasterizers:torch"  # by its whole name, so that another plugin's `torch` disturbs no contract
+REFERENCE = DEFAULTS["reference_rasterizer"]
 SCENE_SETTINGS = ("near", "far", "background")
 """Settings that say what is to be seen, which the reference must share with the rasterizer under test."""
 

@@ -20,15 +20,18 @@ from edit3r.config import PartChoice, Settings, make_settings
 from edit3r.errors import InputError, SettingsError
 from edit3r.interfaces import Trainer, TrainingJob
 from edit3r.registry import Registry
+from edit3r.run_config import DEFAULTS
 from edit3r.training.checkpoint import LAST
 
 
 class TrainingConfig(Settings):
     """The keys of a training configuration file."""
 
-    trainer: PartChoice = Field(PartChoice(name="recolor"), description="the recipe")
+    trainer: PartChoice = Field(PartChoice(name=DEFAULTS["trainer"]), description="the recipe")
     reconstructor: PartChoice = Field(description="what is trained")
-    rasterizer: PartChoice = Field(PartChoice(name="numba"), description="renders during training")
+    rasterizer: PartChoice = Field(
+        PartChoice(name=DEFAULTS["training_rasterizer"]), description="renders during training"
+    )
     train_data: PartChoice = Field(description="dataset to train on")
     validation_data: PartChoice | None = Field(None, description="held-out dataset")
     losses: dict[str, dict[str, Any]] = Field(default_factory=dict, description="name: {weight, settings...}")

@@ -144,8 +144,7 @@ def _object(
     image: Float[Tensor, "3 height width"], instruction: Instruction, segmenter: Segmenter
 ) -> tuple[Proposal, str]:
     """Find the object on view 0 by its name where the segmenter reads text, else by salience, and say which."""
-    prompt = getattr(getattr(segmenter, "settings", None), "prompt", "")
-    named = prompt or " ".join(instruction.subject)
+    named = segmenter.prompt or " ".join(instruction.subject)
     found = segmenter.segment_text(image, named) if named else None
     if found:
         return found[0], "named object"

@@ -47,13 +47,13 @@ class Sam2Segmenter(Segmenter):
         max_box_overlap: float = Field(0.7, ge=0, le=1, description="of two boxes that overlap more, the better stays")
 
     def __init__(self, settings: Settings, detector: Detector) -> None:
-        self.settings, self.detector = settings, detector
+        self.settings, self.detector, self.prompt = settings, detector, settings.prompt
         self._models: dict[str, Any] = {}
 
     @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
-        if self.settings.prompt:
-            return self._named(image, self.settings.prompt)
+        if self.prompt:
+            return self._named(image, self.prompt)
         size = tuple(image.shape[-2:])
         model = self._model("Sam2Model", image.device)
         with torch.no_grad(), self._memory("segmenting"):
