@@ -3,14 +3,15 @@
     python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
-reconstructed without their poses. A view that lies between two placed neighbours, and that the run has not seen, is then
-rendered from its true pose (scaled as the found poses are) and compared with its photo. One JSON line a set, and a table:
-for each label, how many sets it was given and their held-out PSNR.
+reconstructed without their poses. A view between two placed neighbours, which the run has not seen, is then rendered
+from its true pose (scaled as the found poses are) and compared with its photo. One JSON line a set, and a table: for
+each label, how many sets it was given and their held-out PSNR.
 """
 
 import argparse
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -30,7 +31,7 @@ def sets_of(count: int) -> list[tuple[list[int], list[int]]]:
         for start in (0, count // 2):
             chosen = [start + gap * k for k in range(photos)]
             if chosen[-1] < count:
-                found.append((chosen, [(a + b) // 2 for a, b in zip(chosen, chosen[1:])]))
+                found.append((chosen, [(a + b) // 2 for a, b in pairwise(chosen)]))
     return found
 
 

@@ -1,7 +1,5 @@
 """Masks from words."""
 
-from types import SimpleNamespace
-
 import pytest
 import torch
 
@@ -15,7 +13,7 @@ class Reader(Segmenter):
     """Finds a 4 x 4 square for every word it knows, at the place it knows; tracks it one pixel to the right."""
 
     def __init__(self, prompt="", **places):
-        self.settings, self.places, self.lost = SimpleNamespace(prompt=prompt), places, ()
+        self.prompt, self.places, self.lost = prompt, places, ()
 
     def propose(self, image):
         return ()
