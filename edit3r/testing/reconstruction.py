@@ -90,7 +90,7 @@ class ReconstructorContract(Contract):
         batch, count, _, height, width = views.images.shape
         what = f"reconstructing {batch} x {count} photos of {height}x{width}"
         with torch.no_grad():
-            result = self.call(what, subject or self.subject, views, source)
+            result = self.call(what, subject or self.subject, views, source, EditRequest("make it warmer"))
         self.require_type("it returned", result, Reconstruction, "Reconstruction")
         return result
 

@@ -21,7 +21,7 @@ class Sepia(Editor):
 
 
 class Lifted(Reconstructor):
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         raise NotImplementedError
 
 

@@ -24,7 +24,7 @@ class FlatReconstructor(Reconstructor):
     def __init__(self, settings):
         self.settings = settings
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         images = views.images
         batch, count = images.shape[:2]
         height, width = views.image_size

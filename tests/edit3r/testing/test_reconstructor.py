@@ -25,7 +25,7 @@ class Flat(Reconstructor):
     def network(self):
         return self.gain
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         self.calls += 1
         if self.before:
             self.before(views, source)

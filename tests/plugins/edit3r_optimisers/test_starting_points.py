@@ -20,7 +20,7 @@ def first(build, posed) -> Reconstruction:
 
 
 class Lost(Reconstructor):
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         raise MatchingError("nothing in common.")
 
 
@@ -59,7 +59,7 @@ def test_known_poses_are_used_and_the_frame_is_that_of_view_0(first, posed):
 
 def build_of(first: Reconstruction) -> Reconstructor:
     class Known(Reconstructor):
-        def __call__(self, views, source=None):
+        def __call__(self, views, source=None, request=None):
             return first
 
     return Known()

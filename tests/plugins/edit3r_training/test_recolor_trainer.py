@@ -96,7 +96,7 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     class Unmatched:
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None):
+        def __call__(self, views, source=None, request=None):
             raise MatchingError("too little in common")
 
     job = replace(_job(tmp_path), reconstructor=Unmatched())
@@ -118,7 +118,7 @@ class _Spy:
         settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
         self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         self.edited, self.source = views.images, source.images
         return self.reconstructor(views, source)
 
@@ -171,7 +171,7 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
     class Frozen:
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None):
+        def __call__(self, views, source=None, request=None):
             with torch.no_grad():
                 return inner(views, source)
 
