@@ -26,7 +26,7 @@ from edit3r.types import Cameras, Gaussians
 
 __all__ = ["save_viewer"]
 
-MOST_GAUSSIANS = 500_000  # about 16 MB of page; beyond it browsers get slow to load and to sort
+MOST_GAUSSIANS = 1_500_000  # about 46 MB of page: six photos of 512 pixels; beyond it browsers get slow to sort
 LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 SCALE_LEVELS = 255
 
@@ -43,11 +43,11 @@ def save_viewer(
     """Write the page for one scene (batch 1); it opens at camera 0 and has a button for each camera.
 
     23 bytes a Gaussian before base64: float32 centres, scales in 255 steps of their logarithm, quaternions and colours
-    of 8 bits. Above 500,000 Gaussians the most visible ones are kept, and a warning says so.
+    of 8 bits. Above 1,500,000 Gaussians those that look largest are kept, and a warning says so.
     """
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
         raise ValueError("save_viewer writes one scene, got a batch")
-    shown = _shown(gaussians)
+    shown = _shown(gaussians, cameras)
     gaussians = (gaussians if len(shown) == gaussians.count else gaussians.select(shown)).to("cpu", torch.float32)
     cameras = cameras.to("cpu", torch.float64)
     scale_low, scale_step, data = _pack(gaussians, cameras)
@@ -70,15 +70,18 @@ def save_viewer(
         partial.write_bytes(b"".join((head.encode(), base64.b64encode(data), tail.encode())))
 
 
-def _shown(gaussians: Gaussians) -> Int[Tensor, "shown"]:
+def _shown(gaussians: Gaussians, cameras: Cameras) -> Int[Tensor, "shown"]:
     """Indices of the Gaussians that go into the page, in their order."""
     opacities = gaussians.opacities[0]
     index = torch.nonzero(opacities >= LEAST_OPACITY)[:, 0]
     if len(index) > MOST_GAUSSIANS:
-        # Opacity times the area of the largest face: what the eye would miss most.
+        # Opacity times the angular area of the largest face, as its own photo sees it. By the area in the scene's units
+        # near surfaces would go first: their Gaussians are small.
         sizes = gaussians.scales[0, index].sort(-1, descending=True).values[:, :2].prod(-1)
-        index = index[torch.topk(opacities[index] * sizes, MOST_GAUSSIANS).indices].sort().values
-        warn(f"The viewer shows the {MOST_GAUSSIANS} most visible of {gaussians.count} Gaussians; scene.ply has all.")
+        centres = cameras.c2w[0, _own_view(gaussians, cameras)[index], :3, 3].to(gaussians.means)
+        distances = (gaussians.means[0, index] - centres).norm(dim=-1).clamp(min=1e-12)
+        index = index[torch.topk(opacities[index] * sizes / distances**2, MOST_GAUSSIANS).indices].sort().values
+        warn(f"The viewer shows {MOST_GAUSSIANS} of {gaussians.count} Gaussians; scene.ply has all.")
     return index
 
 
@@ -100,11 +103,15 @@ def _pack(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float, bytes]:
 
 def _seen_colours(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "gaussian 3"]:
     """sRGB of each Gaussian as seen from the camera of its own view, camera 0 for those without one."""
-    own = torch.where(gaussians.view_index < cameras.count, gaussians.view_index, 0).clamp(min=0)
-    directions = gaussians.means[0] - cameras.c2w[0, own, :3, 3].float()
+    directions = gaussians.means[0] - cameras.c2w[0, _own_view(gaussians, cameras), :3, 3].float()
     directions = directions / directions.norm(dim=-1, keepdim=True).clamp(min=1e-12)
     values = basis(directions, gaussians.degree)  # [G, K]
     return torch.einsum("gk,gkc->gc", values, gaussians.harmonics[0]) + 0.5
+
+
+def _own_view(gaussians: Gaussians, cameras: Cameras) -> Int[Tensor, "gaussian"]:
+    """The view that each Gaussian came from; view 0 for one without."""
+    return torch.where(gaussians.view_index < cameras.count, gaussians.view_index, 0).clamp(min=0)
 
 
 def _typical_distance(gaussians: Gaussians, cameras: Cameras) -> float:

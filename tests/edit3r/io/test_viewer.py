@@ -131,7 +131,7 @@ def test_too_many_gaussians_keep_the_most_visible_with_a_warning(tmp_path, monke
     with collecting(Report()) as report:
         save_viewer(tmp_path / "v.html", gaussians, cameras())
     _, arrays = opened(tmp_path / "v.html")
-    assert len(arrays["means"]) == 100 and "100 most visible of 200" in report.warnings[0]
+    assert len(arrays["means"]) == 100 and "shows 100 of 200" in report.warnings[0]
 
 
 def test_empty_and_invisible_scenes_still_open(tmp_path):
@@ -146,3 +146,18 @@ def test_same_scene_gives_the_same_page(tmp_path):
     for name in ("a.html", "b.html"):
         save_viewer(tmp_path / name, scene(), cameras())
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_a_near_object_is_not_what_goes_first_where_there_are_too_many(tmp_path, monkeypatch):
+    """Of one Gaussian per pixel, those of a near surface are smaller than those of a far one, and look as large."""
+    monkeypatch.setattr("edit3r.io.viewer.MOST_GAUSSIANS", 100)
+    depths = torch.cat((torch.full((100,), 2.0), torch.full((100,), 20.0)))
+    near_looks_larger = torch.cat((torch.full((100,), 0.011), torch.full((100,), 0.01)))
+    means = torch.stack((torch.zeros(200), torch.zeros(200), depths), 1)[None]
+    scales = (near_looks_larger * depths)[None, :, None].expand(1, 200, 3)
+    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, 200, 4)
+    save_viewer(
+        tmp_path / "v.html", Gaussians(means, scales, quats, torch.ones(1, 200), torch.zeros(1, 200, 1, 3)), cameras(1)
+    )
+    _, arrays = opened(tmp_path / "v.html")
+    assert len(arrays["means"]) == 100 and (arrays["means"][:, 2] == 2).all()
