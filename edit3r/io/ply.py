@@ -89,7 +89,7 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         harmonics[:, 1:].transpose(1, 2).flatten(1),  # [G, 3 * (K - 1)]
         torch.logit(opacities)[:, None],
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
-        quats / quats.norm(dim=-1, keepdim=True).clamp(min=1e-12),
+        torch.from_numpy(_unit(quats.cpu().numpy())),
     )
     table = torch.empty(gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32)
     for part, column in zip(table.split([column.shape[1] for column in columns], 1), columns):
@@ -146,7 +146,7 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         columns = {
             "means": _columns(table, ("x", "y", "z")),
             "scales": np.exp(_columns(table, ("scale_0", "scale_1", "scale_2"))),
-            "quats": quats / np.maximum(np.linalg.norm(quats, axis=-1, keepdims=True), 1e-12),
+            "quats": _unit(quats),
             "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
             "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
         }
@@ -159,6 +159,12 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         warn(f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite and left out.")
     view_index = torch.from_numpy(_read_view_runs(header))[finite]
     return Gaussians(**{name: values[finite][None] for name, values in tensors.items()}, view_index=view_index)
+
+
+def _unit(quats: np.ndarray) -> np.ndarray:
+    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so files can go round."""
+    norms = np.linalg.norm(quats, axis=-1, keepdims=True)
+    return np.where(np.abs(norms - 1) < 1e-6, quats, quats / np.maximum(norms, 1e-12))
 
 
 def _degree(header: "PlyHeader") -> int:
