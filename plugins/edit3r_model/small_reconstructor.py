@@ -19,6 +19,7 @@ from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.surroundings import apron, backdrop
 from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.upsampling import guided_upsample, resize
+from edit3r.geometry.visibility import in_front_of_others
 from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
@@ -162,7 +163,8 @@ def assemble(
     fine = _at_image_size(outputs, images)
     depths = geometry.depths * fine.depth_correction.exp()
     matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-    colours, logits = edited.images, _opacity_logits(geometry, matches, settings) + fine.opacity_correction
+    logits = _opacity_logits(geometry, source.intrinsics, matches, settings) + fine.opacity_correction
+    colours = edited.images
     if settings.fuse_edits:
         near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
         colours = fuse_colours(edited.images, images, fine, matches, near)
@@ -206,7 +208,10 @@ def _at_image_size(outputs: NetworkOutputs, images: Float[Tensor, "batch view 3 
 
 
 def _opacity_logits(
-    geometry: MatchedGeometry, matches: Correspondences, settings: Edit3rReconstructor.Settings
+    geometry: MatchedGeometry,
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    matches: Correspondences,
+    settings: Edit3rReconstructor.Settings,
 ) -> Float[Tensor, "batch view height width"]:
     """Opacities before correction: less for filled-in points, next to none for those that float before a surface."""
     filled = geometry.confidence < MEASURED
@@ -215,6 +220,8 @@ def _opacity_logits(
     partners = geometry.confidence[:, partner_views(filled.shape[1]), None]
     seen = warp(partners, matches.coordinates, mode="nearest")[:, :, 0]
     floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
+    if filled.shape[1] > 2:  # each view has one partner, and its guesses may stand before what any other view measured
+        floating |= in_front_of_others(geometry, intrinsics)
     return torch.logit(torch.where(floating, FLOATING_OPACITY, opacity))
 
 
