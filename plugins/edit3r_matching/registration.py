@@ -143,6 +143,7 @@ def register(
     growing = _IncrementalRegistration(images, features.keypoints, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
+    growing.adjust()
     return growing.result()
 
 
@@ -188,6 +189,17 @@ class _IncrementalRegistration:
             if pose is not None:
                 self.poses[view] = pose
                 self._triangulate_with(view)
+
+    def adjust(self) -> None:
+        """Settle the poses of three and more views together; two are settled by their epipolar geometry already."""
+        if len(self.poses) < 3:
+            return
+        from edit3r_matching.bundle_adjustment import adjust_poses  # its library is large, and two views never need it
+
+        threshold = 2 * self.threshold * max(self.images[0].size) / 256
+        matches = {pair: view.indices for pair, view in self.pairs.items()}
+        points = [keys.points for keys in self.keypoints]
+        self.poses = adjust_poses(self.images, points, matches, self.poses, threshold)
 
     def result(self) -> Registration:
         """What was placed."""

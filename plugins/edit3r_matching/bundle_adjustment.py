@@ -1,0 +1,163 @@
+"""Bundle adjustment: poses of three and more views and the points they share, settled together (pycolmap, Ceres).
+
+Placing one view after the other adds up errors. Here the matches of all pairs are joined into tracks (one point seen by
+several views), and poses and points move until the points fall onto their pixels in every view.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pycolmap
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, project, rays_through, triangulate
+
+__all__ = ["adjust_poses"]
+
+ROUNDS = 2
+"""Adjustments, each on the points that agree with the poses so far."""
+LOOSE = 4.0
+"""How many times the threshold a point may be off its pixel in the first round."""
+LEAST_POINTS = 20
+"""Points below which nothing is adjusted."""
+LEAST_PARALLAX = 0.4
+"""Angle between two rays below which they make no point [degrees]."""
+
+Tracks = list[dict[int, int]]  # view: keypoint, of each track
+
+
+def adjust_poses(
+    images: Sequence[CalibratedImage],
+    keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
+    matches: dict[tuple[int, int], Int[np.ndarray, "match 2"]],
+    poses: dict[int, Pose],
+    threshold: float,
+) -> dict[int, Pose]:
+    """Return better `poses` (world to camera, the first of them the frame) of the views that have one.
+
+    `matches` are pairs of keypoint indices of two views that agree on an epipolar geometry. `threshold` is how far a
+    point may be off its pixel [pixels]. The unit of length stays that of the poses given.
+    """
+    placed = sorted(poses)
+    tracks = join_tracks({pair: found for pair, found in matches.items() if set(pair) <= set(placed)}, keypoints)
+    for limit in np.geomspace(LOOSE * threshold, threshold, ROUNDS):
+        scene = _scene(images, keypoints, tracks, poses, float(limit))
+        if scene.num_points3D() < LEAST_POINTS:
+            return poses
+        # Not pycolmap.bundle_adjustment, which writes to the terminal.
+        pycolmap.create_default_bundle_adjuster(_options(threshold), _problem(scene), scene).solve()
+        poses = _poses_of(scene, placed, poses)
+    return poses
+
+
+def join_tracks(
+    matches: dict[tuple[int, int], Int[np.ndarray, "match 2"]], keypoints: Sequence[Float[np.ndarray, "keypoint 2"]]
+) -> Tracks:
+    """Join matches that share a keypoint. A track that sees one view twice is left out: one of its matches is wrong."""
+    starts = np.cumsum([0, *(len(points) for points in keypoints)])
+    links = [indices + starts[list(pair)] for pair, indices in matches.items() if len(indices)]
+    if not links:
+        return []
+    first, second = np.concatenate(links).T
+    total = int(starts[-1])
+    _, label = connected_components(coo_matrix((np.ones(len(first)), (first, second)), (total, total)), directed=False)
+    linked = np.unique(np.concatenate((first, second)))
+    linked = linked[np.argsort(label[linked], kind="stable")]
+    groups = np.split(linked, np.flatnonzero(np.diff(label[linked])) + 1)
+    tracks = []
+    for group in groups:
+        views = np.searchsorted(starts, group, side="right") - 1
+        if len(set(views)) == len(views):
+            tracks.append(dict(zip(views.tolist(), (group - starts[views]).tolist())))
+    return tracks
+
+
+def _scene(
+    images: Sequence[CalibratedImage],
+    keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
+    tracks: Tracks,
+    poses: dict[int, Pose],
+    limit: float,
+) -> pycolmap.Reconstruction:
+    """The views, and of the tracks those points and sightings that fall within `limit` pixels."""
+    scene = pycolmap.Reconstruction()
+    for view, pose in poses.items():
+        height, width = images[view].size
+        k = images[view].intrinsics
+        lens = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
+        camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=lens, camera_id=view + 1)
+        scene.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(f"{view}", keypoints[view], camera_id=view + 1, image_id=view + 1)
+        scene.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.matrix[:3]))
+    for track in tracks:
+        point = _point(track, images, keypoints, poses)
+        if point is None:
+            continue
+        seen = [
+            view for view in track if _distance(point, images[view], poses[view], keypoints[view][track[view]]) < limit
+        ]
+        if len(seen) >= 2:
+            elements = [pycolmap.TrackElement(view + 1, track[view]) for view in seen]
+            scene.add_point3D(point, pycolmap.Track(elements))
+    return scene
+
+
+def _point(track: dict[int, int], images, keypoints, poses: dict[int, Pose]) -> Float[np.ndarray, "3"] | None:
+    """The point of a track, from its two views that see it from the most different sides; None where there is none."""
+    views = sorted(track)
+    rays = {view: rays_through(keypoints[view][track[view]][None], images[view].intrinsics) for view in views}
+    best, found = LEAST_PARALLAX, None
+    for i, a in enumerate(views):
+        for b in views[i + 1 :]:
+            pose = poses[b].after(poses[a].inverse())
+            angle = float(parallax_degrees(rays[a], rays[b], pose)[0])
+            if angle > best:
+                best, found = angle, (a, b, pose)
+    if found is None:
+        return None
+    a, b, pose = found
+    depth_a, depth_b = triangulate(rays[a], rays[b], pose)
+    return poses[a].inverse().apply(rays[a] * depth_a[:, None])[0] if min(depth_a[0], depth_b[0]) > 0 else None
+
+
+def _distance(
+    point: Float[np.ndarray, "3"], image: CalibratedImage, pose: Pose, pixel: Float[np.ndarray, "2"]
+) -> float:
+    """How far the point falls from its pixel [pixels]; infinite behind the camera."""
+    seen = pose.apply(point)
+    return float(np.linalg.norm(project(seen, image.intrinsics) - pixel)) if seen[2] > 0 else np.inf
+
+
+def _problem(scene: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """All views and points; two cameras hold frame and unit of length."""
+    problem = pycolmap.BundleAdjustmentConfig()
+    for image in scene.images:
+        problem.add_image(image)
+    problem.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    return problem
+
+
+def _options(threshold: float) -> pycolmap.BundleAdjustmentOptions:
+    """Poses and points only; a robust loss, and one thread, so that the same matches give the same poses."""
+    options = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=False, refine_extra_params=False, refine_principal_point=False, print_summary=False
+    )
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+    options.ceres.loss_function_scale = 0.5 * threshold
+    options.ceres.solver_options.num_threads = 1
+    return options
+
+
+def _poses_of(scene: pycolmap.Reconstruction, placed: Sequence[int], before: dict[int, Pose]) -> dict[int, Pose]:
+    """The adjusted poses in the frame of the first view, scaled so that the cameras are as far from it as they were."""
+    found = {}
+    for view in placed:
+        matrix = scene.image(view + 1).cam_from_world().matrix()
+        found[view] = Pose(matrix[:, :3], matrix[:, 3])
+    origin = found[placed[0]].inverse()
+    found = {view: pose.after(origin) for view, pose in found.items()}
+    lengths = [[np.linalg.norm(poses[view].translation) for view in placed[1:]] for poses in (before, found)]
+    scale = float(np.median(np.divide(*lengths)))
+    return {view: Pose(pose.rotation, pose.translation * scale) for view, pose in found.items()}

@@ -1,0 +1,98 @@
+"""Bundle adjustment finds the poses that the pixels were made with, whatever order or outliers the matches have."""
+
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pytest
+from edit3r_matching.bundle_adjustment import adjust_poses, join_tracks
+from edit3r_matching.cameras import CalibratedImage, Pose, project
+
+VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
+
+
+@pytest.fixture
+def scene():
+    """Images of a camera that moves past a cloud of points: (images, keypoints, matches, true poses)."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-2, -1.5, 4), (2, 1.5, 8), (POINTS, 3))
+    k = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
+    image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), k)
+    turns = [cv2.Rodrigues(np.array([0.02 * v, -0.08 * v, 0.01 * v]))[0] for v in range(VIEWS)]
+    poses = {v: Pose(turn, -turn @ np.array([0.5 * v, 0.1 * v * v, 0.05 * v])) for v, turn in enumerate(turns)}
+    keypoints = [project(pose.apply(points), k) for pose in poses.values()]
+    matches = {pair: np.stack([np.arange(POINTS)] * 2, 1) for pair in combinations(range(VIEWS), 2)}
+    return [image] * VIEWS, keypoints, matches, poses
+
+
+def disturbed(poses, angle=0.01, shift=0.03):
+    rng = np.random.default_rng(1)
+    moved = {0: poses[0]}
+    for view in range(1, len(poses)):
+        turn = cv2.Rodrigues(rng.normal(0, angle, 3))[0]
+        moved[view] = Pose(turn @ poses[view].rotation, poses[view].translation + rng.normal(0, shift, 3))
+    return moved
+
+
+def errors(found, true):
+    """Largest rotation error [degrees], and largest error of a camera's place after scaling."""
+    turns = [np.degrees(np.linalg.norm(cv2.Rodrigues(found[v].rotation @ true[v].rotation.T)[0])) for v in true]
+    own, other = (np.stack([poses[v].inverse().translation for v in poses]) for poses in (found, true))
+    own = own * np.linalg.norm(other) / np.linalg.norm(own)
+    return max(turns), float(np.abs(own - other).max())
+
+
+def test_disturbed_poses_come_back(scene):
+    images, keypoints, matches, true = scene
+    before = disturbed(true)
+    after = adjust_poses(images, keypoints, matches, before, threshold=2.0)
+    assert errors(before, true)[0] > 0.5
+    assert errors(after, true)[0] < 0.01 and errors(after, true)[1] < 1e-3
+    assert np.allclose(after[0].matrix, np.eye(4))
+
+
+def test_wrong_matches_and_noise_do_little(scene):
+    images, keypoints, matches, true = scene
+    rng = np.random.default_rng(2)
+    noisy = [points + rng.normal(0, 0.3, points.shape) for points in keypoints]
+    noisy[2][:12] += rng.uniform(20, 60, (12, 2))
+    after = adjust_poses(images, noisy, matches, disturbed(true), threshold=2.0)
+    assert errors(after, true)[0] < 0.25
+
+
+def test_the_same_matches_give_the_same_poses(scene):
+    images, keypoints, matches, true = scene
+    once, again = (adjust_poses(images, keypoints, matches, disturbed(true), threshold=2.0) for _ in range(2))
+    assert all((once[v].matrix == again[v].matrix).all() for v in once)
+
+
+def test_the_unit_of_length_stays_that_of_the_given_poses(scene):
+    images, keypoints, matches, true = scene
+    large = {v: Pose(pose.rotation, 100 * pose.translation) for v, pose in true.items()}
+    after = adjust_poses(images, keypoints, matches, large, threshold=2.0)
+    assert np.allclose(after[3].translation, large[3].translation, rtol=1e-3)
+
+
+def test_views_without_a_pose_are_left_alone(scene):
+    images, keypoints, matches, true = scene
+    known = {v: pose for v, pose in disturbed(true).items() if v != 2}
+    after = adjust_poses(images, keypoints, matches, known, threshold=2.0)
+    assert sorted(after) == [0, 1, 3] and errors(after, {v: true[v] for v in after})[0] < 0.01
+
+
+def test_no_match_at_all_leaves_the_poses_as_they_are(scene):
+    images, keypoints, _, true = scene
+    after = adjust_poses(images, keypoints, {}, true, threshold=2.0)
+    assert all(np.allclose(after[v].matrix, true[v].matrix) for v in true)
+
+
+def test_matches_that_share_a_keypoint_are_one_track():
+    keypoints = [np.zeros((3, 2))] * 3
+    matches = {(0, 1): np.array([[0, 2], [1, 1]]), (1, 2): np.array([[2, 0]])}
+    assert sorted(join_tracks(matches, keypoints), key=len) == [{0: 1, 1: 1}, {0: 0, 1: 2, 2: 0}]
+
+
+def test_a_track_that_sees_a_view_twice_is_left_out():
+    keypoints = [np.zeros((3, 2))] * 3
+    matches = {(0, 1): np.array([[0, 0]]), (1, 2): np.array([[0, 0]]), (0, 2): np.array([[1, 0]])}
+    assert join_tracks(matches, keypoints) == []
