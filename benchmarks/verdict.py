@@ -3,8 +3,8 @@
     python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
-reconstructed without their poses. A view between two placed neighbours, which the run has not seen, is then rendered
-from its true pose (scaled as the found poses are) and compared with its photo. One JSON line a set, and a table: for
+reconstructed without their poses. Views between two placed neighbours, which the run has not seen, are then rendered
+from their true poses (scaled as the found ones are) and compared with their photos. One JSON line a set, and a table: for
 each label, how many sets it was given and their held-out PSNR.
 """
 
@@ -46,9 +46,17 @@ def measure(folder: Path, chosen: list[int], between: list[int], size: int) -> d
     except Edit3rError as error:
         return {**row, "label": "refused", "reason": str(error)[:200], "held_out": []}
     placed = [i for i, there in enumerate(result.verdict.placed) if there]
-    usable = [k for k in range(len(between)) if k in placed and k + 1 in placed]
+    usable = [
+        k for k in range(len(between)) if {k, k + 1} <= set(placed) and _lies_between(views.c2w[0], k, len(chosen))
+    ]
     verdict = {name: getattr(result.verdict, name) for name in ("label", "input_psnr", "placed", "filled")}
     return {**row, **verdict, "held_out": _held_out(result, views, placed, [len(chosen) + k for k in usable])}
+
+
+def _lies_between(c2w: torch.Tensor, k: int, photos: int) -> bool:
+    """Whether held-out view `k` is no farther from either neighbour than they are apart; c2w [view 4 4]."""
+    a, b, target = (c2w[i, :3, 3] for i in (k, k + 1, photos + k))
+    return bool(max((target - a).norm(), (target - b).norm()) <= (a - b).norm())
 
 
 def _held_out(result: edit3r.RunResult, views: edit3r.Views, placed: list[int], targets: list[int]) -> list[float]:
