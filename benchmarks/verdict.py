@@ -4,8 +4,8 @@
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
 reconstructed without their poses. Views between two placed neighbours, which the run has not seen, are then rendered
-from their true poses (scaled as the found ones are) and compared with their photos. One JSON line a set, and a table: for
-each label, how many sets it was given and their held-out PSNR.
+from their true poses (scaled as the found ones are) and compared with their photos. One JSON line a set, and a table:
+for each label, how many sets it was given and their held-out PSNR.
 """
 
 import argparse

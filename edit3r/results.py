@@ -1,5 +1,6 @@
 """What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -129,11 +130,20 @@ def summary(out: Path, result: "RunResult") -> str:
     """Where to look first, for the end of a run on the command line."""
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
+    made = f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s"
     return (
         f"{result.verdict.label}: {result.verdict.reason}\n"
-        f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s\n"
+        f"{made}; {_field_of_view(result)}\n"
         f"  look first   {folder.before_after}\n"
         f"  walk around  {folder.viewer} (opens in a browser, no network needed)\n"
         f"  scene        {folder.scene}\n"
         f"  how it was   {folder.manifest}"
     )
+
+
+def _field_of_view(result: "RunResult") -> str:
+    """The horizontal field of view that view 0 was used with, and who said so."""
+    degrees = math.degrees(2 * math.atan(0.5 / float(result.cameras.intrinsics[0, 0, 0, 0])))
+    known = not any(result.photos.assumed)
+    source = "known" if known else "read from the photos" if "matcher.fov" in result.report.notes else "assumed"
+    return f"field of view {degrees:.0f} degrees ({source})"
