@@ -25,7 +25,6 @@ from edit3r_measure.features import (
 )
 from edit3r_measure.metrics import (
     change_outside,
-    covered_psnr,
     edit_strength,
     edit_uptake,
     frechet_distance,
@@ -204,7 +203,7 @@ def _against_truth(
     inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks[held])
     result = {
         "psnr": np.mean([psnr(a, b) for a, b in zip(images, truth)]),
-        "psnr-in-edit": np.mean([covered_psnr(a, b, m > 0) for a, b, m in zip(images, truth, inside)]),
+        "psnr-in-edit": np.mean([psnr(a, b, m > 0) for a, b, m in zip(images, truth, inside)]),
         "ssim": np.mean([ssim(a, b) for a, b in zip(images, truth)]),
         "edit-uptake": edit_uptake(images, photos, truth, inside),
     }

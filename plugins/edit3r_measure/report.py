@@ -1,13 +1,18 @@
-"""What all reports share: Markdown tables and the machine that was measured on."""
+"""What all reports share: Markdown tables, whole files, groups of rows, and the machine that was measured on."""
 
+import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from edit3r.errors import InputError
+from edit3r.io.atomic import atomic_write
 from edit3r.io.run_folder import installed_versions
+
+Item = TypeVar("Item")
 
 
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
@@ -21,18 +26,42 @@ def format_or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
+def grouped(items: Iterable[Item], key: Callable[[Item], str]) -> dict[str, list[Item]]:
+    """Return the items by key, keys in the order in which they first occur."""
+    groups: dict[str, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def make_folder(folder: Path) -> Path:
+    """Make the folder where results go, and return it. Raises InputError where that cannot be done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be created ({error.strerror}); give --out another folder.") from None
+    return folder
+
+
+def write_text(path: str | Path, content: str) -> None:
+    """Write a text file whole or not at all."""
+    with atomic_write(path) as partial:
+        partial.write_text(content, encoding="utf-8")
+
+
+def write_json(path: str | Path, content: Any, indent: int = 1) -> None:
+    """Write a JSON file whole or not at all."""
+    write_text(path, json.dumps(content, indent=indent, ensure_ascii=False) + "\n")
+
+
 def describe_machine(threads: int | None) -> dict[str, Any]:
     """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
+    table = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
     versions = installed_versions()
     return {
-        "processor": _processor(),
+        "processor": found[1] if found else platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "threads": threads or "as the libraries choose",
         "versions": {name: versions[name] for name in ("edit3r", "python", "torch", "numba") if name in versions},
     }
-
-
-def _processor() -> str:
-    table = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
-    return found[1] if found else platform.processor() or platform.machine()
