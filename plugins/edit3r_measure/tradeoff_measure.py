@@ -22,13 +22,13 @@ import numpy as np
 import torch
 import yaml
 from jaxtyping import Float
-from PIL import Image
 
 from edit3r.cli.main import main as edit3r_command
 from edit3r.config import merge
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.interfaces import LossInputs, Rasterizer
 from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.images import save_image
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder, installed_versions
 from edit3r.registry import Registry, default_registry
@@ -92,17 +92,17 @@ class Sweep:
 
         What `measurements.jsonl` has from earlier sweeps is not measured again.
         """
-        fingerprints = {scene.path: scene.fingerprint() for scene in scenes}
-        pairs = [(point, scene) for point in points for scene in scenes]
-        jobs = {self.key(point.settings, fingerprints[scene.path]): (point, scene) for point, scene in pairs}
+        fingerprints = [(scene, scene.fingerprint()) for scene in scenes]
+        keyed = [(self.key(p.settings, mark), p, scene) for p in points for scene, mark in fingerprints]
         found = run_resumable(
-            {key: (key, *pair) for key, pair in jobs.items()},
+            {job[0]: job for job in keyed},
             self._measure_pair,
             self.root / "measurements.jsonl",
             seconds=self.seconds,
             on_done=lambda state: progress("measure", state.done, state.total),
         )
-        return [{**row, "label": jobs[key][0].label} for key, row in found.items()]
+        labels = {key: point.label for key, point, _ in keyed}
+        return [{**row, "label": labels[key]} for key, row in found.items()]
 
     def _measure_pair(self, pair: tuple[str, Point, SceneFolder]) -> dict[str, Any]:
         key, point, scene = pair
@@ -191,9 +191,12 @@ def _scores(job: Job, scene: SceneFolder, registry: Registry, work: Path) -> dic
         "coverage": float(view.covered.mean()),
         **perceptual_distance(registry, job.perceptual, view.image, target.image),
     }
-    _save(view, Path(job.image))
+    Path(job.image).parent.mkdir(parents=True, exist_ok=True)
+    save_image(torch.from_numpy(view.image).permute(2, 0, 1), job.image)
     if scene.edited is not None:
-        _run(job, scene, merge(job.settings, _filled(job.edited, scene.edited)), work / "edited")
+        folder = json.dumps(str(scene.edited))[1:-1]
+        edited = json.loads(json.dumps(job.edited).replace("{folder}", folder))
+        _run(job, scene, merge(job.settings, edited), work / "edited")
         after = _novel_view(work / "edited", scene, rasterizer)
         edit = score_edit(view, after, target, scene.truth(edited=True)[1])
         scores |= {"uptake": edit.uptake, "leak": edit.leak, "edited_psnr": edit.psnr}
@@ -217,31 +220,18 @@ def perceptual_distance(
     target: Float[np.ndarray, "height width 3"],
 ) -> dict[str, Any]:
     """Return the distance by the first of the losses that can be had here, its name, and what the others lack."""
-    missing: dict[str, str] = {}
+    told: dict[str, Any] = {"perceptual": None, "perceptual_by": None, "perceptual_missing": {}}
     for name in names:
         try:
             loss = registry.build("loss", name)
         except MissingDependencyError as error:
-            missing[name] = str(error)
+            told["perceptual_missing"][name] = str(error)
             continue
         rendered, wished = (torch.from_numpy(x).permute(2, 0, 1)[None, None] for x in (image, target))
         with torch.no_grad():
             distance = float(loss(LossInputs(rendered=rendered, target=wished)))
-        return {"perceptual": distance, "perceptual_by": name, "perceptual_missing": missing}
-    return {"perceptual": None, "perceptual_by": None, "perceptual_missing": missing}
-
-
-def _filled(layer: Any, folder: Path) -> Any:
-    """Return the settings with `{folder}` in any text replaced by the path."""
-    if isinstance(layer, Mapping):
-        return {key: _filled(value, folder) for key, value in layer.items()}
-    return layer.replace("{folder}", str(folder)) if isinstance(layer, str) else layer
-
-
-def _save(view: RenderedView, path: Path) -> None:
-    """Write an 8-bit PNG, to compare settings with each other later."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.round(view.image * 255).astype(np.uint8)).save(path)
+        return {**told, "perceptual": distance, "perceptual_by": name}
+    return told
 
 
 def main(job: str, answer: str) -> None:

@@ -71,24 +71,30 @@ def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapp
     figures = [point.kinds[kind] for point in rows]
     on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in STAGES if any(name in f.stages for f in figures)]
-    times = ["processor s", "wall s", "first run, processor s", *(f"{stage} s" for stage in stages)]
-    sizes = ["peak MiB", "Gaussians", "PLY MB"]
-    scores = ["PSNR dB (least to most)", "SSIM", "perceptual", "dB to the best", "uptake", "leak"]
     cells = [
-        [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages)]
+        [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages).values()]
         for point, f, on in zip(rows, figures, on_front)
     ]
-    return markdown_table(["setting", "preset", "front", *times, *sizes, *scores], cells, left=3)
+    return markdown_table(["setting", "preset", "front", *_cells(figures[0], stages)], cells, left=3)
 
 
-def _cells(f: Figures, stages: Sequence[str]) -> list[str]:
-    spread = f.psnr_of_scenes
-    times = [_seconds(f.cpu), _seconds(f.wall), f"{f.first['cpu']:.2f}"]
-    times += [f"{f.stages.get(name, 0):.2f}" for name in stages]
-    sizes = [f"{f.memory_mb:.0f}", f"{f.gaussians:,.0f}", f"{f.ply_mb:.1f}"]
-    scores = [f"{f.psnr:.2f} ({spread.least:.2f} to {spread.most:.2f})", f"{f.ssim:.3f}"]
-    maybe_known = ((f.perceptual, ".3f"), (f.distance, ".1f"), (f.uptake, ".2f"), (f.leak, ".4f"))
-    return [*times, *sizes, *scores, *(format_or_dash(value, form) for value, form in maybe_known)]
+def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
+    """Return the columns of figures, by title."""
+    return {
+        "processor s": _seconds(f.cpu),
+        "wall s": _seconds(f.wall),
+        "first run, processor s": f"{f.first['cpu']:.2f}",
+        **{f"{stage} s": f"{f.stages.get(stage, 0):.2f}" for stage in stages},
+        "peak MiB": f"{f.memory_mb:.0f}",
+        "Gaussians": f"{f.gaussians:,.0f}",
+        "PLY MB": f"{f.ply_mb:.1f}",
+        "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to {f.psnr_of_scenes.most:.2f})",
+        "SSIM": f"{f.ssim:.3f}",
+        "perceptual": format_or_dash(f.perceptual, ".3f"),
+        "dB to the best": format_or_dash(f.distance, ".1f"),
+        "uptake": format_or_dash(f.uptake, ".2f"),
+        "leak": format_or_dash(f.leak, ".4f"),
+    }
 
 
 def _seconds(spread: Spread) -> str:
