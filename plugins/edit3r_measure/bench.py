@@ -182,7 +182,7 @@ def _run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     for position, method in _methods(args):
         run = BenchRun(
-            manifest=Path(args.manifest),
+            manifest_file=Path(args.manifest),
             method=method,
             out=out / method.label if args.config else out,
             metrics=metrics,
@@ -246,7 +246,8 @@ def _declare_report(parser: argparse.ArgumentParser) -> None:
 def _report(args: argparse.Namespace) -> int:
     from edit3r.console import StageConsole
     from edit3r.reporting import Report, collecting
-    from edit3r_measure.bench_report import read_columns, write_report
+    from edit3r_measure.bench_page import write_report
+    from edit3r_measure.bench_report import read_columns
 
     columns = read_columns(map(Path, args.folders))
     labels = [column.label for column in columns]

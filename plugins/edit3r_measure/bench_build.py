@@ -79,34 +79,32 @@ class GeneratedSettings(Settings):
 
 def build_generated(scenes: int, settings: GeneratedSettings, registry: Registry) -> Manifest:
     """Return a benchmark of the generator's first `scenes` scenes whose five edits can all be seen in all images."""
-    records, items, rejected, index = [], [], 0, 0
+    records, items, index = [], [], 0
     while len(records) < scenes:
-        if rejected > MOST_TRIES * scenes:
+        if index - len(records) > MOST_TRIES * scenes:
             raise InputError(f"only {len(records)} of {index} generated scenes show all edits; ask for weaker edits.")
         name = f"scene{index:03d}"
         progress("generate scenes", len(records), scenes)
         found = _generated_items(name, index, settings, registry)
-        if found is None:
-            rejected += 1
-        else:
+        if found is not None:
             records.append(SceneRecord(id=name))
             items += found
         index += 1
-    notes = {"generator": settings.model_dump(mode="json"), "candidates": index, "rejected_as_hardly_visible": rejected}
+    notes = {"generator": settings.model_dump(mode="json"), "candidates": index}
     return Manifest(
         name=f"{settings.dataset}: {scenes} scenes, {EDITS_PER_SCENE} edits each, truth known",
         image_size=settings.image_size,
         scenes=tuple(records),
         items=tuple(items),
-        notes=notes,
+        notes={**notes, "rejected_as_hardly_visible": index - scenes},
     )
 
 
 def _generated_items(name: str, index: int, settings: GeneratedSettings, registry: Registry) -> list[ItemRecord] | None:
     """Return the five edits of scene `index`; None as soon as one of them is hardly to be seen."""
     items = []
+    drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
     for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
-        drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
         own = {**drawn, "angles": list(settings.angles), **edit}
         record = SampleRecord(dataset=settings.dataset, settings=own, index=index, sha256="")
         sample = load_sample(record, registry)
@@ -166,10 +164,10 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
         raise InputError(f"{folder}: no such folder of scenes.")
     inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     scenes = [scene for path in inner if (scene := _photo_folder(path, views)) is not None]
-    own = None if scenes else _photo_folder(folder, views)
-    if not scenes and own is None:
+    scenes = scenes or [scene for scene in [_photo_folder(folder, views)] if scene is not None]
+    if not scenes:
         raise InputError(f"{folder}: expected folders with at least two photos each.")
-    return scenes or [own]
+    return scenes
 
 
 def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
@@ -240,7 +238,15 @@ class PhotoBuild:
         return Manifest(
             name=f"{len(self.scenes)} photographed scenes",
             image_size=self.settings.image_size,
-            scenes=tuple(self._record(scene) for scene in self.scenes),
+            scenes=tuple(
+                SceneRecord(
+                    id=scene.id,
+                    folder=self._relative(scene.path),
+                    cameras=scene.cameras,
+                    frames=tuple(self._frame(scene.path / file, file) for file in scene.files),
+                )
+                for scene in self.scenes
+            ),
             items=tuple(items),
             notes={
                 "built_from": "photos",
@@ -258,9 +264,8 @@ class PhotoBuild:
         words = self.settings.labels or WORDS["vocabulary"]
         return find_objects(scene.load_inputs(self.settings.image_size), self.detector, words)
 
-    def _record(self, scene: PhotoFolder) -> SceneRecord:
-        frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
-        return SceneRecord(id=scene.id, folder=self._relative(scene.path), cameras=scene.cameras, frames=frames)
+    def _frame(self, path: Path, name: str) -> FrameRecord:
+        return FrameRecord(file=name, sha256=hash_of_file(path))
 
     def _items(self, scene: PhotoFolder, edits: Sequence[ProposedEdit]) -> list[ItemRecord]:
         objects = self._objects(scene)
@@ -289,7 +294,7 @@ class PhotoBuild:
         files = [self.vetting.parent / mask for mask in edit.masks]
         if not files and edit.type in ("Remove", "Modify"):
             files = self._draw_masks(item, scene, boxes)
-        return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
+        return tuple(self._frame(file, self._relative(file)) for file in files)
 
     def _draw_masks(self, item: str, scene: PhotoFolder, boxes: Boxes) -> list[Path]:
         """Write masks made from the detector's boxes; none when it did not find the object in every input.

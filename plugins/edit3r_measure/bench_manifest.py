@@ -22,12 +22,12 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.morphology import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.atomic import atomic_write
 from edit3r.io.images import LoadedPhotos, load_photos
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
 from edit3r.types import Cameras, Views
+from edit3r_measure.report import read_json, write_json
 
 EditType = Literal["Add", "Remove", "Modify", "Global"]
 EDIT_TYPES: tuple[EditType, ...] = get_args(EditType)
@@ -120,9 +120,7 @@ class Manifest(Settings):
 def write_bench_manifest(path: str | Path, manifest: Manifest) -> None:
     """Write the manifest as JSON, the same bytes for the same benchmark and packages."""
     _check_consistent(manifest, Path(path))
-    with atomic_write(path) as partial:
-        text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False)
-        partial.write_text(text + "\n", encoding="utf-8")
+    write_json(path, manifest.model_dump(mode="json"))
 
 
 def read_bench_manifest(path: str | Path) -> Manifest:
@@ -130,10 +128,7 @@ def read_bench_manifest(path: str | Path) -> Manifest:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such benchmark manifest; edit3r bench build makes one.")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON ({error}).") from None
+    content = read_json(path)
     if not isinstance(content, Mapping) or content.get("format") != "edit3r-bench":
         raise InputError(f"{path}: not a benchmark manifest (its 'format' is not 'edit3r-bench').")
     if content.get("version") != VERSION:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -86,14 +86,17 @@ class MethodOutput:
     has_truth: bool  # whether the item's truth is what the editor was to show
 
 
-@dataclass(frozen=True)
 class MetricNetworks:
-    """The networks that metrics need; what is absent is not measured."""
+    """The networks that metrics need; what is not asked for is absent and not measured."""
 
-    features: tuple[FeatureNetwork, ...] = ()
-    clip: ClipSimilarity | None = None
-    lpips: Loss | None = None
-    _of_photos: dict[tuple, np.ndarray] = field(default_factory=dict)
+    def __init__(self, settings: MetricSettings, registry: Registry) -> None:
+        """Load them. Raises MissingDependencyError when the package of one is not installed."""
+        self.features: list[FeatureNetwork] = [InceptionFeatures(settings.inception)] if settings.inception else []
+        if settings.effnet:
+            self.features.append(EffnetFeatures())
+        self.clip = ClipSimilarity(settings.clip) if settings.clip else None
+        self.lpips: Loss | None = registry.build("loss", "lpips") if settings.lpips else None
+        self._of_photos: dict[tuple, np.ndarray] = {}
 
     def photo_features(
         self, network: FeatureNetwork, photos: Float[Tensor, "frame 3 height width"]
@@ -105,15 +108,6 @@ class MetricNetworks:
                 self._of_photos.clear()
             self._of_photos[key] = network(crops(photos))
         return self._of_photos[key]
-
-
-def load_networks(settings: MetricSettings, registry: Registry) -> MetricNetworks:
-    """Load the networks that are asked for. Raises MissingDependencyError when the package of one is not installed."""
-    features: list[FeatureNetwork] = [InceptionFeatures(settings.inception)] if settings.inception else []
-    if settings.effnet:
-        features.append(EffnetFeatures())
-    clip = ClipSimilarity(settings.clip) if settings.clip else None
-    return MetricNetworks(tuple(features), clip, registry.build("loss", "lpips") if settings.lpips else None)
 
 
 def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> dict[str, float]:

@@ -43,6 +43,14 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file. Raises InputError naming a file that is none."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: not valid JSON ({error}).") from None
+
+
 def write_text(path: str | Path, content: str) -> None:
     """Write a text file whole or not at all."""
     with atomic_write(path) as partial:

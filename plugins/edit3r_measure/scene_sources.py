@@ -22,7 +22,7 @@ from torch import Tensor
 
 from edit3r.errors import InputError, UnknownComponentError
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.interfaces import Dataset, SceneSample
+from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import PosedCamera, write_cameras
 from edit3r.io.framing import frame_for
 from edit3r.io.images import find_photos, read_image, save_image
@@ -199,24 +199,23 @@ def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator
     dataset = registry.build("dataset", name, **settings)
     mark = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
     for index in range(min(options.count, len(dataset))):
-        yield SceneSource(f"{name}-{mark}-{index}", name, partial(_load_sample, name, dataset, index))
+        yield SceneSource(f"{name}-{mark}-{index}", name, partial(sample_scene, name, index, dataset))
 
 
-def _load_sample(name: str, dataset: Dataset, index: int) -> Scene:
-    return sample_scene(name, index, dataset[index])
+def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
+    """Turn one sample of the data set called `name` into a scene: its context views and its first target.
 
-
-def sample_scene(dataset: str, index: int, sample: SceneSample) -> Scene:
-    """Turn a data set's sample into a scene: its context views, its first target, depth and true edit if known."""
-    inputs = _photos(sample.context, sample.context_cameras)
-    (target,) = _photos(sample.target[:1], sample.target_cameras.select([0]))
+    Depth and the true edit are there if the data set knows them.
+    """
+    sample = samples[index]
+    between = sample.target_cameras.select([0])
+    inputs, (target,) = _photos(sample.context, sample.context_cameras), _photos(sample.target[:1], between)
     edited: tuple[Photo, ...] = ()
     if sample.edited_context is not None and sample.edited_target is not None:
-        edited = _photos(sample.edited_context, sample.context_cameras)
-        edited += _photos(sample.edited_target[:1], sample.target_cameras.select([0]))
+        edited = _photos(sample.edited_context, sample.context_cameras) + _photos(sample.edited_target[:1], between)
     depth = None if sample.context_depths is None else sample.context_depths[0].numpy()
     files = (*(f"{index}/{view}" for view in range(len(inputs))), f"{index}/target")
-    return Scene(dataset, dataset, files, inputs, target, depth, edited)
+    return Scene(name, name, files, inputs, target, depth, edited)
 
 
 def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> tuple[Photo, ...]:
@@ -283,36 +282,29 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:
-    """Write a scene that has a target below `root`, unless it is there already."""
+    """Write a scene that has a target below `root`, unless it is there already.
+
+    The truth comes last, so that half a scene is not taken for a whole one.
+    """
     path = root / source.name
     if not (path / TRUTH_FILE).is_file():
-        _write(path, source.load())
+        scene = source.load()
+        photos, count = [*scene.inputs, scene.target], len(scene.inputs)
+        _save_images(photos, path / "photos", path / "target.png")
+        _save_images(scene.edited, path / "edited", path / "edited_target.png")
+        height, width = photos[0].image.shape[:2]
+        in_pixels = [photo.intrinsics * np.array([[width], [height], [1.0]]) for photo in scene.inputs]
+        cameras = [PosedCamera(f"photos/{i}.png", width, height, in_pixels[i], None) for i in range(count)]
+        write_cameras(path / "cameras.json", cameras)
+        matrices = {name: [getattr(photo, name).tolist() for photo in photos] for name in ("intrinsics", "c2w")}
+        truth = {"name": path.name, "kind": scene.kind, **matrices}
+        (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
     return SceneFolder.open(path)
 
 
-def _write(path: Path, scene: Scene) -> None:
-    """Write all files; the truth comes last, so that half a scene is not taken for a whole one."""
-    files = [f"{index}.png" for index in range(len(scene.inputs))]
-    _save_images([*scene.inputs, scene.target], [*(path / "photos" / file for file in files), path / "target.png"])
-    _save_images(scene.edited, [*(path / "edited" / file for file in files), path / "edited_target.png"])
-    height, width = scene.inputs[0].image.shape[:2]
-    to_pixels = np.array([[width], [height], [1.0]])
-    cameras = [
-        PosedCamera(f"photos/{file}", width, height, photo.intrinsics * to_pixels, None)
-        for file, photo in zip(files, scene.inputs)
-    ]
-    write_cameras(path / "cameras.json", cameras)
-    photos = [*scene.inputs, scene.target]
-    truth = {
-        "name": path.name,
-        "kind": scene.kind,
-        "intrinsics": [photo.intrinsics.tolist() for photo in photos],
-        "c2w": [photo.c2w.tolist() for photo in photos],
-    }
-    (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
-
-
-def _save_images(photos: Sequence[Photo], files: Sequence[Path]) -> None:
+def _save_images(photos: Sequence[Photo], inputs: Path, target: Path) -> None:
+    """Write the inputs to a folder and the last photo to a file; nothing for no photos."""
+    files = [*(inputs / f"{index}.png" for index in range(len(photos) - 1)), target]
     for photo, file in zip(photos, files):
         file.parent.mkdir(parents=True, exist_ok=True)
         save_image(torch.from_numpy(photo.image).permute(2, 0, 1), file)

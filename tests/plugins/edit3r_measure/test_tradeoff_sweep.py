@@ -38,7 +38,7 @@ def sample(views=2, side=8):
 
 @pytest.fixture
 def scene(tmp_path):
-    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, sample()))
+    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, [sample()]))
     return write_scene(source, tmp_path)
 
 
