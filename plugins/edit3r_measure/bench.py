@@ -91,16 +91,27 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
 
 def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     """Return the manifest; None after the first step, which leaves the vetting file."""
-    from edit3r_measure.bench_build import PhotoBuild, PhotoSettings, find_photo_folders
-    from edit3r_measure.bench_proposals import read_vetting, write_vetting
+    from edit3r.registry import default_registry
+    from edit3r_measure.bench_build import PhotoBuild
+    from edit3r_measure.bench_proposals import LanguageModel, read_vetting, write_vetting
 
-    labels = tuple(label.strip().lower() for label in args.labels.split(",") if label.strip())
-    values = {"seed": args.seed, "views": args.views, "labels": labels, **_image_size(args)}
-    settings = make_settings(PhotoSettings, values, where="build")
+    if (args.llm is None) != (args.llm_model is None):
+        raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
+    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
+    named = {"detector": args.detector, "segmenter": args.segmenter}
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
-    scenes = find_photo_folders(Path(args.folder), settings.views)
-    build = PhotoBuild(scenes, settings, out, vetting, **_photo_tools(args))
+    given = {
+        "folder": Path(args.folder),
+        "out": out,
+        "vetting": vetting,
+        "seed": args.seed,
+        "views": args.views,
+        "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
+        "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
+    }
+    tools = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in named.items() if name}
+    build = make_settings(PhotoBuild, {**given, **tools, **_image_size(args)}, where="build")
     if args.no_vetting:
         return build.manifest(build.propose())
     if vetting.is_file():
@@ -108,19 +119,6 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     write_vetting(vetting, build.propose())
     print(f"{vetting}: edit it (keep, drop, reword), then run the same command again.")
     return None
-
-
-def _photo_tools(args: argparse.Namespace) -> dict[str, Any]:
-    """Build what helps to find edits, by the names of `PhotoBuild`."""
-    from edit3r.registry import default_registry
-    from edit3r_measure.bench_proposals import LanguageModel
-
-    if (args.llm is None) != (args.llm_model is None):
-        raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
-    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
-    names = {"detector": args.detector, "segmenter": args.segmenter}
-    built = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in names.items() if name}
-    return {**built, "model": LanguageModel(args.llm, args.llm_model) if args.llm else None}
 
 
 def _image_size(args: argparse.Namespace) -> dict[str, int]:

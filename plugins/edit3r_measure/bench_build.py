@@ -3,9 +3,9 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
 from PIL import Image
 from pydantic import Field
@@ -16,7 +16,7 @@ from edit3r.errors import InputError
 from edit3r.interfaces import Detector, SceneSample, Segmenter
 from edit3r.io.atomic import atomic_write
 from edit3r.io.cameras import CAMERA_FILES, read_cameras
-from edit3r.io.images import find_photos, load_photos
+from edit3r.io.images import evenly, find_photos, load_photos
 from edit3r.registry import Registry
 from edit3r.reporting import progress, track, warn
 from edit3r.stage_checks import component_name
@@ -44,6 +44,7 @@ from edit3r_measure.bench_proposals import (
     masks_from_boxes,
     without_near_duplicates,
 )
+from edit3r_measure.report import make_folder
 from edit3r_measure.scene_sources import choose_triples
 
 GENERATED_EDITS = (
@@ -171,6 +172,7 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
 
 
 def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
+    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else evenly spaced ones."""
     try:
         files = tuple(file.relative_to(path).as_posix() for file in find_photos(path))
     except InputError:  # a folder of something else
@@ -178,43 +180,34 @@ def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
     if len(files) < 2:
         return None
     cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
-    inputs, held_back = _split(path, files, cameras, views)
+    known = read_cameras(path / cameras) if cameras else []
+    posed = [camera for camera in known if camera.c2w is not None and camera.file in files]
+    inputs, held_back = tuple(evenly(range(len(files)), views)), ()
+    if triples := choose_triples(posed, 3):
+        middle = triples[len(triples) // 2]
+        first, second, target = (files.index(posed[i].file) for i in (middle.first, middle.second, middle.target))
+        inputs, held_back = (first, second), (target,)
     return PhotoFolder(os.path.basename(os.path.abspath(path)), path, cameras, files, inputs, held_back)
 
 
-def _split(path: Path, files: Sequence[str], cameras: str, views: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else evenly spaced ones."""
-    known = read_cameras(path / cameras) if cameras else []
-    posed = [camera for camera in known if camera.c2w is not None and camera.file in files]
-    triples = choose_triples(posed, 3)
-    if triples:
-        middle = triples[len(triples) // 2]
-        first, second, target = (files.index(posed[i].file) for i in (middle.first, middle.second, middle.target))
-        return (first, second), (target,)
-    spaced = torch.linspace(0, len(files) - 1, min(views, len(files))).round().long().tolist()
-    return tuple(spaced), ()
+class PhotoBuild(Settings):
+    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
 
-
-class PhotoSettings(Settings):
-    """How scenes are read."""
-
+    folder: Path = Field(description="folder of scenes")
+    out: Path = Field(description="the manifest, whose folder all paths in it are relative to")
+    vetting: Path = Field(description="the vetting file, whose folder mask files named in it are relative to")
     image_size: int = Field(256, ge=32, le=4096, description="longer side that photos are reduced to [pixels]")
     seed: int = Field(2026, ge=0, description="of the edits, shared by all views of an item")
     views: int = Field(2, ge=2, le=32, description="input photos of scenes without poses, evenly spaced")
     labels: tuple[str, ...] = Field((), description="what the photos show; with a detector what it looks for")
-
-
-@dataclass(frozen=True)
-class PhotoBuild:
-    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
-
-    scenes: Sequence[PhotoFolder]
-    settings: PhotoSettings
-    out: Path  # the manifest, whose folder all paths in it are relative to
-    vetting: Path  # the vetting file, whose folder mask files named in it are relative to
     detector: Detector | None = None
     segmenter: Segmenter | None = None
     model: LanguageModel | None = None
+
+    @cached_property
+    def scenes(self) -> list[PhotoFolder]:
+        """The folders of photos."""
+        return find_photo_folders(self.folder, self.views)
 
     def propose(self) -> dict[str, list[ProposedEdit]]:
         """Return the proposed edits of every scene, near duplicates removed."""
@@ -224,7 +217,7 @@ class PhotoBuild:
             if not labels:
                 warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
             own = edits_from_model(labels, self.model) if self.model is not None else []
-            own += edits_from_templates(labels or (UNNAMED,), self.settings.seed + number)
+            own += edits_from_templates(labels or (UNNAMED,), self.seed + number)
             found[scene.id] = without_near_duplicates(own)
         return found
 
@@ -237,16 +230,8 @@ class PhotoBuild:
         items = [item for scene in track(self.scenes, "masks") for item in self._items(scene, chosen[scene.id])]
         return Manifest(
             name=f"{len(self.scenes)} photographed scenes",
-            image_size=self.settings.image_size,
-            scenes=tuple(
-                SceneRecord(
-                    id=scene.id,
-                    folder=self._relative(scene.path),
-                    cameras=scene.cameras,
-                    frames=tuple(self._frame(scene.path / file, file) for file in scene.files),
-                )
-                for scene in self.scenes
-            ),
+            image_size=self.image_size,
+            scenes=tuple(map(self._record, self.scenes)),
             items=tuple(items),
             notes={
                 "built_from": "photos",
@@ -260,12 +245,12 @@ class PhotoBuild:
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
         """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
         if self.detector is None:
-            return dict.fromkeys(self.settings.labels, ())
-        words = self.settings.labels or WORDS["vocabulary"]
-        return find_objects(scene.load_inputs(self.settings.image_size), self.detector, words)
+            return dict.fromkeys(self.labels, ())
+        return find_objects(scene.load_inputs(self.image_size), self.detector, self.labels or WORDS["vocabulary"])
 
-    def _frame(self, path: Path, name: str) -> FrameRecord:
-        return FrameRecord(file=name, sha256=hash_of_file(path))
+    def _record(self, scene: PhotoFolder) -> SceneRecord:
+        frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
+        return SceneRecord(id=scene.id, folder=self._relative(scene.path), cameras=scene.cameras, frames=frames)
 
     def _items(self, scene: PhotoFolder, edits: Sequence[ProposedEdit]) -> list[ItemRecord]:
         objects = self._objects(scene)
@@ -278,7 +263,7 @@ class PhotoBuild:
                 prompt=edit.prompt,
                 description=edit.description,
                 before=f"a photo of the {edit.object}" if edit.object else "a photo",
-                seed=self.settings.seed,
+                seed=self.seed,
                 inputs=scene.inputs,
                 held_back=scene.held_back,
                 masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
@@ -287,30 +272,23 @@ class PhotoBuild:
         ]
 
     def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes) -> tuple[FrameRecord, ...]:
-        """Return those a person named, else those around a removed or modified object that a detector found."""
+        """Return those a person named, else those around a removed or modified object that a detector found.
+
+        None are made when it did not find the object in every input: an edit confined to some of the views would be
+        another edit.
+        """
         if edit.masks and len(edit.masks) != len(scene.inputs):
             counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
             raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")
         files = [self.vetting.parent / mask for mask in edit.masks]
-        if not files and edit.type in ("Remove", "Modify"):
-            files = self._draw_masks(item, scene, boxes)
-        return tuple(self._frame(file, self._relative(file)) for file in files)
-
-    def _draw_masks(self, item: str, scene: PhotoFolder, boxes: Boxes) -> list[Path]:
-        """Write masks made from the detector's boxes; none when it did not find the object in every input.
-
-        An edit confined to some of the views would be another edit.
-        """
-        if not boxes or None in boxes:
-            return []
-        masks = masks_from_boxes(scene.load_inputs(self.settings.image_size), boxes, self.segmenter)
-        folder = self.out.parent / f"{self.out.stem}-masks"
-        folder.mkdir(exist_ok=True)
-        files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
-        for file, mask in zip(files, masks):
-            with atomic_write(file) as partial:
-                Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
-        return files
+        if not files and edit.type in ("Remove", "Modify") and boxes and None not in boxes:
+            folder = make_folder(self.out.parent / f"{self.out.stem}-masks")
+            files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
+            masks = masks_from_boxes(scene.load_inputs(self.image_size), boxes, self.segmenter)
+            for file, mask in zip(files, masks):
+                with atomic_write(file) as partial:
+                    Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
+        return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
 
     def _relative(self, path: Path) -> str:
         return Path(os.path.relpath(os.path.abspath(path), os.path.abspath(self.out.parent))).as_posix()

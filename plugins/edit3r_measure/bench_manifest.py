@@ -104,11 +104,10 @@ class Manifest(Settings):
 
     def limited(self, scenes: int | None, edits: int | None, types: tuple[str, ...] = ()) -> "Manifest":
         """Return the first `scenes` scenes with the first `edits` edits of each (of these `types`); None: all."""
-        kept, items = self.scenes[:scenes], []
-        for scene in kept:
-            own = [item for item in self.items if item.scene == scene.id and (not types or item.type in types)]
-            items += own[:edits]
-        return self.model_copy(update={"scenes": kept, "items": tuple(items)})
+        kept = self.scenes[:scenes]
+        wanted = [item for item in self.items if not types or item.type in types]
+        own = [[item for item in wanted if item.scene == scene.id][:edits] for scene in kept]
+        return self.model_copy(update={"scenes": kept, "items": tuple(item for items in own for item in items)})
 
     @property
     def sha256(self) -> str:
@@ -142,9 +141,9 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
     scenes = [scene.id for scene in manifest.scenes]
     items = [item.id for item in manifest.items]
     for what, names in (("scene", scenes), ("item", items)):
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InputError(f"{path}: two {what}s are called {twice!r}.")
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{path}: two {what}s are called {name!r}.")
     for item in manifest.items:
         if item.scene not in scenes:
             raise InputError(f"{path}: item {item.id!r} names the scene {item.scene!r}, which is not in the manifest.")
@@ -237,12 +236,15 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     folder = root / scene.folder
     if verify:
         for path, record in [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in item.masks]:
-            _check_hash(path, record.sha256, item.id)
+            if not path.is_file():
+                raise InputError(f"{path}: item {item.id!r} of the manifest needs this picture, and it is not there.")
+            if hash_of_file(path) != record.sha256:
+                sentence = "not the picture that the manifest was built with; results would not compare."
+                raise InputError(f"{path}: {sentence}")
     camera_file = folder / scene.cameras if scene.cameras else None
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))
-    views = loaded.views
-    posed = camera_file is not None and views.c2w is not None
+    views, posed = loaded.views, camera_file is not None and loaded.views.c2w is not None
     return LoadedItem(
         record=item,
         photos=replace(views, c2w=None),
@@ -264,14 +266,6 @@ def _read_masks(item: ItemRecord, root: Path, loaded: LoadedPhotos) -> Float[Ten
 
 def _relative(cameras: Cameras) -> Cameras:
     return replace(cameras, c2w=relative_to_first(cameras.c2w.double()).float())
-
-
-def _check_hash(path: Path, sha256: str, item: str) -> None:
-    """Raise InputError unless the file is there and is the one that was hashed."""
-    if not path.is_file():
-        raise InputError(f"{path}: item {item!r} of the manifest needs this picture, and it is not there.")
-    if hash_of_file(path) != sha256:
-        raise InputError(f"{path}: not the picture that the manifest was built with; results would not compare.")
 
 
 def _frame_names(order: list[int]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from markdown_it import MarkdownIt
 from PIL import Image
 
 from edit3r.io.atomic import atomic_write
+from edit3r.io.images import evenly
 from edit3r.reporting import warn
 from edit3r_measure.bench_report import (
     Column,
@@ -57,9 +58,7 @@ def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) ->
 def write_page(path: Path, text: str, plots: Sequence[Path], columns: Sequence[Column], most: int) -> None:
     """Write the report `text` (Markdown), the SVG `plots`, and images of at most `most` edits, spread evenly."""
     edits = list(columns[0].results.values()) if columns else []
-    shown = edits
-    if most < len(edits):
-        shown = [edits[int((place + 0.5) * len(edits) / most)] for place in range(most)]
+    shown = evenly(edits, most)
     parts = [MarkdownIt("commonmark", {"html": False}).enable("table").render(text)]
     parts += ["<svg" + plot.read_text(encoding="utf-8").partition("<svg")[2] for plot in plots]
     parts.append(

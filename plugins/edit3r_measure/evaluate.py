@@ -44,13 +44,16 @@ class EvaluateCommand(Command):
         from edit3r.registry import default_registry
         from edit3r_measure.novel_view import score_scene
         from edit3r_measure.report import write_json, write_text
-        from edit3r_measure.scene_sources import NO_TRIPLES, find_scenes
+        from edit3r_measure.scene_sources import NO_TRIPLES, SceneOptions, find_scenes
 
         settings = _checked_settings(args)
         registry = default_registry(tuple(args.plugin))
         reconstructor = registry.build("reconstructor", args.recon, **settings.get("reconstructor", {}))
         rasterizer = registry.build("rasterizer", args.rasterizer, **settings.get("rasterizer", {}))
-        options = _scene_options(args, settings.get("dataset", {}))
+        own = {"image_size": args.size, **({"edit": "recolor"} if args.edits else {})}
+        unseen = {name: {**drawn, **own} for name, drawn in UNSEEN.items()}
+        datasets = {place: {**unseen.get(place, {}), **settings.get("dataset", {})} for place in args.folders}
+        options = SceneOptions(args.pairs, args.size, datasets)
         sources = {place: find_scenes(place, options, registry) for place in args.folders}
         scores = []
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
@@ -82,15 +85,6 @@ def _checked_settings(args: argparse.Namespace) -> dict[str, Any]:
     if unknown:
         raise SettingsError(f"--set {unknown[0]}: evaluate has settings of reconstructor, rasterizer and dataset only.")
     return settings
-
-
-def _scene_options(args: argparse.Namespace, dataset: dict[str, Any]):
-    from edit3r_measure.scene_sources import SceneOptions
-
-    own = {"image_size": args.size, **({"edit": "recolor"} if args.edits else {})}
-    unseen = {name: {**settings, **own} for name, settings in UNSEEN.items()}
-    given = {place: {**unseen.get(place, {}), **dataset} for place in args.folders}
-    return SceneOptions(args.pairs, args.size, given)
 
 
 def as_records(scores: Sequence["SceneScore"]) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from edit3r.geometry.rotations import rotation_angle
 from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import PosedCamera, write_cameras
 from edit3r.io.framing import frame_for
-from edit3r.io.images import find_photos, read_image, save_image
+from edit3r.io.images import evenly, find_photos, read_image, save_image
 from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
 from edit3r.registry import Registry
 from edit3r.types import Cameras
@@ -33,6 +33,9 @@ from edit3r.types import Cameras
 PHOTOS, STEREO = "photos", "stereo"
 DISPARITY_FILE = "disparity_left.npz"
 TRUTH_FILE = "truth.json"
+FARTHEST_BETWEEN = 0.4
+"""How far a photo between two others may be from the middle [baselines]."""
+
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
 
@@ -98,35 +101,34 @@ def choose_triples(
             target = _photo_between(poses, first, second, angle)
             if target is not None:
                 triples.append(Triple(first, second, target, angle))
-    chosen = np.unique(np.linspace(0, len(triples) - 1, min(count, len(triples))).round().astype(int))
-    return [triples[index] for index in chosen]
+    return evenly(triples, count)
 
 
 def _photo_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int, angle: float) -> int | None:
     """Return the photo nearest to the middle of the baseline that looks the same way; None when there is none."""
     start, end = poses[first][:3, 3], poses[second][:3, 3]
-    baseline = end - start
-    best, best_distance = None, 0.4  # in baselines from the middle
-    for index, pose in enumerate(poses):
-        turns = (rotation_degrees(pose[:3, :3], poses[end][:3, :3]) for end in (first, second))
-        if index in (first, second) or max(turns) > angle:
-            continue
-        distance = np.linalg.norm(pose[:3, 3] - (start + end) / 2) / max(np.linalg.norm(baseline), 1e-12)
-        if distance < best_distance:
-            best, best_distance = index, distance
-    return best
+    baseline = max(np.linalg.norm(end - start), 1e-12)
+    distances = {
+        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2) / baseline
+        for index, turn in _turns(poses, first, second).items()
+        if turn <= angle
+    }
+    best = min(distances, key=distances.__getitem__, default=None)
+    return None if best is None or distances[best] >= FARTHEST_BETWEEN else best
+
+
+def _turns(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> dict[int, float]:
+    """Return the larger angle [degrees] to the two photos of each other one, by index."""
+    ends = (first, second)
+    others = [index for index in range(len(poses)) if index not in ends]
+    return {i: max(rotation_degrees(poses[i][:3, :3], poses[end][:3, :3]) for end in ends) for i in others}
 
 
 def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
     """Return a photo between the two inputs besides the target, that whose larger angle to them is least, or none."""
-    poses = [camera.c2w[:3, :3] for camera in folder.cameras]
-    angles = {
-        index: max(rotation_degrees(pose, poses[end]) for end in (triple.first, triple.second))
-        for index, pose in enumerate(poses)
-        if index not in (triple.first, triple.second, triple.target)
-    }
-    nearest = min(angles, key=angles.__getitem__, default=None)
-    return [] if nearest is None or angles[nearest] >= triple.degrees else [nearest]
+    turns = _turns([camera.c2w for camera in folder.cameras], triple.first, triple.second)
+    turns = {index: turn for index, turn in turns.items() if index != triple.target and turn < triple.degrees}
+    return sorted(turns, key=turns.__getitem__)[:1]
 
 
 # The three sources.

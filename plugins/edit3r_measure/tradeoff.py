@@ -11,7 +11,7 @@ from edit3r.console import StageConsole
 from edit3r.errors import Edit3rError, MissingDependencyError, RunError, SettingsError
 from edit3r.registry import default_registry
 from edit3r.reporting import Report, collecting
-from edit3r_measure.tradeoff_knobs import SHIPPED, Point, SweepPlan, make_points, read_plan
+from edit3r_measure.tradeoff_knobs import SHIPPED, SweepPlan, make_points, read_plan
 
 
 class TradeoffCommand(Command):
@@ -61,17 +61,16 @@ class TradeoffCommand(Command):
         return 0
 
 
-def _plan_and_points(args: argparse.Namespace) -> tuple[SweepPlan, list[Point]]:
+def _plan_and_points(args: argparse.Namespace) -> tuple[SweepPlan, dict[str, dict[str, Any]]]:
     """Read the plan and make its points; `--knobs` names some of the shipped knobs or a file of others."""
-    given = args.knobs or []
-    files = [name for name in given if name.endswith((".yaml", ".yml"))]
-    names = [name for name in given if name not in files] or None
+    files = [name for name in args.knobs or () if name.endswith((".yaml", ".yml"))]
+    names = [name for name in args.knobs or () if name not in files] or None
     plan = read_plan(files[0] if files else SHIPPED)
     plan = plan.model_copy(update={"base": merge(plan.base, parse_assignments(args.set))})
     return plan, make_points(plan, names, args.grid)
 
 
-def _measure(args: argparse.Namespace, plan: SweepPlan, points: Sequence[Point], sweep: Any) -> list[dict[str, Any]]:
+def _measure(args: argparse.Namespace, plan: SweepPlan, points: Mapping[str, Any], sweep: Any) -> list[dict[str, Any]]:
     """Write the scenes and measure what is missing; returns all measurements."""
     from edit3r_measure.scene_sources import SceneOptions, write_scenes
 

@@ -40,13 +40,6 @@ class SweepPlan(Settings):
     combinations: list[dict[str, str]] = Field(default_factory=list, description="more points: values by knob")
 
 
-class Point(Settings):
-    """Settings to measure, and what to call them."""
-
-    label: str
-    settings: dict[str, Any]
-
-
 def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     """Read a knobs file. Raises SettingsError naming the key that is wrong."""
     content = read_yaml(path)
@@ -57,10 +50,11 @@ def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     return plan
 
 
-def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> list[Point]:
-    """Return the base, the combinations, and every value of each knob alone; `names` restricts that to some knobs.
+def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> dict[str, dict[str, Any]]:
+    """Return run settings by label: the base, the combinations, and every value of each knob alone.
 
-    With `grid`, every combination of the knobs' values instead. Points with the same settings are measured once.
+    `names` restricts that to some knobs. With `grid`, every combination of the knobs' values instead. Points with the
+    same settings are measured once.
     """
     for name in names or ():
         if name not in plan.knobs:
@@ -72,12 +66,11 @@ def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool 
     else:
         alone = [{name: value} for name, knob in knobs.items() for value in knob.values]
         choices = [{}, *(c for c in plan.combinations if set(c) <= set(knobs)), *alone]
-    points: list[Point] = []
+    points: dict[str, dict[str, Any]] = {}
     for choice in choices:
-        label = ", ".join(f"{name} {value}" for name, value in choice.items()) or BASE
-        point = Point(label=label, settings=_settings(plan, choice))
-        if all(point.settings != other.settings for other in points):
-            points.append(point)
+        settings = _settings(plan, choice)
+        if settings not in points.values():
+            points[", ".join(f"{name} {value}" for name, value in choice.items()) or BASE] = settings
     return points
 
 

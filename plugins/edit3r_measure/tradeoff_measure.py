@@ -39,7 +39,6 @@ from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import RenderedView, predict, score_edit
 from edit3r_measure.runner import run_resumable
 from edit3r_measure.scene_sources import SceneFolder
-from edit3r_measure.tradeoff_knobs import Point
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 LAST_WORDS = 300  # characters of a dead process's last words that are kept
@@ -87,30 +86,36 @@ class Sweep:
         content = [settings, fingerprint, effort, [versions.get(name) for name in ("edit3r", "torch")]]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    def measure(self, points: Sequence[Point], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
-        """Measure all points on all scenes, each pair in a fresh process; fewer are returned if the time ran out.
+    def measure(self, points: Mapping[str, Mapping[str, Any]], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
+        """Measure all points (settings by label) on all scenes, each pair in a fresh process.
 
-        What `measurements.jsonl` has from earlier sweeps is not measured again.
+        What `measurements.jsonl` has from earlier sweeps is not measured again. Fewer measurements are returned if
+        the time ran out.
         """
         fingerprints = [(scene, scene.fingerprint()) for scene in scenes]
-        keyed = [(self.key(p.settings, mark), p, scene) for p in points for scene, mark in fingerprints]
+        keyed = [(self.key(points[label], mark), label, scene) for label in points for scene, mark in fingerprints]
         found = run_resumable(
-            {job[0]: job for job in keyed},
+            {key: (key, label, points[label], scene) for key, label, scene in keyed},
             self._measure_pair,
             self.root / "measurements.jsonl",
             seconds=self.seconds,
             on_done=lambda state: progress("measure", state.done, state.total),
         )
-        labels = {key: point.label for key, point, _ in keyed}
+        labels = {key: label for key, label, _ in keyed}
         return [{**row, "label": labels[key]} for key, row in found.items()]
 
-    def _measure_pair(self, pair: tuple[str, Point, SceneFolder]) -> dict[str, Any]:
-        key, point, scene = pair
-        about = {"label": point.label, "settings": point.settings, "scene": scene.name, "kind": scene.kind}
-        when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    def _measure_pair(self, pair: tuple[str, str, Mapping[str, Any], SceneFolder]) -> dict[str, Any]:
+        key, label, settings, scene = pair
         paths = {"scene": str(scene.path.resolve()), "image": str(self.image(key).resolve())}
-        measurement = in_fresh_process(replace(self.job, settings=point.settings, **paths), self.threads)
-        return {**about, "threads": self.threads, "measured_at": when, **measurement}
+        return {
+            "label": label,
+            "settings": settings,
+            "scene": scene.name,
+            "kind": scene.kind,
+            "threads": self.threads,
+            "measured_at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            **in_fresh_process(replace(self.job, settings=settings, **paths), self.threads),
+        }
 
 
 def in_fresh_process(job: Job, threads: int | None) -> Mapping[str, Any]:
