@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.command import Command
 from edit3r.config import find_config, make_settings, merge, parse_assignments, read_yaml
 from edit3r.errors import SettingsError, suggest
+from edit3r_measure.report import check_least
 
 if TYPE_CHECKING:
     from edit3r_measure.bench_item import Method
@@ -82,8 +83,7 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
     from edit3r.registry import default_registry
     from edit3r_measure.bench_build import GeneratedSettings, build_generated
 
-    if args.procedural < 1:
-        raise SettingsError(f"--procedural: must be at least 1, got {args.procedural}.")
+    check_least(args, procedural=1)
     values = {"seed": args.seed, **_image_size(args), **_component_settings(args, {"generator"}).get("generator", {})}
     settings = make_settings(GeneratedSettings, values, where="generator")
     return build_generated(args.procedural, settings, default_registry(tuple(args.plugin)))
@@ -168,10 +168,7 @@ def _run(args: argparse.Namespace) -> int:
     from edit3r_measure.bench_metrics import MetricSettings
     from edit3r_measure.runner import Workers
 
-    for option in ("workers", "threads", "scenes", "edits"):
-        value = getattr(args, option)
-        if value is not None and value < 1:
-            raise SettingsError(f"--{option}: must be at least 1, got {value}.")
+    check_least(args, workers=1, threads=1, scenes=1, edits=1)
     types = tuple(args.types.split(",")) if args.types else ()
     if set(types) - set(EDIT_TYPES):
         raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")

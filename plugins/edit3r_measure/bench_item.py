@@ -26,7 +26,7 @@ from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, StageRecord, collecting
 from edit3r.types import Cameras
-from edit3r_measure.bench_manifest import LoadedItem, Manifest, load_item, read_bench_manifest
+from edit3r_measure.bench_manifest import ItemRecord, LoadedItem, Manifest, load_item, read_bench_manifest
 from edit3r_measure.bench_metrics import (
     MethodOutput,
     MetricNetworks,
@@ -133,7 +133,7 @@ def _result_of_row(row: Mapping[str, Any]) -> ItemResult:
 
 @dataclass(frozen=True)
 class BenchRun:
-    """A method on its way through a manifest: turns an item's id into a row of results.
+    """A method on its way through a manifest: turns an item into a row of results.
 
     It is pickled to each worker, where what it has built stays for the next item.
     """
@@ -165,12 +165,11 @@ class BenchRun:
         """What the metrics need."""
         return MetricNetworks(self.metrics, self.registry)
 
-    def __call__(self, item_id: str) -> dict[str, Any]:
+    def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
-        record = self.manifest.item(item_id)
         item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
-        cold = self._built.setdefault("first item", item_id) == item_id
+        cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
         try:
             with collecting(report), torch.no_grad():
@@ -195,7 +194,7 @@ class BenchRun:
             item.record.prompt,
             editor=self._editor(item),
             recon=self._component("reconstructor", method.reconstructor),
-            masks=item.input_masks,
+            masks=None if item.masks is None else item.masks[None, : item.inputs],
             edit_views=method.edit_views,
             seed=item.record.seed,
             registry=self.registry,
@@ -237,7 +236,7 @@ def run_bench(
     if not run.manifest.items:
         raise InputError(f"{run.manifest_file}: no edit is left to do with these limits.")
     _claim_folder(run, workers.threads)
-    jobs = {item.id: item.id for item in run.manifest.items}
+    jobs = {item.id: item for item in run.manifest.items}
     rows = run_resumable(jobs, run, run.out / RESULTS, workers=workers, key_name="id", on_done=on_done)
     return {name: _result_of_row(row) for name, row in rows.items()}
 

@@ -94,14 +94,6 @@ class Manifest(Settings):
     made_with: dict[str, str] = Field(default_factory=installed_versions, description="versions of packages")
     notes: dict[str, Any] = Field(default_factory=dict, description="how it was built: detectors, prompts, rejections")
 
-    def scene(self, name: str) -> SceneRecord:
-        """Return the scene called `name`."""
-        return next(scene for scene in self.scenes if scene.id == name)
-
-    def item(self, name: str) -> ItemRecord:
-        """Return the item called `name`."""
-        return next(item for item in self.items if item.id == name)
-
     def limited(self, scenes: int | None, edits: int | None, types: tuple[str, ...] = ()) -> "Manifest":
         """Return the first `scenes` scenes with the first `edits` edits of each (of these `types`); None: all."""
         kept = self.scenes[:scenes]
@@ -168,17 +160,13 @@ class LoadedItem:
         """The views that a method gets."""
         return self.photos.select(range(self.inputs))
 
-    @property
-    def input_masks(self) -> Float[Tensor, "1 view height width"] | None:
-        """The masks that a method's editor is confined by."""
-        return None if self.masks is None else self.masks[None, : self.inputs]
-
 
 def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Registry, verify: bool = True) -> LoadedItem:
     """Load `item`; `root` is the manifest's folder. Raises InputError when images are not those of the manifest."""
     if item.sample is not None:
         return _generated(item, item.sample, registry, verify)
-    return _photographed(manifest.scene(item.scene), item, root, manifest.image_size, verify)
+    scene = next(scene for scene in manifest.scenes if scene.id == item.scene)
+    return _photographed(scene, item, root, manifest.image_size, verify)
 
 
 def load_sample(record: SampleRecord, registry: Registry) -> SceneSample:

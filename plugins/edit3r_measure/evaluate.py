@@ -10,6 +10,7 @@ from edit3r.command import Command
 from edit3r.config import parse_assignments
 from edit3r.errors import InputError, SettingsError
 from edit3r.reporting import Report, collecting, track
+from edit3r_measure.report import check_least, grouped, markdown_table, write_json, write_text
 
 if TYPE_CHECKING:  # the command line is parsed without torch
     from edit3r_measure.novel_view import SceneScore
@@ -43,7 +44,6 @@ class EvaluateCommand(Command):
         from edit3r.console import StageConsole
         from edit3r.registry import default_registry
         from edit3r_measure.novel_view import score_scene
-        from edit3r_measure.report import write_json, write_text
         from edit3r_measure.scene_sources import NO_TRIPLES, SceneOptions, find_scenes
 
         settings = _checked_settings(args)
@@ -75,9 +75,7 @@ class EvaluateCommand(Command):
 
 def _checked_settings(args: argparse.Namespace) -> dict[str, Any]:
     """Return what `--set` says; raises SettingsError for arguments that make no sense."""
-    for option, least in (("pairs", 1), ("size", 16)):
-        if getattr(args, option) < least:
-            raise SettingsError(f"--{option}: must be at least {least}, got {getattr(args, option)}.")
+    check_least(args, pairs=1, size=16)
     if args.out and not args.out.endswith((".md", ".json")):
         raise SettingsError(f"--out {args.out}: expected a file that ends in .md or .json.")
     settings = parse_assignments(args.set)
@@ -102,8 +100,6 @@ def as_records(scores: Sequence["SceneScore"]) -> list[dict[str, Any]]:
 
 def as_markdown(scores: Sequence["SceneScore"]) -> str:
     """Return a table of the novel views, a table of the carried edits, and a line for each known depth."""
-    from edit3r_measure.report import grouped
-
     kinds = grouped(scores, lambda score: score.kind)
     tables = [table(kinds[kind]) for kind, table in TABLES.items() if kind in kinds]
     return "\n".join([*tables, *(f"{depth_line(score)}\n" for score in kinds.get("depth", ()))])
@@ -137,8 +133,6 @@ COLUMNS = (
 
 def novel_view_table(scores: Sequence["SceneScore"]) -> str:
     """Return one row a scene and one for all pairs, then a line for each failure."""
-    from edit3r_measure.report import grouped, markdown_table
-
     rows = []
     for name, group in (*grouped(scores, lambda score: score.scene).items(), ("all pairs", scores)):
         done = [score.figures for score in group if not score.failure]
@@ -165,7 +159,6 @@ def _summary(pairs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def edit_table(scores: Sequence["SceneScore"]) -> str:
     """Return one row a measure of how edits are carried and fused, then a line for each failure."""
     from edit3r_measure.novel_view import FIGURES
-    from edit3r_measure.report import markdown_table
 
     rows = []
     for name in FIGURES["edit"]:

@@ -1,18 +1,26 @@
-"""What all reports share: Markdown tables, whole files, groups of rows, and the machine that was measured on."""
+"""What the three commands share: checks of options, Markdown tables, groups of rows, and whole files.
 
+Nothing here imports torch, for a command line is parsed without it.
+"""
+
+import argparse
 import json
-import os
-import platform
-import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from edit3r.errors import InputError
+from edit3r.errors import InputError, SettingsError
 from edit3r.io.atomic import atomic_write
-from edit3r.io.run_folder import installed_versions
 
 Item = TypeVar("Item")
+
+
+def check_least(args: argparse.Namespace, **least: int) -> None:
+    """Raise SettingsError unless each option that is given is at least so large."""
+    for option, smallest in least.items():
+        value = getattr(args, option)
+        if value is not None and value < smallest:
+            raise SettingsError(f"--{option.replace('_', '-')}: must be at least {smallest}, got {value}.")
 
 
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
@@ -60,16 +68,3 @@ def write_text(path: str | Path, content: str) -> None:
 def write_json(path: str | Path, content: Any, indent: int = 1) -> None:
     """Write a JSON file whole or not at all."""
     write_text(path, json.dumps(content, indent=indent, ensure_ascii=False) + "\n")
-
-
-def describe_machine(threads: int | None) -> dict[str, Any]:
-    """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
-    table = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
-    versions = installed_versions()
-    return {
-        "processor": found[1] if found else platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "threads": threads or "as the libraries choose",
-        "versions": {name: versions[name] for name in ("edit3r", "python", "torch", "numba") if name in versions},
-    }

@@ -8,9 +8,10 @@ from typing import Any
 from edit3r.command import Command
 from edit3r.config import merge, parse_assignments
 from edit3r.console import StageConsole
-from edit3r.errors import Edit3rError, MissingDependencyError, RunError, SettingsError
+from edit3r.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.registry import default_registry
 from edit3r.reporting import Report, collecting
+from edit3r_measure.report import check_least
 from edit3r_measure.tradeoff_knobs import SHIPPED, SweepPlan, make_points, read_plan
 
 
@@ -40,10 +41,7 @@ class TradeoffCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        for option, least in (("scenes", 1), ("warm_up", 0), ("repeats", 1), ("threads", 1)):
-            value = getattr(args, option)
-            if value is not None and value < least:
-                raise SettingsError(f"--{option.replace('_', '-')}: must be at least {least}, got {value}.")
+        check_least(args, scenes=1, warm_up=0, repeats=1, threads=1)
         plan, points = _plan_and_points(args)
         if args.list_knobs:
             print("\n".join(f"{name}: {knob.about}: {', '.join(knob.values)}" for name, knob in plan.knobs.items()))
@@ -92,9 +90,8 @@ def _report(
 ) -> None:
     """Write table, plot, page and presets."""
     from edit3r.quality import preset_names, write_quality
-    from edit3r_measure.report import describe_machine
     from edit3r_measure.tradeoff_points import make_quality
-    from edit3r_measure.tradeoff_report import plot, report, write_into_page
+    from edit3r_measure.tradeoff_report import describe_machine, plot, report, write_into_page
 
     if not points:
         failures = "; ".join(dict.fromkeys(m["failure"] for m in measurements if "failure" in m))

@@ -1,6 +1,9 @@
 """The table of a sweep with the words around it, in Markdown, and its plot: time against accuracy."""
 
 import math
+import os
+import platform
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,6 +12,7 @@ from typing import Any
 
 from edit3r.errors import MissingDependencyError
 from edit3r.io.atomic import write_between
+from edit3r.io.run_folder import installed_versions
 from edit3r_measure.report import format_or_dash, markdown_table
 from edit3r_measure.tradeoff_knobs import BASE
 from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
@@ -47,6 +51,19 @@ def write_into_page(page: Path, text: str, plotted: Path) -> None:
         shutil.copyfile(plotted, page.parent / image)
         text = f"![Novel-view PSNR against time, front and presets]({image})\n\n{text}"
     write_between(page, START, END, text)
+
+
+def describe_machine(threads: int | None) -> dict[str, Any]:
+    """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
+    table = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
+    versions = installed_versions()
+    return {
+        "processor": found[1] if found else platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": threads or "as the libraries choose",
+        "versions": {name: versions[name] for name in ("edit3r", "python", "torch", "numba") if name in versions},
+    }
 
 
 def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str) -> str:
