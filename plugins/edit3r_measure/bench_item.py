@@ -53,9 +53,9 @@ class Method(Settings):
     """One column of the comparison: an editor with a reconstructor, and how they are run."""
 
     label: str = Field("", description="name of the column and of its folder; default: editor and reconstructor")
-    editor: PartChoice = Field(PartChoice(name=ORACLE), description="2D editor; 'oracle' is the offline stand-in")
-    reconstructor: PartChoice = Field(PartChoice(name="edit3r"), description="reconstructor")
-    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="draws the pictures that are measured")
+    editor: PartChoice = Field(description="2D editor; default: 'oracle', the offline stand-in")
+    reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
+    rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
     edit_views: Literal["all", "first"] = Field("all", description="edit every view, or the reference only")
     poses: bool = Field(True, description="hand true poses to reconstructors that read them, where they are known")
     truth: bool | None = Field(
@@ -73,11 +73,7 @@ class Method(Settings):
     @model_validator(mode="before")
     @classmethod
     def _settings_without_a_name_are_of_the_default(cls, values: Any) -> Any:
-        defaults = {key: own.default for key, own in cls.model_fields.items() if isinstance(own.default, PartChoice)}
-        named = {
-            key: {"name": d.name, **values[key]} for key, d in defaults.items() if isinstance(values.get(key), dict)
-        }
-        return {**values, **named}
+        return merge({"editor": ORACLE, "reconstructor": "edit3r", "rasterizer": "auto"}, values)
 
     @model_validator(mode="after")
     def _label_by_default(self) -> "Method":

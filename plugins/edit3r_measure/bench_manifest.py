@@ -22,7 +22,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.morphology import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.images import LoadedPhotos, load_photos
+from edit3r.io.images import load_photos
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
@@ -233,6 +233,12 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))
     views, posed = loaded.views, camera_file is not None and loaded.views.c2w is not None
+    masks = None
+    if item.masks:
+        given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
+        masks = load_masks([root / record.file for record in item.masks], given)[0]
+        unknown = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))  # measures nothing there
+        masks = torch.cat((masks, unknown))
     return LoadedItem(
         record=item,
         photos=replace(views, c2w=None),
@@ -240,16 +246,8 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
         cameras=_relative(Cameras(views.c2w, views.intrinsics, views.image_size)) if posed else None,
         depths=None,
         truth=None,
-        masks=_read_masks(item, root, loaded) if item.masks else None,
+        masks=masks,
     )
-
-
-def _read_masks(item: ItemRecord, root: Path, loaded: LoadedPhotos) -> Float[Tensor, "frame height width"]:
-    """Return the masks of the input frames; held-back frames get NaN, which measures nothing there."""
-    given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
-    masks = load_masks([root / record.file for record in item.masks], given)[0]
-    rest = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))
-    return torch.cat((masks, rest))
 
 
 def _relative(cameras: Cameras) -> Cameras:

@@ -102,14 +102,13 @@ def as_markdown(scores: Sequence["SceneScore"]) -> str:
     """Return a table of the novel views, a table of the carried edits, and a line for each known depth."""
     kinds = grouped(scores, lambda score: score.kind)
     tables = [table(kinds[kind]) for kind, table in TABLES.items() if kind in kinds]
-    return "\n".join([*tables, *(f"{depth_line(score)}\n" for score in kinds.get("depth", ()))])
-
-
-def depth_line(score: "SceneScore") -> str:
-    """Return one sentence."""
-    if score.failure:
-        return f"{score.scene}: no depth, {score.failure}"
-    return f"{score.scene}: {score.figures['right']:.1%} of the pixels within 10 % of the true depth after one scale."
+    shares = [
+        f"{s.scene}: no depth, {s.failure}\n"
+        if s.failure
+        else f"{s.scene}: {s.figures['right']:.1%} of the pixels within 10 % of the true depth after one scale.\n"
+        for s in kinds.get("depth", ())
+    ]
+    return "\n".join([*tables, *shares])
 
 
 def _with_failures(table: str, scores: Sequence["SceneScore"]) -> str:

@@ -175,25 +175,20 @@ def stereo_scene(folder: PosedFolder, size: int) -> Scene:
     The key `disparity` of that file holds pixels at the stored size, 0 unknown; a point at x in the left photo is at
     x - disparity in the right one.
     """
-    files = tuple(camera.file for camera in folder.cameras[:2])
-    inputs = tuple(folder.load(index, size) for index in (0, 1))
-    return Scene(folder.name, STEREO, files, inputs, depth=_stereo_depth(folder, size))
-
-
-def _stereo_depth(folder: PosedFolder, size: int) -> Float[np.ndarray, "size size"]:
-    """Return camera z of the left photo's centred square [baselines], 0 where unknown."""
+    left, right = folder.cameras[:2]
     with np.load(folder.path / DISPARITY_FILE) as file:
         disparity = file["disparity"].astype(np.float32)
-    left, right = folder.cameras[:2]
     if disparity.shape != (left.height, left.width):
         raise InputError(
             f"{folder.path / DISPARITY_FILE}: expected {left.height} rows of {left.width}, got {disparity.shape}."
         )
     # The principal points differ between the two photos of some data sets.
     motion = disparity + right.K[0, 2] - left.K[0, 2]
-    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)
+    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)  # [baselines]
     x0, y0, x1, y1 = (round(edge) for edge in frame_for(disparity.shape, (size, size)).box)
-    return cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
+    square = cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
+    inputs = tuple(folder.load(index, size) for index in (0, 1))
+    return Scene(folder.name, STEREO, (left.file, right.file), inputs, depth=square)
 
 
 def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator[SceneSource]:

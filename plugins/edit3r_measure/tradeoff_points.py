@@ -208,11 +208,7 @@ def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], p
     exact = []
     for point in points:
         shipped = {key: value for key, value in point.settings.items() if key in plan.shipped}
-        others = [
-            {key: value for key, value in settings.items() if key not in plan.shipped}
-            for settings in (point.settings, plan.base)
-        ]
-        if others[0] == others[1]:
+        if _of_the_user(point.settings, plan) == _of_the_user(plan.base, plan):
             expected = {kind: _expected(figures, measured["clock"]) for kind, figures in point.kinds.items()}
             exact.append(ShippedPoint(label=point.label, settings=shipped, expected=expected))
     presets = {point.label: preset for preset, point in choose_presets(exact, APART).items()}
@@ -227,6 +223,10 @@ def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], p
         for point, flag in zip(exact, on_every_front(exact))
     ]
     return Quality(measured=dict(measured), points=sorted(rounded, key=lambda point: point.seconds))
+
+
+def _of_the_user(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key not in plan.shipped}
 
 
 def _expected(figures: Figures, clock: str) -> Expected:
