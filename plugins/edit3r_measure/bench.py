@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.command import Command
 from edit3r.config import find_config, make_settings, merge, parse_assignments, read_yaml
 from edit3r.errors import SettingsError, suggest
+from edit3r_measure.report import check_least
 
 if TYPE_CHECKING:
     from edit3r_measure.bench_item import Method
@@ -82,8 +83,7 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
     from edit3r.registry import default_registry
     from edit3r_measure.bench_build import GeneratedSettings, build_generated
 
-    if args.procedural < 1:
-        raise SettingsError(f"--procedural: must be at least 1, got {args.procedural}.")
+    check_least(args, procedural=1)
     values = {"seed": args.seed, **_image_size(args), **_component_settings(args, {"generator"}).get("generator", {})}
     settings = make_settings(GeneratedSettings, values, where="generator")
     return build_generated(args.procedural, settings, default_registry(tuple(args.plugin)))
@@ -91,16 +91,27 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
 
 def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     """Return the manifest; None after the first step, which leaves the vetting file."""
-    from edit3r_measure.bench_build import PhotoBuild, PhotoSettings, find_photo_folders
-    from edit3r_measure.bench_proposals import read_vetting, write_vetting
+    from edit3r.registry import default_registry
+    from edit3r_measure.bench_build import PhotoBuild
+    from edit3r_measure.bench_proposals import LanguageModel, read_vetting, write_vetting
 
-    labels = tuple(label.strip().lower() for label in args.labels.split(",") if label.strip())
-    values = {"seed": args.seed, "views": args.views, "labels": labels, **_image_size(args)}
-    settings = make_settings(PhotoSettings, values, where="build")
+    if (args.llm is None) != (args.llm_model is None):
+        raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
+    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
+    named = {"detector": args.detector, "segmenter": args.segmenter}
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
-    scenes = find_photo_folders(Path(args.folder), settings.views)
-    build = PhotoBuild(scenes, settings, out, vetting, **_photo_tools(args))
+    given = {
+        "folder": Path(args.folder),
+        "out": out,
+        "vetting": vetting,
+        "seed": args.seed,
+        "views": args.views,
+        "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
+        "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
+    }
+    tools = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in named.items() if name}
+    build = make_settings(PhotoBuild, {**given, **tools, **_image_size(args)}, where="build")
     if args.no_vetting:
         return build.manifest(build.propose())
     if vetting.is_file():
@@ -108,19 +119,6 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     write_vetting(vetting, build.propose())
     print(f"{vetting}: edit it (keep, drop, reword), then run the same command again.")
     return None
-
-
-def _photo_tools(args: argparse.Namespace) -> dict[str, Any]:
-    """Build what helps to find edits, by the names of `PhotoBuild`."""
-    from edit3r.registry import default_registry
-    from edit3r_measure.bench_proposals import LanguageModel
-
-    if (args.llm is None) != (args.llm_model is None):
-        raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
-    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
-    names = {"detector": args.detector, "segmenter": args.segmenter}
-    built = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in names.items() if name}
-    return {**built, "model": LanguageModel(args.llm, args.llm_model) if args.llm else None}
 
 
 def _image_size(args: argparse.Namespace) -> dict[str, int]:
@@ -170,10 +168,7 @@ def _run(args: argparse.Namespace) -> int:
     from edit3r_measure.bench_metrics import MetricSettings
     from edit3r_measure.runner import Workers
 
-    for option in ("workers", "threads", "scenes", "edits"):
-        value = getattr(args, option)
-        if value is not None and value < 1:
-            raise SettingsError(f"--{option}: must be at least 1, got {value}.")
+    check_least(args, workers=1, threads=1, scenes=1, edits=1)
     types = tuple(args.types.split(",")) if args.types else ()
     if set(types) - set(EDIT_TYPES):
         raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")
@@ -182,7 +177,7 @@ def _run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     for position, method in _methods(args):
         run = BenchRun(
-            manifest=Path(args.manifest),
+            manifest_file=Path(args.manifest),
             method=method,
             out=out / method.label if args.config else out,
             metrics=metrics,
@@ -246,7 +241,8 @@ def _declare_report(parser: argparse.ArgumentParser) -> None:
 def _report(args: argparse.Namespace) -> int:
     from edit3r.console import StageConsole
     from edit3r.reporting import Report, collecting
-    from edit3r_measure.bench_report import read_columns, write_report
+    from edit3r_measure.bench_page import write_report
+    from edit3r_measure.bench_report import read_columns
 
     columns = read_columns(map(Path, args.folders))
     labels = [column.label for column in columns]

@@ -3,9 +3,9 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
 from PIL import Image
 from pydantic import Field
@@ -16,7 +16,7 @@ from edit3r.errors import InputError
 from edit3r.interfaces import Detector, SceneSample, Segmenter
 from edit3r.io.atomic import atomic_write
 from edit3r.io.cameras import CAMERA_FILES, read_cameras
-from edit3r.io.images import find_photos, load_photos
+from edit3r.io.images import evenly, find_photos, load_photos
 from edit3r.registry import Registry
 from edit3r.reporting import progress, track, warn
 from edit3r.stage_checks import component_name
@@ -44,6 +44,7 @@ from edit3r_measure.bench_proposals import (
     masks_from_boxes,
     without_near_duplicates,
 )
+from edit3r_measure.report import make_folder
 from edit3r_measure.scene_sources import choose_triples
 
 GENERATED_EDITS = (
@@ -79,34 +80,32 @@ class GeneratedSettings(Settings):
 
 def build_generated(scenes: int, settings: GeneratedSettings, registry: Registry) -> Manifest:
     """Return a benchmark of the generator's first `scenes` scenes whose five edits can all be seen in all images."""
-    records, items, rejected, index = [], [], 0, 0
+    records, items, index = [], [], 0
     while len(records) < scenes:
-        if rejected > MOST_TRIES * scenes:
+        if index - len(records) > MOST_TRIES * scenes:
             raise InputError(f"only {len(records)} of {index} generated scenes show all edits; ask for weaker edits.")
         name = f"scene{index:03d}"
         progress("generate scenes", len(records), scenes)
         found = _generated_items(name, index, settings, registry)
-        if found is None:
-            rejected += 1
-        else:
+        if found is not None:
             records.append(SceneRecord(id=name))
             items += found
         index += 1
-    notes = {"generator": settings.model_dump(mode="json"), "candidates": index, "rejected_as_hardly_visible": rejected}
+    notes = {"generator": settings.model_dump(mode="json"), "candidates": index}
     return Manifest(
         name=f"{settings.dataset}: {scenes} scenes, {EDITS_PER_SCENE} edits each, truth known",
         image_size=settings.image_size,
         scenes=tuple(records),
         items=tuple(items),
-        notes=notes,
+        notes={**notes, "rejected_as_hardly_visible": index - scenes},
     )
 
 
 def _generated_items(name: str, index: int, settings: GeneratedSettings, registry: Registry) -> list[ItemRecord] | None:
     """Return the five edits of scene `index`; None as soon as one of them is hardly to be seen."""
     items = []
+    drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
     for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
-        drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
         own = {**drawn, "angles": list(settings.angles), **edit}
         record = SampleRecord(dataset=settings.dataset, settings=own, index=index, sha256="")
         sample = load_sample(record, registry)
@@ -166,13 +165,14 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
         raise InputError(f"{folder}: no such folder of scenes.")
     inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     scenes = [scene for path in inner if (scene := _photo_folder(path, views)) is not None]
-    own = None if scenes else _photo_folder(folder, views)
-    if not scenes and own is None:
+    scenes = scenes or [scene for scene in [_photo_folder(folder, views)] if scene is not None]
+    if not scenes:
         raise InputError(f"{folder}: expected folders with at least two photos each.")
-    return scenes or [own]
+    return scenes
 
 
 def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
+    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else evenly spaced ones."""
     try:
         files = tuple(file.relative_to(path).as_posix() for file in find_photos(path))
     except InputError:  # a folder of something else
@@ -180,43 +180,34 @@ def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
     if len(files) < 2:
         return None
     cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
-    inputs, held_back = _split(path, files, cameras, views)
+    known = read_cameras(path / cameras) if cameras else []
+    posed = [camera for camera in known if camera.c2w is not None and camera.file in files]
+    inputs, held_back = tuple(evenly(range(len(files)), views)), ()
+    if triples := choose_triples(posed, 3):
+        middle = triples[len(triples) // 2]
+        first, second, target = (files.index(posed[i].file) for i in (middle.first, middle.second, middle.target))
+        inputs, held_back = (first, second), (target,)
     return PhotoFolder(os.path.basename(os.path.abspath(path)), path, cameras, files, inputs, held_back)
 
 
-def _split(path: Path, files: Sequence[str], cameras: str, views: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else evenly spaced ones."""
-    known = read_cameras(path / cameras) if cameras else []
-    posed = [camera for camera in known if camera.c2w is not None and camera.file in files]
-    triples = choose_triples(posed, 3)
-    if triples:
-        middle = triples[len(triples) // 2]
-        first, second, target = (files.index(posed[i].file) for i in (middle.first, middle.second, middle.target))
-        return (first, second), (target,)
-    spaced = torch.linspace(0, len(files) - 1, min(views, len(files))).round().long().tolist()
-    return tuple(spaced), ()
+class PhotoBuild(Settings):
+    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
 
-
-class PhotoSettings(Settings):
-    """How scenes are read."""
-
+    folder: Path = Field(description="folder of scenes")
+    out: Path = Field(description="the manifest, whose folder all paths in it are relative to")
+    vetting: Path = Field(description="the vetting file, whose folder mask files named in it are relative to")
     image_size: int = Field(256, ge=32, le=4096, description="longer side that photos are reduced to [pixels]")
     seed: int = Field(2026, ge=0, description="of the edits, shared by all views of an item")
     views: int = Field(2, ge=2, le=32, description="input photos of scenes without poses, evenly spaced")
     labels: tuple[str, ...] = Field((), description="what the photos show; with a detector what it looks for")
-
-
-@dataclass(frozen=True)
-class PhotoBuild:
-    """A benchmark from folders of photos: first edits are proposed; vetted by a person, they become the manifest."""
-
-    scenes: Sequence[PhotoFolder]
-    settings: PhotoSettings
-    out: Path  # the manifest, whose folder all paths in it are relative to
-    vetting: Path  # the vetting file, whose folder mask files named in it are relative to
     detector: Detector | None = None
     segmenter: Segmenter | None = None
     model: LanguageModel | None = None
+
+    @cached_property
+    def scenes(self) -> list[PhotoFolder]:
+        """The folders of photos."""
+        return find_photo_folders(self.folder, self.views)
 
     def propose(self) -> dict[str, list[ProposedEdit]]:
         """Return the proposed edits of every scene, near duplicates removed."""
@@ -226,7 +217,7 @@ class PhotoBuild:
             if not labels:
                 warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
             own = edits_from_model(labels, self.model) if self.model is not None else []
-            own += edits_from_templates(labels or (UNNAMED,), self.settings.seed + number)
+            own += edits_from_templates(labels or (UNNAMED,), self.seed + number)
             found[scene.id] = without_near_duplicates(own)
         return found
 
@@ -239,8 +230,8 @@ class PhotoBuild:
         items = [item for scene in track(self.scenes, "masks") for item in self._items(scene, chosen[scene.id])]
         return Manifest(
             name=f"{len(self.scenes)} photographed scenes",
-            image_size=self.settings.image_size,
-            scenes=tuple(self._record(scene) for scene in self.scenes),
+            image_size=self.image_size,
+            scenes=tuple(map(self._record, self.scenes)),
             items=tuple(items),
             notes={
                 "built_from": "photos",
@@ -254,9 +245,8 @@ class PhotoBuild:
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
         """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
         if self.detector is None:
-            return dict.fromkeys(self.settings.labels, ())
-        words = self.settings.labels or WORDS["vocabulary"]
-        return find_objects(scene.load_inputs(self.settings.image_size), self.detector, words)
+            return dict.fromkeys(self.labels, ())
+        return find_objects(scene.load_inputs(self.image_size), self.detector, self.labels or WORDS["vocabulary"])
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
         frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
@@ -273,7 +263,7 @@ class PhotoBuild:
                 prompt=edit.prompt,
                 description=edit.description,
                 before=f"a photo of the {edit.object}" if edit.object else "a photo",
-                seed=self.settings.seed,
+                seed=self.seed,
                 inputs=scene.inputs,
                 held_back=scene.held_back,
                 masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
@@ -282,30 +272,23 @@ class PhotoBuild:
         ]
 
     def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes) -> tuple[FrameRecord, ...]:
-        """Return those a person named, else those around a removed or modified object that a detector found."""
+        """Return those a person named, else those around a removed or modified object that a detector found.
+
+        None are made when it did not find the object in every input: an edit confined to some of the views would be
+        another edit.
+        """
         if edit.masks and len(edit.masks) != len(scene.inputs):
             counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
             raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")
         files = [self.vetting.parent / mask for mask in edit.masks]
-        if not files and edit.type in ("Remove", "Modify"):
-            files = self._draw_masks(item, scene, boxes)
+        if not files and edit.type in ("Remove", "Modify") and boxes and None not in boxes:
+            folder = make_folder(self.out.parent / f"{self.out.stem}-masks")
+            files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
+            masks = masks_from_boxes(scene.load_inputs(self.image_size), boxes, self.segmenter)
+            for file, mask in zip(files, masks):
+                with atomic_write(file) as partial:
+                    Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
         return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
-
-    def _draw_masks(self, item: str, scene: PhotoFolder, boxes: Boxes) -> list[Path]:
-        """Write masks made from the detector's boxes; none when it did not find the object in every input.
-
-        An edit confined to some of the views would be another edit.
-        """
-        if not boxes or None in boxes:
-            return []
-        masks = masks_from_boxes(scene.load_inputs(self.settings.image_size), boxes, self.segmenter)
-        folder = self.out.parent / f"{self.out.stem}-masks"
-        folder.mkdir(exist_ok=True)
-        files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
-        for file, mask in zip(files, masks):
-            with atomic_write(file) as partial:
-                Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
-        return files
 
     def _relative(self, path: Path) -> str:
         return Path(os.path.relpath(os.path.abspath(path), os.path.abspath(self.out.parent))).as_posix()

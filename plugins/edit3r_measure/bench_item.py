@@ -3,7 +3,7 @@
 What is killed at any moment leaves no result, only images that the next attempt overwrites.
 """
 
-import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -12,32 +12,31 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float
 from pydantic import Field, field_validator, model_validator
-from torch import Tensor
 
 import edit3r
 from edit3r.config import PartChoice, Settings, make_settings, merge
 from edit3r.errors import InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
+from edit3r.geometry.alignment import scale_poses
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Editor
-from edit3r.io.atomic import atomic_write
 from edit3r.io.images import save_image
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, StageRecord, collecting
 from edit3r.types import Cameras
-from edit3r_measure.bench_manifest import LoadedItem, Manifest, load_item, read_bench_manifest
+from edit3r_measure.bench_manifest import ItemRecord, LoadedItem, Manifest, load_item, read_bench_manifest
 from edit3r_measure.bench_metrics import (
     MethodOutput,
     MetricNetworks,
     MetricSettings,
-    load_networks,
     measure,
     measure_failure,
+    score,
 )
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
+from edit3r_measure.report import make_folder, read_json, write_json
 from edit3r_measure.runner import Progress, Workers, read_rows, run_resumable
 
 RESULTS = "results.jsonl"
@@ -54,9 +53,9 @@ class Method(Settings):
     """One column of the comparison: an editor with a reconstructor, and how they are run."""
 
     label: str = Field("", description="name of the column and of its folder; default: editor and reconstructor")
-    editor: PartChoice = Field(PartChoice(name=ORACLE), description="2D editor; 'oracle' is the offline stand-in")
-    reconstructor: PartChoice = Field(PartChoice(name="edit3r"), description="reconstructor")
-    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="draws the pictures that are measured")
+    editor: PartChoice = Field(description="2D editor; default: 'oracle', the offline stand-in")
+    reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
+    rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
     edit_views: Literal["all", "first"] = Field("all", description="edit every view, or the reference only")
     poses: bool = Field(True, description="hand true poses to reconstructors that read them, where they are known")
     truth: bool | None = Field(
@@ -74,11 +73,7 @@ class Method(Settings):
     @model_validator(mode="before")
     @classmethod
     def _settings_without_a_name_are_of_the_default(cls, values: Any) -> Any:
-        defaults = {key: own.default for key, own in cls.model_fields.items() if isinstance(own.default, PartChoice)}
-        named = {
-            key: {"name": d.name, **values[key]} for key, d in defaults.items() if isinstance(values.get(key), dict)
-        }
-        return {**values, **named}
+        return merge({"editor": ORACLE, "reconstructor": "edit3r", "rasterizer": "auto"}, values)
 
     @model_validator(mode="after")
     def _label_by_default(self) -> "Method":
@@ -121,21 +116,25 @@ class ItemResult:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def result_of_row(row: Mapping[str, Any]) -> ItemResult:
-    """Return the result that a line of `results.jsonl` holds."""
-    return ItemResult(**{**row, "metrics": {k: float("nan") if v is None else v for k, v in row["metrics"].items()}})
-
-
 def read_results(folder: Path) -> dict[str, ItemResult]:
     """Return the results of a folder by item id."""
-    return {name: result_of_row(row) for name, row in read_rows(folder / RESULTS, "id").items()}
+    return {name: _result_of_row(row) for name, row in read_rows(folder / RESULTS, "id").items()}
+
+
+def _result_of_row(row: Mapping[str, Any]) -> ItemResult:
+    """Return the result that a line of `results.jsonl` holds, the score among its metrics."""
+    metrics = {name: math.nan if value is None else value for name, value in row["metrics"].items()}
+    return ItemResult(**{**row, "metrics": {**metrics, "score": score(metrics, row["failure"])}})
 
 
 @dataclass(frozen=True)
 class BenchRun:
-    """Everything that a worker needs to run a method through a manifest; picklable."""
+    """A method on its way through a manifest: turns an item into a row of results.
 
-    manifest: Path
+    It is pickled to each worker, where what it has built stays for the next item.
+    """
+
+    manifest_file: Path
     method: Method
     out: Path
     metrics: MetricSettings = field(default_factory=MetricSettings)
@@ -145,112 +144,45 @@ class BenchRun:
     plugins: tuple[str, ...] = ()  # local plugin files
     verify: bool = True
     position: int = 0  # of the method's column in reports
-
-    def read_manifest(self) -> Manifest:
-        """Return the part of the manifest that is asked for."""
-        return read_bench_manifest(self.manifest).limited(self.scenes, self.edits, self.types)
-
-
-def run_bench(
-    run: BenchRun, workers: Workers = ONE_WORKER, on_done: Callable[[Progress], None] = lambda progress: None
-) -> dict[str, ItemResult]:
-    """Do the items that are not done yet, and return all results by item in the manifest's order.
-
-    The results are also in `run.out`, and are the same for any number of workers. Raises InputError when that folder
-    holds results of another manifest or method.
-    """
-    manifest = run.read_manifest()
-    if not manifest.items:
-        raise InputError(f"{run.manifest}: no edit is left to do with these limits.")
-    _claim_folder(run, workers.threads)
-    jobs = {item.id: item.id for item in manifest.items}
-    rows = run_resumable(jobs, ItemRunner(run), run.out / RESULTS, workers=workers, key_name="id", on_done=on_done)
-    return {name: result_of_row(row) for name, row in rows.items()}
-
-
-def _claim_folder(run: BenchRun, threads: int | None) -> None:
-    """Write what this folder's results are of, or refuse one that holds others."""
-    try:
-        run.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{run.out}: cannot be created ({error.strerror}); give --out another folder.") from None
-    whole = read_bench_manifest(run.manifest)
-    asked = {
-        "format": "edit3r-bench-run",
-        "manifest": whole.name,
-        "manifest_sha256": whole.sha256,
-        "method": run.method.model_dump(mode="json"),
-        "instruments": run.metrics.model_dump(mode="json"),
-        "threads": threads,
-        "verified": run.verify,
-    }
-    path = run.out / RUN
-    if path.is_file():
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise InputError(f"{path}: not valid JSON ({error}).") from None
-        for key in asked:
-            if key in found and asked[key] != found[key]:
-                raise InputError(
-                    f"{run.out}: holds results with another {key.replace('_', ' ')}; choose another --out."
-                )
-        return
-    if any(not path.name.startswith(".") for path in run.out.iterdir()):  # a kill may leave a hidden half of ours
-        raise InputError(f"{run.out}: holds files that are not of a benchmark run; choose another --out.")
-    with atomic_write(path) as partial:
-        content = {**asked, "position": run.position, "versions": installed_versions()}
-        partial.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-@dataclass
-class ItemRunner:
-    """Turns an item's id into a row of results; what it has built stays for the next item."""
-
-    run: BenchRun
-    cold: bool = True  # until the first item is done
     _built: dict[str, Any] = field(default_factory=dict)
 
     @cached_property
     def registry(self) -> Registry:
         """The installed components and those of the local plugin files."""
-        return default_registry(self.run.plugins)
+        return default_registry(self.plugins)
 
     @cached_property
     def manifest(self) -> Manifest:
-        """The items that are asked for."""
-        return self.run.read_manifest()
+        """The part of the manifest that is asked for."""
+        return read_bench_manifest(self.manifest_file).limited(self.scenes, self.edits, self.types)
 
     @cached_property
     def networks(self) -> MetricNetworks:
         """What the metrics need."""
-        return load_networks(self.run.metrics, self.registry)
+        return MetricNetworks(self.metrics, self.registry)
 
-    def __call__(self, item_id: str) -> dict[str, Any]:
+    def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
-        record = self.manifest.item(item_id)
-        item = load_item(self.manifest, record, self.run.manifest.parent, self.registry, self.run.verify)
+        item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
+        cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
         try:
             with collecting(report), torch.no_grad():
                 output, facts = self._edit_and_render(item, report)
         except FAILURES as error:
-            self.cold = False
             return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item)), str(error)))
-        timing, self.cold = timing_of(report.stages, self.cold), False
         metrics = measure(item, output, networks)
-        save_strips(self.run.out / "pictures" / record.id, item, output)
-        return asdict(ItemResult(*named, metrics, "", timing, facts))
+        save_strips(self.out / "pictures" / record.id, item, output)
+        return asdict(ItemResult(*named, metrics, "", timing_of(report.stages, cold), facts))
 
     def _has_truth(self, item: LoadedItem) -> bool:
         """Whether the item's truth is what the method is judged by."""
-        method = self.run.method
-        wished = method.editor.name == ORACLE if method.truth is None else method.truth
+        wished = self.method.editor.name == ORACLE if self.method.truth is None else self.method.truth
         return wished and item.truth is not None
 
     def _edit_and_render(self, item: LoadedItem, report: Report) -> tuple[MethodOutput, dict[str, Any]]:
-        method, views = self.run.method, item.given
+        method, views = self.method, item.given
         if method.poses and item.cameras is not None:
             views = replace(views, c2w=item.cameras.c2w[:, : item.inputs])
         result = edit3r.run(
@@ -258,7 +190,7 @@ class ItemRunner:
             item.record.prompt,
             editor=self._editor(item),
             recon=self._component("reconstructor", method.reconstructor),
-            masks=item.input_masks,
+            masks=None if item.masks is None else item.masks[None, : item.inputs],
             edit_views=method.edit_views,
             seed=item.record.seed,
             registry=self.registry,
@@ -273,7 +205,7 @@ class ItemRunner:
         return output, {"gaussians": result.gaussians.count, "warnings": report.warnings}
 
     def _editor(self, item: LoadedItem) -> Editor | PartChoice:
-        editor = self.run.method.editor
+        editor = self.method.editor
         if editor.name != ORACLE:
             return self._component("editor", editor)
         if item.truth is None:
@@ -287,6 +219,47 @@ class ItemRunner:
         if kind not in self._built:
             self._built[kind] = self.registry.build(kind, choice.name, **choice.settings)
         return self._built[kind]
+
+
+def run_bench(
+    run: BenchRun, workers: Workers = ONE_WORKER, on_done: Callable[[Progress], None] = lambda progress: None
+) -> dict[str, ItemResult]:
+    """Do the items that are not done yet, and return all results by item in the manifest's order.
+
+    The results are also in `run.out`, and are the same for any number of workers. Raises InputError when that folder
+    holds results of another manifest or method.
+    """
+    if not run.manifest.items:
+        raise InputError(f"{run.manifest_file}: no edit is left to do with these limits.")
+    _claim_folder(run, workers.threads)
+    jobs = {item.id: item for item in run.manifest.items}
+    rows = run_resumable(jobs, run, run.out / RESULTS, workers=workers, key_name="id", on_done=on_done)
+    return {name: _result_of_row(row) for name, row in rows.items()}
+
+
+def _claim_folder(run: BenchRun, threads: int | None) -> None:
+    """Write what this folder's results are of, or refuse one that holds others."""
+    whole = read_bench_manifest(run.manifest_file)
+    asked = {
+        "format": "edit3r-bench-run",
+        "manifest": whole.name,
+        "manifest_sha256": whole.sha256,
+        "method": run.method.model_dump(mode="json"),
+        "instruments": run.metrics.model_dump(mode="json"),
+        "threads": threads,
+        "verified": run.verify,
+    }
+    path = make_folder(run.out) / RUN
+    if path.is_file():
+        found = read_json(path)
+        for key in asked:
+            if key in found and asked[key] != found[key]:
+                what = key.replace("_", " ")
+                raise InputError(f"{run.out}: holds results with another {what}; choose another --out.")
+        return
+    if any(not path.name.startswith(".") for path in run.out.iterdir()):  # a kill may leave a hidden half of ours
+        raise InputError(f"{run.out}: holds files that are not of a benchmark run; choose another --out.")
+    write_json(path, {**asked, "position": run.position, "versions": installed_versions()})
 
 
 def timing_of(stages: Sequence[StageRecord], cold: bool) -> dict[str, Any]:
@@ -313,24 +286,17 @@ def evaluation_cameras(item: LoadedItem, predicted: Cameras) -> Cameras:
     distance from it the true one. Without known poses there are none, and as many places between the inputs are
     looked at instead.
     """
-    more = len(item.record.held_back)
+    more, known = len(item.record.held_back), predicted.intrinsics
     if item.cameras is None:
         path = between_and_around(predicted, 2 * (more + 1)).select(range(1, more + 1))
-        return _joined(predicted, path.c2w, path.intrinsics)
-    true = item.cameras.c2w.to(predicted.c2w)
-    lengths = [c2w[:, 1 : item.inputs, :3, 3].norm(dim=-1).mean() for c2w in (predicted.c2w, true)]
-    held_back = true[:, item.inputs :].clone()
-    held_back[..., :3, 3] *= lengths[0] / lengths[1].clamp(min=1e-12)
-    return _joined(predicted, predicted.c2w[:, :1] @ held_back, item.cameras.intrinsics[:, item.inputs :])
-
-
-def _joined(cameras: Cameras, c2w: Float[Tensor, "1 more 4 4"], intrinsics: Float[Tensor, "1 more 3 3"]) -> Cameras:
-    like = cameras.c2w
-    return Cameras(
-        torch.cat((like, c2w.to(like)), 1),
-        torch.cat((cameras.intrinsics, intrinsics.to(like)), 1),
-        cameras.image_size,
-    )
+        c2w, intrinsics = path.c2w, path.intrinsics
+    else:
+        true = item.cameras.c2w.to(known)
+        lengths = [c2w[:, 1 : item.inputs, :3, 3].norm(dim=-1).mean() for c2w in (predicted.c2w, true)]
+        held_back = scale_poses(true[:, item.inputs :], lengths[0] / lengths[1].clamp(min=1e-12))
+        c2w, intrinsics = predicted.c2w[:, :1] @ held_back, item.cameras.intrinsics[:, item.inputs :]
+    both = ((predicted.c2w, c2w), (known, intrinsics))
+    return Cameras(*(torch.cat((own, added.to(known)), 1) for own, added in both), predicted.image_size)
 
 
 def save_strips(folder: Path, item: LoadedItem, output: MethodOutput) -> None:

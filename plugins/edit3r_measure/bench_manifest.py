@@ -22,12 +22,12 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.morphology import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.atomic import atomic_write
-from edit3r.io.images import LoadedPhotos, load_photos
+from edit3r.io.images import load_photos
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
 from edit3r.types import Cameras, Views
+from edit3r_measure.report import read_json, write_json
 
 EditType = Literal["Add", "Remove", "Modify", "Global"]
 EDIT_TYPES: tuple[EditType, ...] = get_args(EditType)
@@ -94,21 +94,12 @@ class Manifest(Settings):
     made_with: dict[str, str] = Field(default_factory=installed_versions, description="versions of packages")
     notes: dict[str, Any] = Field(default_factory=dict, description="how it was built: detectors, prompts, rejections")
 
-    def scene(self, name: str) -> SceneRecord:
-        """Return the scene called `name`."""
-        return next(scene for scene in self.scenes if scene.id == name)
-
-    def item(self, name: str) -> ItemRecord:
-        """Return the item called `name`."""
-        return next(item for item in self.items if item.id == name)
-
     def limited(self, scenes: int | None, edits: int | None, types: tuple[str, ...] = ()) -> "Manifest":
         """Return the first `scenes` scenes with the first `edits` edits of each (of these `types`); None: all."""
-        kept, items = self.scenes[:scenes], []
-        for scene in kept:
-            own = [item for item in self.items if item.scene == scene.id and (not types or item.type in types)]
-            items += own[:edits]
-        return self.model_copy(update={"scenes": kept, "items": tuple(items)})
+        kept = self.scenes[:scenes]
+        wanted = [item for item in self.items if not types or item.type in types]
+        own = [[item for item in wanted if item.scene == scene.id][:edits] for scene in kept]
+        return self.model_copy(update={"scenes": kept, "items": tuple(item for items in own for item in items)})
 
     @property
     def sha256(self) -> str:
@@ -120,9 +111,7 @@ class Manifest(Settings):
 def write_bench_manifest(path: str | Path, manifest: Manifest) -> None:
     """Write the manifest as JSON, the same bytes for the same benchmark and packages."""
     _check_consistent(manifest, Path(path))
-    with atomic_write(path) as partial:
-        text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False)
-        partial.write_text(text + "\n", encoding="utf-8")
+    write_json(path, manifest.model_dump(mode="json"))
 
 
 def read_bench_manifest(path: str | Path) -> Manifest:
@@ -130,10 +119,7 @@ def read_bench_manifest(path: str | Path) -> Manifest:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such benchmark manifest; edit3r bench build makes one.")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON ({error}).") from None
+    content = read_json(path)
     if not isinstance(content, Mapping) or content.get("format") != "edit3r-bench":
         raise InputError(f"{path}: not a benchmark manifest (its 'format' is not 'edit3r-bench').")
     if content.get("version") != VERSION:
@@ -147,9 +133,9 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
     scenes = [scene.id for scene in manifest.scenes]
     items = [item.id for item in manifest.items]
     for what, names in (("scene", scenes), ("item", items)):
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InputError(f"{path}: two {what}s are called {twice!r}.")
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{path}: two {what}s are called {name!r}.")
     for item in manifest.items:
         if item.scene not in scenes:
             raise InputError(f"{path}: item {item.id!r} names the scene {item.scene!r}, which is not in the manifest.")
@@ -174,17 +160,13 @@ class LoadedItem:
         """The views that a method gets."""
         return self.photos.select(range(self.inputs))
 
-    @property
-    def input_masks(self) -> Float[Tensor, "1 view height width"] | None:
-        """The masks that a method's editor is confined by."""
-        return None if self.masks is None else self.masks[None, : self.inputs]
-
 
 def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Registry, verify: bool = True) -> LoadedItem:
     """Load `item`; `root` is the manifest's folder. Raises InputError when images are not those of the manifest."""
     if item.sample is not None:
         return _generated(item, item.sample, registry, verify)
-    return _photographed(manifest.scene(item.scene), item, root, manifest.image_size, verify)
+    scene = next(scene for scene in manifest.scenes if scene.id == item.scene)
+    return _photographed(scene, item, root, manifest.image_size, verify)
 
 
 def load_sample(record: SampleRecord, registry: Registry) -> SceneSample:
@@ -242,12 +224,21 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     folder = root / scene.folder
     if verify:
         for path, record in [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in item.masks]:
-            _check_hash(path, record.sha256, item.id)
+            if not path.is_file():
+                raise InputError(f"{path}: item {item.id!r} of the manifest needs this picture, and it is not there.")
+            if hash_of_file(path) != record.sha256:
+                sentence = "not the picture that the manifest was built with; results would not compare."
+                raise InputError(f"{path}: {sentence}")
     camera_file = folder / scene.cameras if scene.cameras else None
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))
-    views = loaded.views
-    posed = camera_file is not None and views.c2w is not None
+    views, posed = loaded.views, camera_file is not None and loaded.views.c2w is not None
+    masks = None
+    if item.masks:
+        given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
+        masks = load_masks([root / record.file for record in item.masks], given)[0]
+        unknown = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))  # measures nothing there
+        masks = torch.cat((masks, unknown))
     return LoadedItem(
         record=item,
         photos=replace(views, c2w=None),
@@ -255,28 +246,12 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
         cameras=_relative(Cameras(views.c2w, views.intrinsics, views.image_size)) if posed else None,
         depths=None,
         truth=None,
-        masks=_read_masks(item, root, loaded) if item.masks else None,
+        masks=masks,
     )
-
-
-def _read_masks(item: ItemRecord, root: Path, loaded: LoadedPhotos) -> Float[Tensor, "frame height width"]:
-    """Return the masks of the input frames; held-back frames get NaN, which measures nothing there."""
-    given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
-    masks = load_masks([root / record.file for record in item.masks], given)[0]
-    rest = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))
-    return torch.cat((masks, rest))
 
 
 def _relative(cameras: Cameras) -> Cameras:
     return replace(cameras, c2w=relative_to_first(cameras.c2w.double()).float())
-
-
-def _check_hash(path: Path, sha256: str, item: str) -> None:
-    """Raise InputError unless the file is there and is the one that was hashed."""
-    if not path.is_file():
-        raise InputError(f"{path}: item {item!r} of the manifest needs this picture, and it is not there.")
-    if hash_of_file(path) != sha256:
-        raise InputError(f"{path}: not the picture that the manifest was built with; results would not compare.")
 
 
 def _frame_names(order: list[int]) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from edit3r.config import Settings
 from edit3r.interfaces import Loss, LossInputs
 from edit3r.registry import Registry
 from edit3r.types import Cameras
+from edit3r_measure import metrics
 from edit3r_measure.bench_manifest import LoadedItem
 from edit3r_measure.features import (
     ClipSimilarity,
@@ -22,17 +23,6 @@ from edit3r_measure.features import (
     InceptionFeatures,
     crops,
     direction_similarity,
-)
-from edit3r_measure.metrics import (
-    change_outside,
-    covered_psnr,
-    edit_strength,
-    edit_uptake,
-    frechet_distance,
-    kernel_distance,
-    psnr,
-    ssim,
-    warped_difference,
 )
 
 METRICS: Mapping[str, tuple[str, str]] = {
@@ -87,14 +77,17 @@ class MethodOutput:
     has_truth: bool  # whether the item's truth is what the editor was to show
 
 
-@dataclass(frozen=True)
 class MetricNetworks:
-    """The networks that metrics need; what is absent is not measured."""
+    """The networks that metrics need; what is not asked for is absent and not measured."""
 
-    features: tuple[FeatureNetwork, ...] = ()
-    clip: ClipSimilarity | None = None
-    lpips: Loss | None = None
-    _of_photos: dict[tuple, np.ndarray] = field(default_factory=dict)
+    def __init__(self, settings: MetricSettings, registry: Registry) -> None:
+        """Load them. Raises MissingDependencyError when the package of one is not installed."""
+        self.features: list[FeatureNetwork] = [InceptionFeatures(settings.inception)] if settings.inception else []
+        if settings.effnet:
+            self.features.append(EffnetFeatures())
+        self.clip = ClipSimilarity(settings.clip) if settings.clip else None
+        self.lpips: Loss | None = registry.build("loss", "lpips") if settings.lpips else None
+        self._of_photos: dict[tuple, np.ndarray] = {}
 
     def photo_features(
         self, network: FeatureNetwork, photos: Float[Tensor, "frame 3 height width"]
@@ -108,24 +101,22 @@ class MetricNetworks:
         return self._of_photos[key]
 
 
-def load_networks(settings: MetricSettings, registry: Registry) -> MetricNetworks:
-    """Load the networks that are asked for. Raises MissingDependencyError when the package of one is not installed."""
-    features: list[FeatureNetwork] = [InceptionFeatures(settings.inception)] if settings.inception else []
-    if settings.effnet:
-        features.append(EffnetFeatures())
-    clip = ClipSimilarity(settings.clip) if settings.clip else None
-    return MetricNetworks(tuple(features), clip, registry.build("loss", "lpips") if settings.lpips else None)
-
-
 def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> dict[str, float]:
     """Return every metric by name, NaN where one means nothing for this item."""
-    return {
-        **_changes(item, output),
-        **_consistency(item, output),
-        **(_against_truth(item, output.images, networks.lpips) if output.has_truth else {}),
-        **_distributions(item, output, networks),
-        **_clip(item, output, networks.clip),
-    }
+    found = {**_changes(item, output), **_consistency(item, output)}
+    if output.has_truth:
+        found |= _against_truth(item, output.images, networks.lpips)
+    for network in networks.features:  # pieces of this edit's renderings against those of its own scene's photos
+        photos, rendered = networks.photo_features(network, item.photos.images[0]), network(crops(output.images))
+        found[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
+        found[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
+    if networks.clip is not None:
+        before, after = item.record.before, item.record.description or item.record.prompt
+        found["clip-t2i"] = float(networks.clip(output.images, [after]).mean())
+        if before:
+            moved = direction_similarity(networks.clip, item.photos.images[0], output.images, before, after)
+            found["clip-direction"] = float(moved.mean())
+    return found
 
 
 def measure_failure(item: LoadedItem, has_truth: bool) -> dict[str, float]:
@@ -135,7 +126,7 @@ def measure_failure(item: LoadedItem, has_truth: bool) -> dict[str, float]:
     return {**_against_truth(item, torch.zeros_like(item.truth), None), "edit-uptake": 0.0}
 
 
-def score(metrics: Mapping[str, float], failure: str = "") -> float:
+def score(found: Mapping[str, float], failure: str = "") -> float:
     """Return one number in [0, 1] for an edit: arrived x sqrt(agrees x stays put); 0 for a failure.
 
     No single virtue wins: C-FID, C-KID and consistency reward doing nothing, strength rewards destroying the scene.
@@ -147,14 +138,13 @@ def score(metrics: Mapping[str, float], failure: str = "") -> float:
     """
     if failure:
         return 0.0
-    if "edit-uptake" in metrics:
-        arrived = _share(metrics["edit-uptake"])
+    if "edit-uptake" in found:
+        arrived = _share(found["edit-uptake"])
     else:
-        arrived = _share(metrics["edit-uptake-2d"]) * min(1.0, metrics["edit-strength-2d"] / FULL_STRENGTH)
-    names = ("consistency-warped", "consistency-held-back")
-    known = [value for name in names if math.isfinite(value := metrics[name])]
+        arrived = _share(found["edit-uptake-2d"]) * min(1.0, found["edit-strength-2d"] / FULL_STRENGTH)
+    known = [value for name in ("warped", "held-back") if math.isfinite(value := found[f"consistency-{name}"])]
     agrees = _share(1 - sum(known) / len(known) / SPOILED) if known else 0.0
-    outside = metrics["change-outside"]
+    outside = found["change-outside"]
     stays_put = 1.0 if math.isnan(outside) else _share(1 - outside / SPOILED)
     return arrived * math.sqrt(agrees * stays_put)
 
@@ -167,16 +157,16 @@ def _changes(item: LoadedItem, output: MethodOutput) -> dict[str, float]:
     """Measure all frames whose mask is known, and the reference's own 2D edit at its camera."""
     photos, images = _array(item.photos.images[0]), _array(output.images)
     masks = None if item.masks is None else _array(item.masks)
-    known = [f for f in range(len(images)) if masks is None or np.isfinite(masks[f]).all()]
-    photos, images = photos[known], images[known]
-    masks = None if masks is None else masks[known]
+    if masks is not None:
+        known = np.isfinite(masks).all((1, 2))
+        photos, images, masks = photos[known], images[known], masks[known]
     reference = None if masks is None else masks[:1]
     edited = output.edited[:1].permute(0, 2, 3, 1).numpy()
     return {
-        "edit-strength": edit_strength(images, photos, masks),
-        "change-outside": float("nan") if masks is None else change_outside(images, photos, masks),
-        "edit-uptake-2d": edit_uptake(images[:1], photos[:1], edited, reference),
-        "edit-strength-2d": edit_strength(edited, photos[:1], reference),
+        "edit-strength": metrics.edit_strength(images, photos, masks),
+        "change-outside": float("nan") if masks is None else metrics.change_outside(images, photos, masks),
+        "edit-uptake-2d": metrics.edit_uptake(images[:1], photos[:1], edited, reference),
+        "edit-strength-2d": metrics.edit_strength(edited, photos[:1], reference),
     }
 
 
@@ -189,8 +179,8 @@ def _consistency(item: LoadedItem, output: MethodOutput) -> dict[str, float]:
     warped = [(a, b) for a in inputs for b in inputs if a != b]
     held = [pair for a in inputs for b in held_back for pair in ((a, b), (b, a))]
     return {
-        "consistency-warped": warped_difference(output.images, depths, cameras, warped, masks),
-        "consistency-held-back": warped_difference(output.images, depths, cameras, held, masks),
+        "consistency-warped": metrics.warped_difference(output.images, depths, cameras, warped, masks),
+        "consistency-held-back": metrics.warped_difference(output.images, depths, cameras, held, masks),
     }
 
 
@@ -203,35 +193,14 @@ def _against_truth(
     truth = item.truth[held].permute(0, 2, 3, 1).numpy()
     inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks[held])
     result = {
-        "psnr": np.mean([psnr(a, b) for a, b in zip(images, truth)]),
-        "psnr-in-edit": np.mean([covered_psnr(a, b, m > 0) for a, b, m in zip(images, truth, inside)]),
-        "ssim": np.mean([ssim(a, b) for a, b in zip(images, truth)]),
-        "edit-uptake": edit_uptake(images, photos, truth, inside),
+        "psnr": np.mean([metrics.psnr(a, b) for a, b in zip(images, truth)]),
+        "psnr-in-edit": np.mean([metrics.psnr(a, b, m > 0) for a, b, m in zip(images, truth, inside)]),
+        "ssim": np.mean([metrics.ssim(a, b) for a, b in zip(images, truth)]),
+        "edit-uptake": metrics.edit_uptake(images, photos, truth, inside),
     }
     if lpips is not None:
         result["lpips"] = lpips(LossInputs(rendered=shown[None, held], target=item.truth[None, held]))
     return {name: float(value) for name, value in result.items()}
-
-
-def _distributions(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> dict[str, float]:
-    """Return C-FID and C-KID: pieces of this edit's renderings against those of its own scene's photos."""
-    result = {}
-    for network in networks.features:
-        photos, rendered = networks.photo_features(network, item.photos.images[0]), network(crops(output.images))
-        result[f"c-fid{network.suffix}"] = frechet_distance(rendered, photos)
-        result[f"c-kid{network.suffix}"] = kernel_distance(rendered, photos)
-    return result
-
-
-def _clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity | None) -> dict[str, float]:
-    if clip is None:
-        return {}
-    before, after = item.record.before, item.record.description or item.record.prompt
-    result = {"clip-t2i": float(clip(output.images, [after]).mean())}
-    if before:
-        direction = direction_similarity(clip, item.photos.images[0], output.images, before, after)
-        result["clip-direction"] = float(direction.mean())
-    return result
 
 
 def _array(tensor: Float[Tensor, "frame *shape"]) -> Float[np.ndarray, "frame *shape"]:

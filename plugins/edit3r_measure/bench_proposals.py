@@ -11,10 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import torch
 import yaml
 from jaxtyping import Float
 from pydantic import Field
@@ -24,8 +23,8 @@ from edit3r.config import Settings, make_settings, read_yaml
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.geometry.morphology import dilate_softly
 from edit3r.interfaces import Detection, Detector, Segmenter
-from edit3r.io.atomic import atomic_write
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
+from edit3r_measure.report import write_text
 
 Boxes = tuple[Detection | None, ...]
 """One object's box in each photo; None where a photo does not show it."""
@@ -86,20 +85,15 @@ def masks_from_boxes(
     images: Float[Tensor, "view 3 height width"], boxes: Sequence[Detection], segmenter: Segmenter | None
 ) -> Float[Tensor, "view height width"]:
     """Return masks around one object, a little larger than it; from the boxes themselves without a segmenter."""
-    return dilate_softly(torch.stack([_mask(image, box, segmenter) for image, box in zip(images, boxes)]))
-
-
-def _mask(
-    image: Float[Tensor, "3 height width"], found: Detection, segmenter: Segmenter | None
-) -> Float[Tensor, "height width"]:
-    height, width = image.shape[-2:]
-    x, y, w, h = found.box
-    if segmenter is not None:
-        box = (max(0.0, x / width), max(0.0, y / height), min(1.0, w / width), min(1.0, h / height))
-        return (segmenter.segment(image, box=box).soft_mask > 0.5).to(image.dtype)
-    mask = image.new_zeros(height, width)
-    mask[max(0, round(y)) : round(y + h), max(0, round(x)) : round(x + w)] = 1
-    return mask
+    height, width = images.shape[-2:]
+    masks = images.new_zeros(len(images), height, width)
+    for mask, image, (x, y, w, h) in zip(masks, images, (found.box for found in boxes)):
+        if segmenter is None:
+            mask[max(0, round(y)) : round(y + h), max(0, round(x)) : round(x + w)] = 1
+        else:
+            box = (max(0.0, x / width), max(0.0, y / height), min(1.0, w / width), min(1.0, h / height))
+            mask[:] = segmenter.segment(image, box=box).soft_mask > 0.5
+    return dilate_softly(masks)
 
 
 # ---- proposals ----
@@ -111,21 +105,16 @@ class LanguageModel:
 
     address: str  # such as http://localhost:8000/v1; local servers want no key
     name: str
-    timeout_s: float = 120.0
-    attempts: int = 3
 
     def ask(self, system: str, request: str) -> str:
         """Return the model's answer at temperature 0. Raises RunError when none comes."""
         try:
             import openai
         except ImportError:
-            raise MissingDependencyError(
-                '--llm needs the openai client; install with: pip install "edit3r[bench]"'
-            ) from None
+            cure = 'install with: pip install "edit3r[bench]"'
+            raise MissingDependencyError(f"--llm needs the openai client; {cure}") from None
         key = os.environ.get(KEY_VARIABLE, "").strip() or "none"
-        client = openai.OpenAI(
-            api_key=key, base_url=self.address, timeout=self.timeout_s, max_retries=self.attempts - 1
-        )
+        client = openai.OpenAI(api_key=key, base_url=self.address, timeout=120, max_retries=2)
         messages = [{"role": "system", "content": system}, {"role": "user", "content": request}]
         try:
             answer = client.chat.completions.create(model=self.name, messages=messages, temperature=0)
@@ -143,15 +132,15 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
     rng = np.random.default_rng(seed)
     for kind in EDIT_TYPES:
         objects = labels if kind != "Global" else [""]
-        own = [
-            (*(text.format(object=label) for text in texts), label)
-            for texts in WORDS["templates"][kind]
-            for label in objects
-        ]
-        for prompt, description, label in (own[index] for index in rng.permutation(len(own))):
-            edit = {"type": kind, "prompt": prompt, "object": label, "description": description}
-            found.append(ProposedEdit(**edit, source="template"))
+        own = [(texts, label) for texts in WORDS["templates"][kind] for label in objects]
+        for texts, label in (own[index] for index in rng.permutation(len(own))):
+            prompt, description = (text.format(object=label) for text in texts)
+            found.append(_edit(kind, prompt, label, description, "template"))
     return found
+
+
+def _edit(kind: str, prompt: str, thing: str, description: str, source: str) -> ProposedEdit:
+    return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
 
 
 def edits_from_model(labels: Sequence[str], model: LanguageModel, count: int = 4) -> list[ProposedEdit]:
@@ -180,8 +169,7 @@ def _usable_edit(entry: object, labels: Sequence[str], source: str) -> ProposedE
     kind, thing = kind.capitalize(), thing.lower()
     if kind not in EDIT_TYPES or not prompt or (kind in ("Remove", "Modify") and thing not in labels):
         return None
-    thing = "" if kind == "Global" else thing
-    return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
+    return _edit(kind, prompt, "" if kind == "Global" else thing, description, source)
 
 
 def likeness(first: str, second: str) -> float:
@@ -217,9 +205,8 @@ def without_near_duplicates(edits: Iterable[ProposedEdit]) -> list[ProposedEdit]
 def write_vetting(path: Path, proposed: Mapping[str, Sequence[ProposedEdit]]) -> None:
     """Write the proposals of every scene as YAML that a person edits."""
     scenes = {scene: [edit.model_dump(exclude={"masks"}) for edit in own] for scene, own in proposed.items()}
-    with atomic_write(path) as partial:
-        text = yaml.safe_dump({"scenes": scenes}, sort_keys=False, allow_unicode=True, width=110)
-        partial.write_text(WORDS["vetting_head"] + text, encoding="utf-8")
+    text = yaml.safe_dump({"scenes": scenes}, sort_keys=False, allow_unicode=True, width=110)
+    write_text(path, WORDS["vetting_head"] + text)
 
 
 def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
@@ -228,16 +215,15 @@ def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
     scenes = content.get("scenes")
     if set(content) != {"scenes"} or not isinstance(scenes, Mapping):
         raise InputError(f"{path}: expected one key, 'scenes', with a list of edits for each scene.")
-    return {
-        str(scene): [_vetted(entry, path, f"scene {scene!r}, edit {n}") for n, entry in enumerate(own or [], start=1)]
-        for scene, own in scenes.items()
-    }
-
-
-def _vetted(entry: Any, path: Path, where: str) -> ProposedEdit:
-    if not isinstance(entry, Mapping):
-        raise InputError(f"{path}: {where} is not a mapping.")
-    return make_settings(ProposedEdit, entry, where=f"{path.name}, {where}")
+    found: dict[str, list[ProposedEdit]] = {}
+    for scene, own in scenes.items():
+        found[scene] = []
+        for number, entry in enumerate(own or [], start=1):
+            where = f"scene {scene!r}, edit {number}"
+            if not isinstance(entry, Mapping):
+                raise InputError(f"{path}: {where} is not a mapping.")
+            found[scene].append(make_settings(ProposedEdit, entry, where=f"{path.name}, {where}"))
+    return found
 
 
 def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit]:
@@ -250,12 +236,10 @@ def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit
         raise InputError(f"scene {scene!r}: {len(kept)} edits are kept, expected {EDITS_PER_SCENE}; drop some.")
     undecided = [edit for edit in edits if edit.verdict == ""]
     while len(kept) < EDITS_PER_SCENE and undecided:
-        have = {kind: sum(edit.type == kind for edit in kept) for kind in EDIT_TYPES}
-        chosen = min(undecided, key=lambda edit: have[edit.type])
-        kept.append(chosen)
-        undecided.remove(chosen)
+        types = [edit.type for edit in kept]
+        kept.append(min(undecided, key=lambda edit: types.count(edit.type)))
+        undecided.remove(kept[-1])
     if len(kept) < EDITS_PER_SCENE:
-        raise InputError(
-            f"scene {scene!r}: only {len(kept)} edits are left, expected {EDITS_PER_SCENE}; drop fewer, or add some."
-        )
+        left = f"only {len(kept)} edits are left, expected {EDITS_PER_SCENE}"
+        raise InputError(f"scene {scene!r}: {left}; drop fewer, or add some.")
     return sorted(kept, key=lambda edit: EDIT_TYPES.index(edit.type))

@@ -5,7 +5,6 @@ file `inception-2015-12-05.pt`, by which StyleGAN's and clean-fid's FID are defi
 needs transformers and CLIP weights.
 """
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -25,40 +24,33 @@ CROPS = 5
 CORNER = 0.6
 """Side of a corner piece [image sides]."""
 
+EFFNET_SIZE = 128
+"""Side that images are resized to for EfficientNet [pixels]."""
+
 CLIP_MODEL = "openai/clip-vit-large-patch14"
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 
-class FeatureNetwork(ABC):
-    """A frozen network from images to one vector each."""
-
-    suffix: str  # of the metrics' names: "" for Inception's FID and KID themselves
-
-    @abstractmethod
-    def __call__(self, images: Float[Tensor, "n 3 height width"]) -> Float[np.ndarray, "n feature"]:
-        """Return features of images in [0, 1]."""
-
-
-class EffnetFeatures(FeatureNetwork):
+class EffnetFeatures:
     """The 1280 pooled features of EfficientNet-lite0."""
 
     suffix = "-effnet"
 
-    def __init__(self, size: int = 128) -> None:
-        self.size = size  # side that images are resized to [pixels]
+    def __init__(self) -> None:
         self.network = frozen_efficientnet()
 
     @torch.no_grad()
     def __call__(self, images: Float[Tensor, "n 3 height width"]) -> Float[np.ndarray, "n feature"]:
-        maps = self.network.extract_features(efficientnet_input(images, self.size))
+        """Return features of images in [0, 1]."""
+        maps = self.network.extract_features(efficientnet_input(images, EFFNET_SIZE))
         return maps.mean((2, 3)).double().numpy()
 
 
-class InceptionFeatures(FeatureNetwork):
+class InceptionFeatures:
     """The 2048 features that FID and KID are defined on, from a TorchScript file; it resizes images itself."""
 
-    suffix = ""
+    suffix = ""  # of the metrics' names: FID and KID themselves
 
     def __init__(self, file: str | Path) -> None:
         path = Path(file).expanduser()
@@ -72,8 +64,13 @@ class InceptionFeatures(FeatureNetwork):
 
     @torch.no_grad()
     def __call__(self, images: Float[Tensor, "n 3 height width"]) -> Float[np.ndarray, "n feature"]:
+        """Return features of images in [0, 1]."""
         pixels = (images.clamp(0, 1) * 255).round().to(torch.uint8)
         return self.network(pixels, return_features=True).double().numpy()
+
+
+FeatureNetwork = EffnetFeatures | InceptionFeatures
+"""A frozen network from images to one vector each."""
 
 
 def crops(images: Float[Tensor, "n 3 height width"]) -> Float[Tensor, "n5 3 height width"]:

@@ -9,13 +9,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch.nn.functional as F
-from jaxtyping import Bool, Float, Shaped
+import torch
+from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from edit3r.geometry.cameras import project, unproject
+from edit3r.changes import change_uptake
+from edit3r.geometry.warping import find_correspondences, warp
 from edit3r.types import Cameras
 
 Image = Float[np.ndarray, "height width 3"]
@@ -25,8 +26,6 @@ Features = Float[np.ndarray, "n feature"]
 
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 """Standard deviations tried for the best-blurred copy [pixels]."""
-
-SMALLEST_SSIM_WINDOW, SSIM_WINDOW = 3, 7
 
 LOW_PASS = 0.015
 """Standard deviation of the low-pass before changes are measured [image widths]: a rendering that is a little blurred
@@ -43,15 +42,17 @@ DRAWS, CONFIDENCE = 2000, 0.95  # of the bootstrap
 # One image against another.
 
 
-def psnr(image: np.ndarray, target: np.ndarray) -> float:
-    """Return the peak signal-to-noise ratio [dB] of `image` clipped to [0, 1]; any equal shapes; infinite if equal."""
+def psnr(image: np.ndarray, target: np.ndarray, covered: Bool[np.ndarray, "height width"] | None = None) -> float:
+    """Return the peak signal-to-noise ratio [dB] of `image` clipped to [0, 1], over the `covered` pixels if given.
+
+    `image` and `target` may have any equal shapes; infinite if they are equal, NaN when nothing is covered.
+    """
+    if covered is not None:
+        if not covered.any():
+            return float("nan")
+        image, target = image[covered], target[covered]
     with np.errstate(divide="ignore"):
         return float(peak_signal_noise_ratio(target, np.clip(image, 0, 1), data_range=1.0))
-
-
-def covered_psnr(image: Image, target: Image, covered: Bool[np.ndarray, "height width"]) -> float:
-    """Return the PSNR [dB] over the `covered` pixels, NaN when there are none."""
-    return psnr(image[covered], target[covered]) if covered.any() else float("nan")
 
 
 def ssim(image: Image, target: Image) -> float:
@@ -59,12 +60,12 @@ def ssim(image: Image, target: Image) -> float:
 
     Raises ValueError below 3x3 pixels.
     """
-    window = min(SSIM_WINDOW, *target.shape[:2])
-    if window < SMALLEST_SSIM_WINDOW:
+    window = min(7, *target.shape[:2])
+    if window < 3:
         raise ValueError(f"ssim: expected pictures of at least 3x3 pixels, got {target.shape[:2]}")
-    window -= 1 - window % 2
     clipped = np.clip(image, 0, 1).astype(target.dtype)
-    return float(structural_similarity(clipped, target, win_size=window, channel_axis=-1, data_range=1.0))
+    odd = window - 1 + window % 2
+    return float(structural_similarity(clipped, target, win_size=odd, channel_axis=-1, data_range=1.0))
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,8 @@ def best_blurred_copy(
     A prediction that is not clearly above this has learnt to blur, not where things are. The PSNR counts the `covered`
     pixels only, if given; the SSIM is always that of the whole image.
     """
-    counted = np.ones(target.shape[:2], bool) if covered is None else covered
     copies = ((gaussian_filter(photo, (sigma, sigma, 0)), sigma) for photo in photos for sigma in BLURS)
-    scored = ((covered_psnr(copy, target, counted), copy, sigma) for copy, sigma in copies)
+    scored = ((psnr(copy, target, covered), copy, sigma) for copy, sigma in copies)
     score, copy, sigma = max(scored, key=lambda item: item[0])
     return BlurredCopy(score, ssim(copy, target), sigma)
 
@@ -135,18 +135,7 @@ def edit_uptake(shown: Images, before: Images, wished: Images, masks: Masks | No
     It is the projection of the shown change on the wished one. 1: all of it; 0: none, or something unrelated; below 0:
     the opposite; 0 when no change was wished. Blur and noise that have nothing to do with the wish count for nothing.
     """
-    return change_uptake(shown - before, wished - before, masks)
-
-
-def change_uptake(
-    shown: Float[np.ndarray, "*view height width 3"],
-    wished: Float[np.ndarray, "*view height width 3"],
-    masks: Shaped[np.ndarray, "*view height width"] | None = None,
-) -> float:
-    """Return `edit_uptake` of two changes, each an edited image minus an unedited one."""
-    weight = 1.0 if masks is None else masks[..., None]
-    energy = float((weight * wished**2).sum())
-    return float((weight * wished * shown).sum()) / energy if energy > 0 else 0.0
+    return change_uptake(shown - before, wished - before, np.ones(1) if masks is None else masks[..., None])
 
 
 def _weighted_change(shown: Images, photos: Images, weight: Masks) -> float:
@@ -193,15 +182,9 @@ def warped_image(
 
     `depth` is the first camera's, `other_depth` the second's.
     """
-    points = unproject(depth, cameras.intrinsics[0, 0], cameras.c2w[0, 0])
-    xy, z = project(points.reshape(-1, 3), cameras.intrinsics[0, 1], cameras.c2w[0, 1])
-    xy, z = xy.reshape(*depth.shape, 2), z.reshape(depth.shape)
-    grid = (2 * xy - 1)[None]
-    warped = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)[0]
-    found = F.grid_sample(other_depth[None, None], grid, mode="nearest", align_corners=False)[0, 0]
-    inside = ((xy > 0) & (xy < 1)).all(-1)
-    seen = inside & (depth > 0) & (z > 0) & (found > 0) & ((z - found).abs() <= DEPTH_TOLERANCE * found)
-    return warped, seen
+    found = find_correspondences(torch.stack((depth, other_depth))[None], cameras.intrinsics, cameras.c2w)
+    coordinates, same_depth = found.coordinates[0, 0], (found.depth_ratio[0, 0].exp() - 1).abs() <= DEPTH_TOLERANCE
+    return warp(image, coordinates), (found.inside[0, 0] > 0) & (depth > 0) & same_depth
 
 
 # Two sets of images, by the features of a network.
@@ -262,9 +245,6 @@ class Interval:
     low: float
     high: float
     scenes: int  # that had a value
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
 def bootstrap_mean(values: Mapping[str, Sequence[float]], seed: int = 0) -> Interval | None:

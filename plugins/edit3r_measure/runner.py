@@ -9,16 +9,17 @@ import math
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from itertools import islice
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
+from edit3r_measure.report import write_text
 
 __all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable"]
 
@@ -64,22 +65,22 @@ def run_resumable(
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once and when read back.
     `function` is pickled to each worker once, so an object may keep what it built at its first call. An error of a type
     in `failures` becomes the row `{"failure": sentence}`; any other error ends the run and keeps the rows made so far.
-    No job starts after `seconds` of wall time; jobs that did not start are missing in the answer. At the end the file
-    holds these rows in order, then rows of other keys, however the work was spread and interrupted.
+    A single worker starts no job after `seconds` of wall time; jobs that did not start are missing in the answer. At
+    the end the file holds these rows in order, then rows of other keys, however the work was spread and interrupted.
     """
     repair(path)
     found = read_rows(path, key_name)
     left = {key: job for key, job in jobs.items() if key not in found}
     already, start = len(jobs) - len(left), time.monotonic()
-    todo = _until(None if seconds is None else start + seconds, left.items())
+    end = math.inf if seconds is None else start + seconds
+    todo = takewhile(lambda _: time.monotonic() <= end, left.items())
     for count, (key, row) in enumerate(_spread(_Task(function, failures, workers.threads), todo, workers), start=1):
         found[key] = append_row(path, {key_name: key, **row})
         rate = (time.monotonic() - start) / count
         on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
     ordered = {key: found[key] for key in jobs if key in found}
     if found:
-        with atomic_write(path) as partial:
-            partial.write_text("".join(map(_line, {**ordered, **found}.values())), encoding="utf-8")
+        write_text(path, "".join(map(_line, {**ordered, **found}.values())))
     return ordered
 
 
@@ -130,14 +131,6 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _until(end: float | None, jobs: Iterable[KeyedJob]) -> Iterator[KeyedJob]:
-    """Give out jobs until the clock shows `end` [s, monotonic]."""
-    for job in jobs:
-        if end is not None and time.monotonic() > end:
-            return
-        yield job
-
-
 @dataclass(frozen=True)
 class _Task:
     """What a worker does with every job; picklable when its function is."""
@@ -159,9 +152,9 @@ class _Task:
 
 
 def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
-    """Yield keys and rows in any order; a job is taken from `jobs` only when a worker is free for it."""
+    """Yield keys and rows in any order."""
     if workers.spread == "ray":
-        return _on_ray(task, jobs, workers)
+        return _on_ray(task, list(jobs), workers)
     return map(task.do, jobs) if workers.count == 1 else _in_processes(task, jobs, workers.count)
 
 
@@ -182,12 +175,8 @@ def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
     try:
-        waiting = {pool.submit(_call_task, job) for job in islice(jobs, count)}
-        while waiting:
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            waiting |= {pool.submit(_call_task, job) for job in islice(jobs, len(finished))}
-            for future in finished:
-                yield future.result()
+        for future in as_completed([pool.submit(_call_task, job) for job in jobs]):
+            yield future.result()
     except BrokenProcessPool:
         raise RunError(
             "a worker process died (out of memory, or it could not start); what is done is kept: run again, with fewer "
@@ -197,7 +186,7 @@ def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
+def _on_ray(task: _Task, jobs: list[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
     """Yield rows from the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -205,8 +194,7 @@ def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator
         from ray.util import ActorPool
     except ImportError:
         raise MissingDependencyError('--ray needs Ray; install with: pip install "edit3r[ray]"') from None
-    first = list(islice(jobs, workers.count))
-    if not first:
+    if not jobs:
         return
     started = not ray.is_initialized()
     if started:
@@ -214,13 +202,9 @@ def _on_ray(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator
         ray.init(log_to_driver=False, **address)
     try:
         actor = ray.remote(num_cpus=workers.threads or 1)(_Task)
-        pool = ActorPool([actor.remote(task.function, task.failures, task.threads) for _ in first])
-        more = first
-        while more or pool.has_next():
-            for job in more:
-                pool.submit(lambda worker, job: worker.do.remote(job), job)
-            yield pool.get_next_unordered()
-            more = list(islice(jobs, 1))
+        own = (task.function, task.failures, task.threads)
+        pool = ActorPool([actor.remote(*own) for _ in jobs[: workers.count]])
+        yield from pool.map_unordered(lambda worker, job: worker.do.remote(job), jobs)
     finally:
         if started:
             ray.shutdown()

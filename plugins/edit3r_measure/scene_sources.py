@@ -22,10 +22,10 @@ from torch import Tensor
 
 from edit3r.errors import InputError, UnknownComponentError
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.interfaces import Dataset, SceneSample
+from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import PosedCamera, write_cameras
 from edit3r.io.framing import frame_for
-from edit3r.io.images import find_photos, read_image, save_image
+from edit3r.io.images import evenly, find_photos, read_image, save_image
 from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
 from edit3r.registry import Registry
 from edit3r.types import Cameras
@@ -33,6 +33,9 @@ from edit3r.types import Cameras
 PHOTOS, STEREO = "photos", "stereo"
 DISPARITY_FILE = "disparity_left.npz"
 TRUTH_FILE = "truth.json"
+FARTHEST_BETWEEN = 0.4
+"""How far a photo between two others may be from the middle [baselines]."""
+
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
 
@@ -98,35 +101,34 @@ def choose_triples(
             target = _photo_between(poses, first, second, angle)
             if target is not None:
                 triples.append(Triple(first, second, target, angle))
-    chosen = np.unique(np.linspace(0, len(triples) - 1, min(count, len(triples))).round().astype(int))
-    return [triples[index] for index in chosen]
+    return evenly(triples, count)
 
 
 def _photo_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int, angle: float) -> int | None:
     """Return the photo nearest to the middle of the baseline that looks the same way; None when there is none."""
     start, end = poses[first][:3, 3], poses[second][:3, 3]
-    baseline = end - start
-    best, best_distance = None, 0.4  # in baselines from the middle
-    for index, pose in enumerate(poses):
-        turns = (rotation_degrees(pose[:3, :3], poses[end][:3, :3]) for end in (first, second))
-        if index in (first, second) or max(turns) > angle:
-            continue
-        distance = np.linalg.norm(pose[:3, 3] - (start + end) / 2) / max(np.linalg.norm(baseline), 1e-12)
-        if distance < best_distance:
-            best, best_distance = index, distance
-    return best
+    baseline = max(np.linalg.norm(end - start), 1e-12)
+    distances = {
+        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2) / baseline
+        for index, turn in _turns(poses, first, second).items()
+        if turn <= angle
+    }
+    best = min(distances, key=distances.__getitem__, default=None)
+    return None if best is None or distances[best] >= FARTHEST_BETWEEN else best
+
+
+def _turns(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> dict[int, float]:
+    """Return the larger angle [degrees] to the two photos of each other one, by index."""
+    ends = (first, second)
+    others = [index for index in range(len(poses)) if index not in ends]
+    return {i: max(rotation_degrees(poses[i][:3, :3], poses[end][:3, :3]) for end in ends) for i in others}
 
 
 def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
     """Return a photo between the two inputs besides the target, that whose larger angle to them is least, or none."""
-    poses = [camera.c2w[:3, :3] for camera in folder.cameras]
-    angles = {
-        index: max(rotation_degrees(pose, poses[end]) for end in (triple.first, triple.second))
-        for index, pose in enumerate(poses)
-        if index not in (triple.first, triple.second, triple.target)
-    }
-    nearest = min(angles, key=angles.__getitem__, default=None)
-    return [] if nearest is None or angles[nearest] >= triple.degrees else [nearest]
+    turns = _turns([camera.c2w for camera in folder.cameras], triple.first, triple.second)
+    turns = {index: turn for index, turn in turns.items() if index != triple.target and turn < triple.degrees}
+    return sorted(turns, key=turns.__getitem__)[:1]
 
 
 # The three sources.
@@ -173,25 +175,20 @@ def stereo_scene(folder: PosedFolder, size: int) -> Scene:
     The key `disparity` of that file holds pixels at the stored size, 0 unknown; a point at x in the left photo is at
     x - disparity in the right one.
     """
-    files = tuple(camera.file for camera in folder.cameras[:2])
-    inputs = tuple(folder.load(index, size) for index in (0, 1))
-    return Scene(folder.name, STEREO, files, inputs, depth=_stereo_depth(folder, size))
-
-
-def _stereo_depth(folder: PosedFolder, size: int) -> Float[np.ndarray, "size size"]:
-    """Return camera z of the left photo's centred square [baselines], 0 where unknown."""
+    left, right = folder.cameras[:2]
     with np.load(folder.path / DISPARITY_FILE) as file:
         disparity = file["disparity"].astype(np.float32)
-    left, right = folder.cameras[:2]
     if disparity.shape != (left.height, left.width):
         raise InputError(
             f"{folder.path / DISPARITY_FILE}: expected {left.height} rows of {left.width}, got {disparity.shape}."
         )
     # The principal points differ between the two photos of some data sets.
     motion = disparity + right.K[0, 2] - left.K[0, 2]
-    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)
+    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)  # [baselines]
     x0, y0, x1, y1 = (round(edge) for edge in frame_for(disparity.shape, (size, size)).box)
-    return cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
+    square = cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
+    inputs = tuple(folder.load(index, size) for index in (0, 1))
+    return Scene(folder.name, STEREO, (left.file, right.file), inputs, depth=square)
 
 
 def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator[SceneSource]:
@@ -199,24 +196,23 @@ def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator
     dataset = registry.build("dataset", name, **settings)
     mark = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
     for index in range(min(options.count, len(dataset))):
-        yield SceneSource(f"{name}-{mark}-{index}", name, partial(_load_sample, name, dataset, index))
+        yield SceneSource(f"{name}-{mark}-{index}", name, partial(sample_scene, name, index, dataset))
 
 
-def _load_sample(name: str, dataset: Dataset, index: int) -> Scene:
-    return sample_scene(name, index, dataset[index])
+def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
+    """Turn one sample of the data set called `name` into a scene: its context views and its first target.
 
-
-def sample_scene(dataset: str, index: int, sample: SceneSample) -> Scene:
-    """Turn a data set's sample into a scene: its context views, its first target, depth and true edit if known."""
-    inputs = _photos(sample.context, sample.context_cameras)
-    (target,) = _photos(sample.target[:1], sample.target_cameras.select([0]))
+    Depth and the true edit are there if the data set knows them.
+    """
+    sample = samples[index]
+    between = sample.target_cameras.select([0])
+    inputs, (target,) = _photos(sample.context, sample.context_cameras), _photos(sample.target[:1], between)
     edited: tuple[Photo, ...] = ()
     if sample.edited_context is not None and sample.edited_target is not None:
-        edited = _photos(sample.edited_context, sample.context_cameras)
-        edited += _photos(sample.edited_target[:1], sample.target_cameras.select([0]))
+        edited = _photos(sample.edited_context, sample.context_cameras) + _photos(sample.edited_target[:1], between)
     depth = None if sample.context_depths is None else sample.context_depths[0].numpy()
     files = (*(f"{index}/{view}" for view in range(len(inputs))), f"{index}/target")
-    return Scene(dataset, dataset, files, inputs, target, depth, edited)
+    return Scene(name, name, files, inputs, target, depth, edited)
 
 
 def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> tuple[Photo, ...]:
@@ -283,36 +279,29 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:
-    """Write a scene that has a target below `root`, unless it is there already."""
+    """Write a scene that has a target below `root`, unless it is there already.
+
+    The truth comes last, so that half a scene is not taken for a whole one.
+    """
     path = root / source.name
     if not (path / TRUTH_FILE).is_file():
-        _write(path, source.load())
+        scene = source.load()
+        photos, count = [*scene.inputs, scene.target], len(scene.inputs)
+        _save_images(photos, path / "photos", path / "target.png")
+        _save_images(scene.edited, path / "edited", path / "edited_target.png")
+        height, width = photos[0].image.shape[:2]
+        in_pixels = [photo.intrinsics * np.array([[width], [height], [1.0]]) for photo in scene.inputs]
+        cameras = [PosedCamera(f"photos/{i}.png", width, height, in_pixels[i], None) for i in range(count)]
+        write_cameras(path / "cameras.json", cameras)
+        matrices = {name: [getattr(photo, name).tolist() for photo in photos] for name in ("intrinsics", "c2w")}
+        truth = {"name": path.name, "kind": scene.kind, **matrices}
+        (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
     return SceneFolder.open(path)
 
 
-def _write(path: Path, scene: Scene) -> None:
-    """Write all files; the truth comes last, so that half a scene is not taken for a whole one."""
-    files = [f"{index}.png" for index in range(len(scene.inputs))]
-    _save_images([*scene.inputs, scene.target], [*(path / "photos" / file for file in files), path / "target.png"])
-    _save_images(scene.edited, [*(path / "edited" / file for file in files), path / "edited_target.png"])
-    height, width = scene.inputs[0].image.shape[:2]
-    to_pixels = np.array([[width], [height], [1.0]])
-    cameras = [
-        PosedCamera(f"photos/{file}", width, height, photo.intrinsics * to_pixels, None)
-        for file, photo in zip(files, scene.inputs)
-    ]
-    write_cameras(path / "cameras.json", cameras)
-    photos = [*scene.inputs, scene.target]
-    truth = {
-        "name": path.name,
-        "kind": scene.kind,
-        "intrinsics": [photo.intrinsics.tolist() for photo in photos],
-        "c2w": [photo.c2w.tolist() for photo in photos],
-    }
-    (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
-
-
-def _save_images(photos: Sequence[Photo], files: Sequence[Path]) -> None:
+def _save_images(photos: Sequence[Photo], inputs: Path, target: Path) -> None:
+    """Write the inputs to a folder and the last photo to a file; nothing for no photos."""
+    files = [*(inputs / f"{index}.png" for index in range(len(photos) - 1)), target]
     for photo, file in zip(photos, files):
         file.parent.mkdir(parents=True, exist_ok=True)
         save_image(torch.from_numpy(photo.image).permute(2, 0, 1), file)

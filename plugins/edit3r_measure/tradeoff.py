@@ -8,10 +8,11 @@ from typing import Any
 from edit3r.command import Command
 from edit3r.config import merge, parse_assignments
 from edit3r.console import StageConsole
-from edit3r.errors import Edit3rError, MissingDependencyError, RunError, SettingsError
+from edit3r.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.registry import default_registry
 from edit3r.reporting import Report, collecting
-from edit3r_measure.tradeoff_knobs import SHIPPED, Point, SweepPlan, make_points, read_plan
+from edit3r_measure.report import check_least
+from edit3r_measure.tradeoff_knobs import SHIPPED, SweepPlan, make_points, read_plan
 
 
 class TradeoffCommand(Command):
@@ -40,10 +41,7 @@ class TradeoffCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        for option, least in (("scenes", 1), ("warm_up", 0), ("repeats", 1), ("threads", 1)):
-            value = getattr(args, option)
-            if value is not None and value < least:
-                raise SettingsError(f"--{option.replace('_', '-')}: must be at least {least}, got {value}.")
+        check_least(args, scenes=1, warm_up=0, repeats=1, threads=1)
         plan, points = _plan_and_points(args)
         if args.list_knobs:
             print("\n".join(f"{name}: {knob.about}: {', '.join(knob.values)}" for name, knob in plan.knobs.items()))
@@ -61,17 +59,16 @@ class TradeoffCommand(Command):
         return 0
 
 
-def _plan_and_points(args: argparse.Namespace) -> tuple[SweepPlan, list[Point]]:
+def _plan_and_points(args: argparse.Namespace) -> tuple[SweepPlan, dict[str, dict[str, Any]]]:
     """Read the plan and make its points; `--knobs` names some of the shipped knobs or a file of others."""
-    given = args.knobs or []
-    files = [name for name in given if name.endswith((".yaml", ".yml"))]
-    names = [name for name in given if name not in files] or None
+    files = [name for name in args.knobs or () if name.endswith((".yaml", ".yml"))]
+    names = [name for name in args.knobs or () if name not in files] or None
     plan = read_plan(files[0] if files else SHIPPED)
     plan = plan.model_copy(update={"base": merge(plan.base, parse_assignments(args.set))})
     return plan, make_points(plan, names, args.grid)
 
 
-def _measure(args: argparse.Namespace, plan: SweepPlan, points: Sequence[Point], sweep: Any) -> list[dict[str, Any]]:
+def _measure(args: argparse.Namespace, plan: SweepPlan, points: Mapping[str, Any], sweep: Any) -> list[dict[str, Any]]:
     """Write the scenes and measure what is missing; returns all measurements."""
     from edit3r_measure.scene_sources import SceneOptions, write_scenes
 
@@ -93,9 +90,8 @@ def _report(
 ) -> None:
     """Write table, plot, page and presets."""
     from edit3r.quality import preset_names, write_quality
-    from edit3r_measure.report import describe_machine
     from edit3r_measure.tradeoff_points import make_quality
-    from edit3r_measure.tradeoff_report import plot, report, write_into_page
+    from edit3r_measure.tradeoff_report import describe_machine, plot, report, write_into_page
 
     if not points:
         failures = "; ".join(dict.fromkeys(m["failure"] for m in measurements if "failure" in m))

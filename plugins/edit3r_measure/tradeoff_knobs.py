@@ -17,8 +17,6 @@ SHIPPED = Path(__file__).with_name("tradeoff_knobs.yaml")
 BASE = "base"
 """Label of the point without any value laid over it."""
 
-Choice = Mapping[str, str]  # knob: name of the value
-
 
 class Knob(Settings):
     """One thing to turn."""
@@ -42,13 +40,6 @@ class SweepPlan(Settings):
     combinations: list[dict[str, str]] = Field(default_factory=list, description="more points: values by knob")
 
 
-class Point(Settings):
-    """Settings to measure, and what to call them."""
-
-    label: str
-    settings: dict[str, Any]
-
-
 def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     """Read a knobs file. Raises SettingsError naming the key that is wrong."""
     content = read_yaml(path)
@@ -59,46 +50,36 @@ def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     return plan
 
 
-def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> list[Point]:
-    """Return the base, the combinations, and every value of each knob alone; `names` restricts that to some knobs.
+def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> dict[str, dict[str, Any]]:
+    """Return run settings by label: the base, the combinations, and every value of each knob alone.
 
-    With `grid`, every combination of the knobs' values instead. Points with the same settings are measured once.
+    `names` restricts that to some knobs. With `grid`, every combination of the knobs' values instead. Points with the
+    same settings are measured once.
     """
-    knobs = _chosen(plan, names)
+    for name in names or ():
+        if name not in plan.knobs:
+            known = ", ".join(plan.knobs)
+            raise SettingsError(f"--knobs {name}: no such knob.{suggest(name, plan.knobs)} Knobs: {known}.")
+    knobs = {name: knob for name, knob in plan.knobs.items() if names is None or name in names}
     if grid:
         choices = [dict(zip(knobs, values)) for values in product(*(knob.values for knob in knobs.values()))]
     else:
         alone = [{name: value} for name, knob in knobs.items() for value in knob.values]
         choices = [{}, *(c for c in plan.combinations if set(c) <= set(knobs)), *alone]
-    points: list[Point] = []
+    points: dict[str, dict[str, Any]] = {}
     for choice in choices:
-        point = Point(label=_label(choice), settings=_settings(plan, choice))
-        if all(point.settings != other.settings for other in points):
-            points.append(point)
+        settings = _settings(plan, choice)
+        if settings not in points.values():
+            points[", ".join(f"{name} {value}" for name, value in choice.items()) or BASE] = settings
     return points
 
 
-def _chosen(plan: SweepPlan, names: Sequence[str] | None) -> dict[str, Knob]:
-    for name in names or ():
-        if name not in plan.knobs:
-            known = ", ".join(plan.knobs)
-            raise SettingsError(f"--knobs {name}: no such knob.{suggest(name, plan.knobs)} Knobs: {known}.")
-    return {name: knob for name, knob in plan.knobs.items() if names is None or name in names}
-
-
-def _settings(plan: SweepPlan, choice: Choice) -> dict[str, Any]:
+def _settings(plan: SweepPlan, choice: Mapping[str, str]) -> dict[str, Any]:
+    """Return the base with a choice, knob to name of the value, laid over it."""
     settings = dict(plan.base)
     for name, value in choice.items():
-        settings = merge(settings, _value(plan, name, value))
-    return settings
-
-
-def _value(plan: SweepPlan, name: str, value: str) -> Mapping[str, Any]:
-    if name not in plan.knobs or value not in plan.knobs[name].values:
         known = plan.knobs[name].values if name in plan.knobs else plan.knobs
-        raise SettingsError(f"combinations: {name}={value} is not a knob's value; known here: {', '.join(known)}.")
-    return plan.knobs[name].values[value]
-
-
-def _label(choice: Choice) -> str:
-    return ", ".join(f"{name} {value}" for name, value in choice.items()) or BASE
+        if name not in plan.knobs or value not in known:
+            raise SettingsError(f"combinations: {name}={value} is not a knob's value; known here: {', '.join(known)}.")
+        settings = merge(settings, known[value])
+    return settings

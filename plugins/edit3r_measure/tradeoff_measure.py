@@ -22,13 +22,13 @@ import numpy as np
 import torch
 import yaml
 from jaxtyping import Float
-from PIL import Image
 
 from edit3r.cli.main import main as edit3r_command
 from edit3r.config import merge
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.interfaces import LossInputs, Rasterizer
 from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.images import save_image
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder, installed_versions
 from edit3r.registry import Registry, default_registry
@@ -39,7 +39,6 @@ from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import RenderedView, predict, score_edit
 from edit3r_measure.runner import run_resumable
 from edit3r_measure.scene_sources import SceneFolder
-from edit3r_measure.tradeoff_knobs import Point
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 LAST_WORDS = 300  # characters of a dead process's last words that are kept
@@ -87,30 +86,36 @@ class Sweep:
         content = [settings, fingerprint, effort, [versions.get(name) for name in ("edit3r", "torch")]]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    def measure(self, points: Sequence[Point], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
-        """Measure all points on all scenes, each pair in a fresh process; fewer are returned if the time ran out.
+    def measure(self, points: Mapping[str, Mapping[str, Any]], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
+        """Measure all points (settings by label) on all scenes, each pair in a fresh process.
 
-        What `measurements.jsonl` has from earlier sweeps is not measured again.
+        What `measurements.jsonl` has from earlier sweeps is not measured again. Fewer measurements are returned if
+        the time ran out.
         """
-        fingerprints = {scene.path: scene.fingerprint() for scene in scenes}
-        pairs = [(point, scene) for point in points for scene in scenes]
-        jobs = {self.key(point.settings, fingerprints[scene.path]): (point, scene) for point, scene in pairs}
+        fingerprints = [(scene, scene.fingerprint()) for scene in scenes]
+        keyed = [(self.key(points[label], mark), label, scene) for label in points for scene, mark in fingerprints]
         found = run_resumable(
-            {key: (key, *pair) for key, pair in jobs.items()},
+            {key: (key, label, points[label], scene) for key, label, scene in keyed},
             self._measure_pair,
             self.root / "measurements.jsonl",
             seconds=self.seconds,
             on_done=lambda state: progress("measure", state.done, state.total),
         )
-        return [{**row, "label": jobs[key][0].label} for key, row in found.items()]
+        labels = {key: label for key, label, _ in keyed}
+        return [{**row, "label": labels[key]} for key, row in found.items()]
 
-    def _measure_pair(self, pair: tuple[str, Point, SceneFolder]) -> dict[str, Any]:
-        key, point, scene = pair
-        about = {"label": point.label, "settings": point.settings, "scene": scene.name, "kind": scene.kind}
-        when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    def _measure_pair(self, pair: tuple[str, str, Mapping[str, Any], SceneFolder]) -> dict[str, Any]:
+        key, label, settings, scene = pair
         paths = {"scene": str(scene.path.resolve()), "image": str(self.image(key).resolve())}
-        measurement = in_fresh_process(replace(self.job, settings=point.settings, **paths), self.threads)
-        return {**about, "threads": self.threads, "measured_at": when, **measurement}
+        return {
+            "label": label,
+            "settings": settings,
+            "scene": scene.name,
+            "kind": scene.kind,
+            "threads": self.threads,
+            "measured_at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            **in_fresh_process(replace(self.job, settings=settings, **paths), self.threads),
+        }
 
 
 def in_fresh_process(job: Job, threads: int | None) -> Mapping[str, Any]:
@@ -191,9 +196,12 @@ def _scores(job: Job, scene: SceneFolder, registry: Registry, work: Path) -> dic
         "coverage": float(view.covered.mean()),
         **perceptual_distance(registry, job.perceptual, view.image, target.image),
     }
-    _save(view, Path(job.image))
+    Path(job.image).parent.mkdir(parents=True, exist_ok=True)
+    save_image(torch.from_numpy(view.image).permute(2, 0, 1), job.image)
     if scene.edited is not None:
-        _run(job, scene, merge(job.settings, _filled(job.edited, scene.edited)), work / "edited")
+        folder = json.dumps(str(scene.edited))[1:-1]
+        edited = json.loads(json.dumps(job.edited).replace("{folder}", folder))
+        _run(job, scene, merge(job.settings, edited), work / "edited")
         after = _novel_view(work / "edited", scene, rasterizer)
         edit = score_edit(view, after, target, scene.truth(edited=True)[1])
         scores |= {"uptake": edit.uptake, "leak": edit.leak, "edited_psnr": edit.psnr}
@@ -217,31 +225,18 @@ def perceptual_distance(
     target: Float[np.ndarray, "height width 3"],
 ) -> dict[str, Any]:
     """Return the distance by the first of the losses that can be had here, its name, and what the others lack."""
-    missing: dict[str, str] = {}
+    told: dict[str, Any] = {"perceptual": None, "perceptual_by": None, "perceptual_missing": {}}
     for name in names:
         try:
             loss = registry.build("loss", name)
         except MissingDependencyError as error:
-            missing[name] = str(error)
+            told["perceptual_missing"][name] = str(error)
             continue
         rendered, wished = (torch.from_numpy(x).permute(2, 0, 1)[None, None] for x in (image, target))
         with torch.no_grad():
             distance = float(loss(LossInputs(rendered=rendered, target=wished)))
-        return {"perceptual": distance, "perceptual_by": name, "perceptual_missing": missing}
-    return {"perceptual": None, "perceptual_by": None, "perceptual_missing": missing}
-
-
-def _filled(layer: Any, folder: Path) -> Any:
-    """Return the settings with `{folder}` in any text replaced by the path."""
-    if isinstance(layer, Mapping):
-        return {key: _filled(value, folder) for key, value in layer.items()}
-    return layer.replace("{folder}", str(folder)) if isinstance(layer, str) else layer
-
-
-def _save(view: RenderedView, path: Path) -> None:
-    """Write an 8-bit PNG, to compare settings with each other later."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.round(view.image * 255).astype(np.uint8)).save(path)
+        return {**told, "perceptual": distance, "perceptual_by": name}
+    return told
 
 
 def main(job: str, answer: str) -> None:

@@ -7,18 +7,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from PIL import Image
 
 from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
 from edit3r_measure.metrics import psnr
+from edit3r_measure.report import grouped
 from edit3r_measure.tradeoff_knobs import SweepPlan
 
 APART = 2.1
 """How many times as quick each preset is as the next: the twice that is promised, and something for noise."""
+
+DIGITS = {"psnr": 2, "ssim": 4, **dict.fromkeys(("seconds", "seconds_first", "seconds_middle", "seconds_most"), 3)}
+"""Digits after the point that presets are shipped with; other figures are whole numbers."""
 
 Measurement = Mapping[str, Any]
 """One line of a sweep's `measurements.jsonl`."""
@@ -27,8 +30,7 @@ Measurement = Mapping[str, Any]
 # Means over repeats and scenes.
 
 
-@dataclass(frozen=True)
-class Spread:
+class Spread(NamedTuple):
     """The smallest, the middle and the largest of some figures."""
 
     least: float
@@ -43,7 +45,7 @@ class Spread:
     @staticmethod
     def mean(spreads: Iterable["Spread"]) -> "Spread":
         """Return the mean of each of the three, for scenes that are measured one by one."""
-        return Spread(*(fmean(values) for values in zip(*((s.least, s.middle, s.most) for s in spreads))))
+        return Spread(*map(fmean, zip(*spreads)))
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Figures:
     memory_mb: float  # peak of the process, largest of the scenes [MiB]
     start_memory_mb: float  # of which the program took before it made anything
     gaussians: float
-    most_gaussians: float  # largest of the scenes
+    most_gaussians: int  # largest of the scenes
     ply_mb: float  # [MB]
     psnr: float  # novel view [dB]
     psnr_of_scenes: Spread
@@ -80,20 +82,16 @@ class MeasuredPoint:
     settings: Mapping[str, Any]
     kinds: Mapping[str, Figures]
 
-    def rated(self, clock: str) -> "Rated":
-        """Return its cost by `clock` ("cpu" or "wall") and its accuracy, the novel views' PSNR."""
-        costs = {kind: figures.seconds(clock) for kind, figures in self.kinds.items()}
-        return Rated(self.label, costs, {kind: figures.psnr for kind, figures in self.kinds.items()})
-
 
 def summarize(measurements: Sequence[Measurement]) -> list[MeasuredPoint]:
     """Return the points measured on every scene that any point was measured on, and that failed on none."""
     scenes = {m["scene"] for m in measurements}
-    return [
-        MeasuredPoint(label, group[0]["settings"], {kind: _figures(g) for kind, g in _grouped(group, "kind").items()})
-        for label, group in _grouped(measurements, "label").items()
-        if {m["scene"] for m in group} == scenes and not any("failure" in m for m in group)
-    ]
+    points = []
+    for label, group in grouped(measurements, lambda m: m["label"]).items():
+        if {m["scene"] for m in group} == scenes and not any("failure" in m for m in group):
+            kinds = {kind: _figures(own) for kind, own in grouped(group, lambda m: m["kind"]).items()}
+            points.append(MeasuredPoint(label, group[0]["settings"], kinds))
+    return points
 
 
 def with_distances(
@@ -104,32 +102,17 @@ def with_distances(
     The most accurate point of a kind of scene has none, nor has a point whose files are gone.
     """
     for kind in points[0].kinds if points else ():
-        group = [m for m in measurements if m["kind"] == kind and image(m["key"]).is_file()]
-        images = {(m["label"], m["scene"]): np.asarray(Image.open(image(m["key"])), np.float32) / 255 for m in group}
-        best = max(points, key=lambda point: point.kinds[kind].psnr)
-        points = [_with_distance(point, best, kind, images) for point in points]
+        files = {(m["label"], m["scene"]): image(m["key"]) for m in measurements if m["kind"] == kind}
+        views = {at: np.asarray(Image.open(f), np.float32) / 255 for at, f in files.items() if f.is_file()}
+        best = max(points, key=lambda point: point.kinds[kind].psnr).label
+        filled = []
+        for point in points:
+            scenes = [scene for label, scene in views if label == point.label != best and (best, scene) in views]
+            decibels = [psnr(views[point.label, scene], views[best, scene]) for scene in scenes]
+            figures = replace(point.kinds[kind], distance=fmean(decibels) if decibels else None)
+            filled.append(replace(point, kinds={**point.kinds, kind: figures}))
+        points = filled
     return list(points)
-
-
-def _with_distance(
-    point: MeasuredPoint,
-    best: MeasuredPoint,
-    kind: str,
-    images: Mapping[tuple[str, str], Float[np.ndarray, "height width 3"]],
-) -> MeasuredPoint:
-    """Compare novel views, which `images` holds by (label, scene)."""
-    scenes = [scene for label, scene in images if label == point.label and (best.label, scene) in images]
-    if point.label == best.label or not scenes:
-        return point
-    distance = fmean(psnr(images[point.label, scene], images[best.label, scene]) for scene in scenes)
-    return replace(point, kinds={**point.kinds, kind: replace(point.kinds[kind], distance=distance)})
-
-
-def _grouped(measurements: Iterable[Measurement], key: str) -> dict[str, list[Measurement]]:
-    groups: dict[str, list[Measurement]] = {}
-    for measurement in measurements:
-        groups.setdefault(measurement[key], []).append(measurement)
-    return groups
 
 
 def _figures(group: Sequence[Measurement]) -> Figures:
@@ -175,20 +158,6 @@ def _mean_of_known(group: Sequence[Measurement], key: str) -> float | None:
 # The front and the presets.
 
 
-@dataclass(frozen=True)
-class Rated:
-    """One point's cost and accuracy on every kind of scene; all points of a choice share the kinds."""
-
-    name: str
-    costs: Mapping[str, float]
-    accuracies: Mapping[str, float]
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over the kinds of scene."""
-        return fmean(self.accuracies.values())
-
-
 def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
     """Return for each point whether no other is at least as good in both and better in one (the Pareto front).
 
@@ -202,14 +171,14 @@ def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
     return [not any(beats(other, point) for other in points) for point in points]
 
 
-def on_every_front(points: Sequence[Rated]) -> list[bool]:
+def on_every_front(points: Sequence[ShippedPoint]) -> list[bool]:
     """Return for each point whether it is on the front of every kind of scene."""
-    kinds = points[0].costs if points else ()
-    fronts = [front([p.costs[k] for p in points], [p.accuracies[k] for p in points]) for k in kinds]
+    kinds = points[0].expected if points else ()
+    fronts = [front([p.expected[k].seconds for p in points], [p.expected[k].psnr for p in points]) for k in kinds]
     return [all(flags) for flags in zip(*fronts)]
 
 
-def choose_presets(points: Sequence[Rated], apart: float = 2.0) -> dict[str, Rated]:
+def choose_presets(points: Sequence[ShippedPoint], apart: float = 2.0) -> dict[str, ShippedPoint]:
     """Return the presets by name, all of them points on every front; empty when there are no three such points.
 
     `best` is the most accurate point for which the other two exist. `balanced` is the most accurate point that costs
@@ -224,9 +193,9 @@ def choose_presets(points: Sequence[Rated], apart: float = 2.0) -> dict[str, Rat
     return {}
 
 
-def _most_accurate(points: Sequence[Rated], slower: Rated, apart: float) -> Rated | None:
+def _most_accurate(points: Sequence[ShippedPoint], slower: ShippedPoint, apart: float) -> ShippedPoint | None:
     """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of scene."""
-    quick = [p for p in points if all(apart * p.costs[kind] <= cost for kind, cost in slower.costs.items())]
+    quick = [p for p in points if all(apart * p.expected[k].seconds <= e.seconds for k, e in slower.expected.items())]
     return max(quick, key=lambda p: p.accuracy, default=None)
 
 
@@ -236,37 +205,44 @@ def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], p
     Only what `plan.shipped` names is a preset's business; a point that differs from the base elsewhere (in the number
     of photos, say) is measured but not shipped.
     """
-    clock = measured["clock"]
-    shippable = [point for point in points if _not_shipped(point.settings, plan) == _not_shipped(plan.base, plan)]
-    rated = [point.rated(clock) for point in shippable]
-    chosen = {point.name: preset for preset, point in choose_presets(rated, APART).items()}
-    shipped = [
-        ShippedPoint(
-            label=point.label,
-            front=flag,
-            preset=chosen.get(point.label),
-            settings={key: value for key, value in point.settings.items() if key in plan.shipped},
-            expected={kind: _expected(figures, clock) for kind, figures in point.kinds.items()},
+    exact = []
+    for point in points:
+        shipped = {key: value for key, value in point.settings.items() if key in plan.shipped}
+        if _of_the_user(point.settings, plan) == _of_the_user(plan.base, plan):
+            expected = {kind: _expected(figures, measured["clock"]) for kind, figures in point.kinds.items()}
+            exact.append(ShippedPoint(label=point.label, settings=shipped, expected=expected))
+    presets = {point.label: preset for preset, point in choose_presets(exact, APART).items()}
+    rounded = [
+        point.model_copy(
+            update={
+                "front": flag,
+                "preset": presets.get(point.label),
+                "expected": {kind: _rounded(expected) for kind, expected in point.expected.items()},
+            }
         )
-        for point, flag in zip(shippable, on_every_front(rated))
+        for point, flag in zip(exact, on_every_front(exact))
     ]
-    return Quality(measured=dict(measured), points=sorted(shipped, key=lambda point: point.seconds))
+    return Quality(measured=dict(measured), points=sorted(rounded, key=lambda point: point.seconds))
 
 
-def _not_shipped(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
+def _of_the_user(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if key not in plan.shipped}
 
 
 def _expected(figures: Figures, clock: str) -> Expected:
     seconds: Spread = getattr(figures, clock)
     return Expected(
-        seconds=round(seconds.least, 3),
-        seconds_first=round(figures.first[clock], 3),
-        seconds_middle=round(seconds.middle, 3),
-        seconds_most=round(seconds.most, 3),
-        memory_mb=round(figures.memory_mb),
-        start_memory_mb=round(figures.start_memory_mb),
-        gaussians=round(figures.most_gaussians),
-        psnr=round(figures.psnr, 2),
-        ssim=round(figures.ssim, 4),
+        seconds=seconds.least,
+        seconds_first=figures.first[clock],
+        seconds_middle=seconds.middle,
+        seconds_most=seconds.most,
+        memory_mb=figures.memory_mb,
+        start_memory_mb=figures.start_memory_mb,
+        gaussians=figures.most_gaussians,
+        psnr=figures.psnr,
+        ssim=figures.ssim,
     )
+
+
+def _rounded(expected: Expected) -> Expected:
+    return Expected(**{name: round(value, DIGITS.get(name, 0)) for name, value in expected.model_dump().items()})

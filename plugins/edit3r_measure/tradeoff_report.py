@@ -1,6 +1,9 @@
 """The table of a sweep with the words around it, in Markdown, and its plot: time against accuracy."""
 
 import math
+import os
+import platform
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,6 +12,7 @@ from typing import Any
 
 from edit3r.errors import MissingDependencyError
 from edit3r.io.atomic import write_between
+from edit3r.io.run_folder import installed_versions
 from edit3r_measure.report import format_or_dash, markdown_table
 from edit3r_measure.tradeoff_knobs import BASE
 from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
@@ -49,6 +53,19 @@ def write_into_page(page: Path, text: str, plotted: Path) -> None:
     write_between(page, START, END, text)
 
 
+def describe_machine(threads: int | None) -> dict[str, Any]:
+    """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
+    table = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
+    versions = installed_versions()
+    return {
+        "processor": found[1] if found else platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": threads or "as the libraries choose",
+        "versions": {name: versions[name] for name in ("edit3r", "python", "torch", "numba") if name in versions},
+    }
+
+
 def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str) -> str:
     """Return a paragraph on the machine, how busy it was, and the command."""
     versions = ", ".join(f"{name} {version}" for name, version in measured["versions"].items())
@@ -71,24 +88,30 @@ def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapp
     figures = [point.kinds[kind] for point in rows]
     on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in STAGES if any(name in f.stages for f in figures)]
-    times = ["processor s", "wall s", "first run, processor s", *(f"{stage} s" for stage in stages)]
-    sizes = ["peak MiB", "Gaussians", "PLY MB"]
-    scores = ["PSNR dB (least to most)", "SSIM", "perceptual", "dB to the best", "uptake", "leak"]
     cells = [
-        [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages)]
+        [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages).values()]
         for point, f, on in zip(rows, figures, on_front)
     ]
-    return markdown_table(["setting", "preset", "front", *times, *sizes, *scores], cells, left=3)
+    return markdown_table(["setting", "preset", "front", *_cells(figures[0], stages)], cells, left=3)
 
 
-def _cells(f: Figures, stages: Sequence[str]) -> list[str]:
-    spread = f.psnr_of_scenes
-    times = [_seconds(f.cpu), _seconds(f.wall), f"{f.first['cpu']:.2f}"]
-    times += [f"{f.stages.get(name, 0):.2f}" for name in stages]
-    sizes = [f"{f.memory_mb:.0f}", f"{f.gaussians:,.0f}", f"{f.ply_mb:.1f}"]
-    scores = [f"{f.psnr:.2f} ({spread.least:.2f} to {spread.most:.2f})", f"{f.ssim:.3f}"]
-    maybe_known = ((f.perceptual, ".3f"), (f.distance, ".1f"), (f.uptake, ".2f"), (f.leak, ".4f"))
-    return [*times, *sizes, *scores, *(format_or_dash(value, form) for value, form in maybe_known)]
+def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
+    """Return the columns of figures, by title."""
+    return {
+        "processor s": _seconds(f.cpu),
+        "wall s": _seconds(f.wall),
+        "first run, processor s": f"{f.first['cpu']:.2f}",
+        **{f"{stage} s": f"{f.stages.get(stage, 0):.2f}" for stage in stages},
+        "peak MiB": f"{f.memory_mb:.0f}",
+        "Gaussians": f"{f.gaussians:,.0f}",
+        "PLY MB": f"{f.ply_mb:.1f}",
+        "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to {f.psnr_of_scenes.most:.2f})",
+        "SSIM": f"{f.ssim:.3f}",
+        "perceptual": format_or_dash(f.perceptual, ".3f"),
+        "dB to the best": format_or_dash(f.distance, ".1f"),
+        "uptake": format_or_dash(f.uptake, ".2f"),
+        "leak": format_or_dash(f.leak, ".4f"),
+    }
 
 
 def _seconds(spread: Spread) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from edit3r_measure.evaluate import as_records, novel_view_table
-from edit3r_measure.novel_view import relative_pose, score_carried_edit, score_depth, score_novel_view, views_of
+from edit3r_measure.novel_view import relative_pose, score_scene, views_of
 from edit3r_measure.scene_sources import (
     SceneOptions,
     Triple,
@@ -140,17 +140,18 @@ def test_rotation_degrees_is_exact_for_small_angles():
 
 
 def test_true_geometry_in_another_unit_scores_well(folder):
-    score = score_novel_view(photo_scene(folder, (0, 2, 1), 48), WallKnown(folder), build("rasterizer", "torch"))
+    score = score_scene(photo_scene(folder, (0, 2, 1), 48), WallKnown(folder), build("rasterizer", "torch"))
+    figures = score.figures
     assert score.degrees == pytest.approx(8)
-    assert score.rotation_error < 0.01 and score.direction_error < 0.05
-    assert score.covered_gain > 3
-    assert 0.7 < score.coverage < 1
+    assert figures["rotation_error"] < 0.01 and figures["direction_error"] < 0.05
+    assert figures["covered_psnr"] - figures["covered_blurred_psnr"] > 3
+    assert 0.7 < figures["coverage"] < 1
     assert not score.failure
 
 
 def test_a_failure_is_a_row_not_a_stop(folder):
     scene = photo_scene(folder, (0, 2, 1), 48)
-    score = score_novel_view(scene, WallKnown(folder, fails=True), build("rasterizer", "torch"))
+    score = score_scene(scene, WallKnown(folder, fails=True), build("rasterizer", "torch"))
     assert score.failure == "nothing in common."
     table = novel_view_table([score])
     assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
@@ -167,7 +168,7 @@ def test_stereo_truth_scores_right_depth_as_right(tmp_path):
     assert source.load().depth == pytest.approx(DEPTH / 0.5)
     flat = WallKnown(read_posed_folder(tmp_path))
     flat.folder = type(scene)(scene.name, scene.path, (*scene.cameras, scene.cameras[1]))
-    assert score_depth(stereo_scene(scene, 32), flat, build("rasterizer", "torch")).right > 0.98
+    assert score_scene(stereo_scene(scene, 32), flat, build("rasterizer", "torch")).figures["right"] > 0.98
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):
@@ -216,14 +217,15 @@ def edited_scene():
 
 
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
-    score = score_carried_edit(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"))
-    assert score.uptake > 0.8 and score.error < 0.3 and score.leak < 0.01
-    assert score.disagreement < 0.2 and score.kept > 0.7
+    score = score_scene(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"), edits=True).figures
+    assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
+    assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
 def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
-    score = score_carried_edit(edited_scene, Carries(edited_scene, False), build("rasterizer", "numba"))
-    assert (score.uptake, score.error, score.leak, score.disagreement, score.kept) == (0, 1, 0, 0, 0)
+    score = score_scene(edited_scene, Carries(edited_scene, False), build("rasterizer", "numba"), edits=True).figures
+    names = ("uptake", "error", "leak", "disagreement", "kept")
+    assert tuple(score[name] for name in names) == (0, 1, 0, 0, 0)
 
 
 def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from edit3r_measure.tradeoff_knobs import SweepPlan
 from edit3r_measure.tradeoff_points import (
-    Rated,
     Spread,
     choose_presets,
     front,
@@ -20,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from edit3r.quality import best_within
+from edit3r.quality import Expected, ShippedPoint, best_within
 
 MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "clock": "cpu", "command": "x"}
 FEW = st.integers(0, 6)  # few values, so that ties happen
@@ -117,7 +116,7 @@ def test_presets_come_from_the_front_and_say_what_to_expect(measurement):
         for name, t in times.items()
         for kind in ("photos", "procedural")
     ]
-    points, quality = presets_of(rows, shipped=["size"], base={"fov": 50})
+    _, quality = presets_of(rows, shipped=["size"], base={"fov": 50})
     assert [(p.label, p.preset, p.front) for p in quality.points] == [
         ("a", "fast", True),
         ("b", "balanced", True),
@@ -126,7 +125,7 @@ def test_presets_come_from_the_front_and_say_what_to_expect(measurement):
     ]
     assert quality.points[0].settings == {"size": 8}  # what is not a preset's business is not shipped
     assert quality.points[1].expected["photos"].seconds == 3.0
-    assert [p.front for p in quality.points] == on_every_front([p.rated("cpu") for p in points])
+    assert [p.front for p in quality.points] == on_every_front(quality.points)
 
 
 def test_a_point_that_changes_what_is_the_users_is_not_shipped(measurement):
@@ -165,8 +164,12 @@ def test_only_what_stands_between_the_markers_of_a_page_is_replaced(tmp_path):
 
 def rated(name, seconds, accuracy, other=None):
     """A point with the same figures on two kinds of scene, or with `other` (seconds, accuracy) on the second."""
-    second = other or (seconds, accuracy)
-    return Rated(name, {"a": seconds, "b": second[0]}, {"a": accuracy, "b": second[1]})
+    names = ("seconds_first", "seconds_middle", "seconds_most", "memory_mb", "start_memory_mb", "gaussians", "ssim")
+    unused = dict.fromkeys(names, 1)
+    first, second = (
+        Expected(seconds=s, psnr=p, **unused) for s, p in ((seconds, accuracy), other or (seconds, accuracy))
+    )
+    return ShippedPoint(label=name, settings={}, expected={"a": first, "b": second})
 
 
 @pytest.mark.parametrize(
@@ -208,7 +211,7 @@ def test_a_point_must_be_on_the_front_of_every_kind():
 def test_presets_by_hand():
     points = [rated("a", 1, 10), rated("b", 1.5, 11), rated("c", 3.5, 14), rated("d", 6, 15), rated("e", 8, 16)]
     chosen = choose_presets(points, apart=2)
-    assert {name: point.name for name, point in chosen.items()} == {"fast": "b", "balanced": "c", "best": "e"}
+    assert {name: point.label for name, point in chosen.items()} == {"fast": "b", "balanced": "c", "best": "e"}
 
 
 def test_a_preset_must_be_quick_enough_on_both_kinds():
@@ -218,7 +221,7 @@ def test_a_preset_must_be_quick_enough_on_both_kinds():
 
 def test_the_best_gives_way_when_nothing_lies_far_enough_below_it_otherwise():
     points = [rated("a", 1, 10), rated("b", 2, 11), rated("c", 4, 12)]
-    assert [p.name for p in choose_presets(points, apart=2).values()] == ["a", "b", "c"]
+    assert [p.label for p in choose_presets(points, apart=2).values()] == ["a", "b", "c"]
     assert choose_presets(points[:2], apart=2) == {}
     assert choose_presets([], apart=2) == {}
 
@@ -232,11 +235,11 @@ def test_presets_lie_on_both_fronts_and_apart(points, apart):
     chosen = list(choose_presets(points, apart).values())
     for kind in "ab":
         for point in chosen:
-            beaten = [p for p in points if p.costs[kind] < point.costs[kind]]
-            assert all(p.accuracies[kind] < point.accuracies[kind] for p in beaten)
+            beaten = [p for p in points if p.expected[kind].seconds < point.expected[kind].seconds]
+            assert all(p.expected[kind].psnr < point.expected[kind].psnr for p in beaten)
         for quick, slow in pairwise(chosen):
-            assert apart * quick.costs[kind] <= slow.costs[kind]
-            assert quick.accuracies[kind] <= slow.accuracies[kind]
+            assert apart * quick.expected[kind].seconds <= slow.expected[kind].seconds
+            assert quick.expected[kind].psnr <= slow.expected[kind].psnr
 
 
 def test_within_limits_the_most_accurate_is_taken():

@@ -7,7 +7,6 @@ from edit3r_measure import tradeoff_measure
 from edit3r_measure.novel_view import RenderedView, score_edit
 from edit3r_measure.runner import read_rows
 from edit3r_measure.scene_sources import SceneSource, sample_scene, write_scene
-from edit3r_measure.tradeoff_knobs import Point
 from edit3r_measure.tradeoff_measure import Job, Sweep, measure, perceptual_distance
 
 from edit3r.cli.main import main
@@ -17,7 +16,7 @@ from edit3r.io.posed_folder import Photo
 from edit3r.types import Cameras
 
 JOB = Job(unedited={}, edited={})
-POINTS = [Point(label="a", settings={"size": 8}), Point(label="b", settings={"size": 9})]
+POINTS = {"a": {"size": 8}, "b": {"size": 9}}
 
 
 def sample(views=2, side=8):
@@ -38,7 +37,7 @@ def sample(views=2, side=8):
 
 @pytest.fixture
 def scene(tmp_path):
-    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, sample()))
+    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, [sample()]))
     return write_scene(source, tmp_path)
 
 
@@ -71,7 +70,7 @@ def test_the_run_gets_no_pose(scene):
 
 def test_a_later_sweep_measures_what_is_missing_only(scene, tmp_path, processes):
     sweep = Sweep(tmp_path, JOB)
-    sweep.measure(POINTS[:1], [scene])
+    sweep.measure({"a": POINTS["a"]}, [scene])
     found = sweep.measure(POINTS, [scene])
     assert processes == [8, 9]
     assert [m["label"] for m in found] == ["a", "b"]

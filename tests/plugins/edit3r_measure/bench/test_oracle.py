@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_measure.oracle import OracleEditor, OracleSettings, draw_disagreement, spoil
+from edit3r_measure.oracle import OracleEditor, OracleSettings, spoil
 
 from edit3r.types import EditRequest, Views
 
@@ -51,5 +51,5 @@ def test_the_same_seed_gives_the_same_pictures_and_another_others(truth):
 
 def test_spoiled_pictures_stay_in_range(truth):
     for view in range(20):
-        image = spoil(truth[0], draw_disagreement(("x", view), 1.0))
+        image = spoil(truth[0], ("x", view), 1.0)
         assert image.min() >= 0 and image.max() <= 1

@@ -5,8 +5,8 @@ import json
 import pytest
 from edit3r_measure.bench_item import BenchRun, Method, run_bench
 from edit3r_measure.bench_metrics import MetricSettings
-from edit3r_measure.bench_page import write_page
-from edit3r_measure.bench_report import difference, mean_of, read_columns, write_report
+from edit3r_measure.bench_page import write_page, write_report
+from edit3r_measure.bench_report import mean_of, read_columns
 
 from edit3r.errors import InputError
 
@@ -41,8 +41,8 @@ def test_doing_nothing_cannot_win_and_failing_is_counted(runs):
 def test_a_difference_is_edit_by_edit(runs):
     cards, nothing, _ = read_columns([runs])
     expected = mean_of(cards, "psnr").mean - mean_of(nothing, "psnr").mean
-    assert difference(cards, nothing, "psnr").mean == pytest.approx(expected)
-    assert difference(cards, cards, "psnr").mean == 0
+    assert mean_of(cards, "psnr", minus=nothing).mean == pytest.approx(expected)
+    assert mean_of(cards, "psnr", minus=cards).mean == 0
 
 
 def test_only_edits_that_all_methods_tried_are_compared(runs, manifest_file, cards, tmp_path):

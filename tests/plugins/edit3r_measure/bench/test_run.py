@@ -83,7 +83,7 @@ def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(straight, 
 
 
 def test_killed_and_resumed_gives_the_same_report(straight, run, cards):
-    command = ["bench", "run", str(run.manifest), "--recon", "cards", "--plugin", cards, "--out", str(run.out)]
+    command = ["bench", "run", str(run.manifest_file), "--recon", "cards", "--plugin", cards, "--out", str(run.out)]
     command += ["--set", "label=cards", "--no-effnet", "--edits", "3", "--quiet"]
     process = subprocess.Popen([sys.executable, "-m", "edit3r.cli.main", *command])
     try:
