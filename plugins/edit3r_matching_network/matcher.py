@@ -9,8 +9,8 @@ from torch import Tensor
 from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.errors import MatchingError
-from edit3r.geometry.alignment import scale_poses
-from edit3r.geometry.upsampling import resize, upsample_depth
+from edit3r.geometry.cameras import scale_poses
+from edit3r.geometry.maps import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views

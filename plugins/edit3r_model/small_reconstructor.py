@@ -14,11 +14,10 @@ from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
-from edit3r.geometry.alignment import scale_poses
+from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.upsampling import guided_upsample, resize
 from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views

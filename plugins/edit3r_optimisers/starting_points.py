@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from edit3r.errors import InputError, MatchingError
-from edit3r.geometry.alignment import median_scale, scale_poses
-from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first
+from edit3r.geometry.alignment import median_scale
+from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first, scale_poses
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
