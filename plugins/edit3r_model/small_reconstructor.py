@@ -38,6 +38,8 @@ class Edit3rReconstructor(Reconstructor):
     View 0 is the reference: its edit is kept as it is. Without any edit the colours are exactly the source images'.
     """
 
+    takes_geometry = True
+
     class Settings(config.Settings):
         matcher: PartChoice = Field(
             PartChoice(

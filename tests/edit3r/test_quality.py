@@ -48,7 +48,7 @@ def shipped(tmp_path, monkeypatch):
 
 
 def chosen(points, photos=2, **wish):
-    return choose(Wish(**wish), photos, points).point.label
+    return choose(Wish(**wish), photos, points)[0].label
 
 
 @pytest.mark.parametrize(("preset", "label"), [("fast", "small"), ("balanced", "middle"), ("best", "large")])
