@@ -64,7 +64,8 @@ def _one_scene(
     position = torch.arange(frames, dtype=c2w.dtype, device=c2w.device) * (views / frames)
     leg = position.floor().long().clamp(max=views - 1)
     begin, end = order[leg], order[(leg + 1) % views]
-    share = _ease(position - leg)
+    share = position - leg
+    share = share * share * (3 - 2 * share)  # smoothstep: at rest at every view
     poses = interpolate_poses(c2w[begin], c2w[end], share)
     between = torch.lerp(intrinsics[begin], intrinsics[end], share[:, None, None])
     steps = (c2w[order, :3, 3] - c2w[order.roll(-1), :3, 3]).norm(dim=-1)
@@ -90,11 +91,6 @@ def _short_tour(centres: Float[Tensor, "view 3"]) -> Int[Tensor, "view"]:
     return torch.tensor(order, device=centres.device)
 
 
-def _ease(share: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Smoothstep: at rest at 0 and 1."""
-    return share * share * (3 - 2 * share)
-
-
 def _swing(step: float, depth: float | None) -> float:
     """How far the path leaves the straight way, for views `step` apart [scene units]."""
     swing = SIDE_STEP * step
@@ -110,7 +106,7 @@ def _side_step(offsets: Float[Tensor, "frame 2"], depth: float | None) -> Float[
     motion = torch.eye(4, dtype=offsets.dtype, device=offsets.device).repeat(len(offsets), 1, 1)
     motion[:, :2, 3] = offsets
     if depth is not None:
-        x, y = -offsets.unbind(-1)[0], -offsets.unbind(-1)[1]
+        x, y = (-offsets).unbind(-1)
         ahead = torch.full_like(x, depth)
         length = torch.sqrt(x * x + y * y + ahead * ahead)
         # Shortest rotation of (0, 0, 1) to (x, y, depth): quaternion (1 + cos, axis sin), normalised when used.

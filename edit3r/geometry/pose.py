@@ -93,7 +93,10 @@ def _pose(
     rotation, translation = cv2.solvePnPRefineLM(
         points[chosen] / unit, pixels[chosen], camera, None, rotation, translation
     )
-    return _camera_to_world(rotation, translation * unit)
+    pose = np.eye(4)  # OpenCV's rotation vector and translation take the world to the camera
+    pose[:3, :3] = cv2.Rodrigues(rotation)[0].T
+    pose[:3, 3] = -pose[:3, :3] @ (translation[:, 0] * unit)
+    return pose
 
 
 def _voters(
@@ -105,14 +108,3 @@ def _voters(
     index = index[:: max(1, -(-len(index) // MAX_POINTS))].cpu().numpy()
     pixels = np.stack((index % layout[1] + 0.5, index // layout[1] + 0.5), -1)
     return points[torch.from_numpy(index).to(points.device)].detach().cpu().double().numpy(), pixels
-
-
-def _camera_to_world(
-    rotation: Float[np.ndarray, "3 1"], translation: Float[np.ndarray, "3 1"]
-) -> Float[np.ndarray, "4 4"]:
-    """Invert OpenCV's world-to-camera rotation vector and translation."""
-    matrix = cv2.Rodrigues(rotation)[0].T
-    pose = np.eye(4)
-    pose[:3, :3] = matrix
-    pose[:3, 3] = -matrix @ translation[:, 0]
-    return pose

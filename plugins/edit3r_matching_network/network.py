@@ -117,8 +117,10 @@ class MatchingNetwork(nn.Module):
         corrected: Float[Tensor, "batch 2 token 2"],
     ) -> WindowMatches:
         """Match fine features around the corrected coarse matches."""
-        described = self.describe_fine(fine) + _enlarged(self.describe_around(maps), fine)
-        descriptors = unit_descriptors(described, 1, self.log_fine_sharpness).unflatten(0, (-1, 2))
+        around = F.interpolate(self.describe_around(maps), fine.shape[-2:], mode="bilinear", align_corners=False)
+        descriptors = unit_descriptors(self.describe_fine(fine) + around, 1, self.log_fine_sharpness).unflatten(
+            0, (-1, 2)
+        )
         return match_in_window(descriptors, corrected)
 
 
@@ -240,12 +242,6 @@ def _as_tokens(maps: Float[Tensor, "image c height width"]) -> Float[Tensor, "ba
 def _as_maps(tokens: Float[Tensor, "batch 2 token c"], grid: tuple[int, int]) -> Float[Tensor, "image c height width"]:
     """Inverse of `_as_tokens`."""
     return tokens.flatten(0, 1).transpose(1, 2).unflatten(-1, grid)
-
-
-def _enlarged(
-    maps: Float[Tensor, "image c h w"], like: Float[Tensor, "image d h2 w2"]
-) -> Float[Tensor, "image c h2 w2"]:
-    return F.interpolate(maps, like.shape[-2:], mode="bilinear", align_corners=False)
 
 
 def load_network(weights: str) -> MatchingNetwork:

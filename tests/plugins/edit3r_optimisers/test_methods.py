@@ -128,7 +128,7 @@ def test_a_run_gives_the_method_its_editor_prompt_and_masks(build, posed, name):
 
 def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
     tiny = {"steps": 1, "edit_steps": 1, "start": "random", "points": 50}
-    result = edit3r.run(posed, "make it red", recon="refit", editor="none", settings={"reconstructor": tiny})
+    result = edit3r.run(posed, "make it red", recon={"name": "refit", **tiny}, editor="none")
     assert result.reconstructor.editor is result.editor and result.editor.offer.component.name == "none"
 
 
