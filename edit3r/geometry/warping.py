@@ -67,7 +67,7 @@ def warp(
 ) -> Float[Tensor, "*batch channel height2 width2"]:
     """Sample `images` at normalised `coordinates` (x, y); pixel centres as in `cameras.pixel_grid`.
 
-    `mode` ('bilinear' or 'nearest') and `padding` ('border' repeats the edge, 'zeros') are those of `F.grid_sample`.
+    `mode` (such as 'nearest') and `padding` (such as 'border', which repeats the edge) are those of `F.grid_sample`.
     """
     flat, grid = images.reshape(-1, *images.shape[-3:]), coordinates.reshape(-1, *coordinates.shape[-3:]) * 2 - 1
     sampled = F.grid_sample(flat, grid, mode=mode, padding_mode=padding, align_corners=False)
