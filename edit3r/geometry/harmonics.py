@@ -1,5 +1,7 @@
 """Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley signs)."""
 
+from math import pi, sqrt
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -7,44 +9,56 @@ from torch import Tensor
 DC = 0.28209479177387814
 """The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC."""
 
+# Factors of the functions of degree 1 to 4.
+C1 = 0.5 * sqrt(3 / pi)
+C2 = tuple(a * sqrt(b / pi) for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15)))
+C3 = tuple(
+    a * sqrt(b / pi)
+    for a, b in ((-0.25, 17.5), (0.5, 105), (-0.25, 10.5), (0.25, 7), (-0.25, 10.5), (0.25, 105), (-0.25, 17.5))
+)
+C4 = tuple(
+    a * sqrt(b / pi) / 16
+    for a, b in ((12, 35), (-12, 17.5), (12, 5), (-12, 2.5), (3, 1), (-12, 2.5), (6, 5), (-12, 17.5), (3, 35))
+)
+
 
 def basis(directions: Float[Tensor, "*batch 3"], degree: int) -> Float[Tensor, "*batch coefficient"]:
     """The (degree + 1)^2 basis functions at unit directions."""
     x, y, z = directions.unbind(-1)
     values = [torch.full_like(x, DC)]
     if degree >= 1:
-        values += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+        values += [-C1 * y, C1 * z, -C1 * x]
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
         xy, yz, xz = x * y, y * z, x * z
         values += [
-            1.0925484305920792 * xy,
-            -1.0925484305920792 * yz,
-            0.31539156525252005 * (2 * zz - xx - yy),
-            -1.0925484305920792 * xz,
-            0.5462742152960396 * (xx - yy),
+            C2[0] * xy,
+            C2[1] * yz,
+            C2[2] * (2 * zz - xx - yy),
+            C2[3] * xz,
+            C2[4] * (xx - yy),
         ]
     if degree >= 3:
         values += [
-            -0.5900435899266435 * y * (3 * xx - yy),
-            2.890611442640554 * xy * z,
-            -0.4570457994644658 * y * (4 * zz - xx - yy),
-            0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
-            -0.4570457994644658 * x * (4 * zz - xx - yy),
-            1.445305721320277 * z * (xx - yy),
-            -0.5900435899266435 * x * (xx - 3 * yy),
+            C3[0] * y * (3 * xx - yy),
+            C3[1] * xy * z,
+            C3[2] * y * (4 * zz - xx - yy),
+            C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            C3[4] * x * (4 * zz - xx - yy),
+            C3[5] * z * (xx - yy),
+            C3[6] * x * (xx - 3 * yy),
         ]
     if degree >= 4:
         values += [
-            2.5033429417967046 * xy * (xx - yy),
-            -1.7701307697799304 * yz * (3 * xx - yy),
-            0.9461746957575601 * xy * (7 * zz - 1),
-            -0.6690465435572892 * yz * (7 * zz - 3),
-            0.10578554691520431 * (zz * (35 * zz - 30) + 3),
-            -0.6690465435572892 * xz * (7 * zz - 3),
-            0.47308734787878004 * (xx - yy) * (7 * zz - 1),
-            -1.7701307697799304 * xz * (xx - 3 * yy),
-            0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+            C4[0] * xy * (xx - yy),
+            C4[1] * yz * (3 * xx - yy),
+            C4[2] * xy * (7 * zz - 1),
+            C4[3] * yz * (7 * zz - 3),
+            C4[4] * (zz * (35 * zz - 30) + 3),
+            C4[5] * xz * (7 * zz - 3),
+            C4[6] * (xx - yy) * (7 * zz - 1),
+            C4[7] * xz * (xx - 3 * yy),
+            C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
         ]
     return torch.stack(values, -1)
 

@@ -79,17 +79,6 @@ class TrainingState:
                 self.average[name].copy_(tensor)
 
 
-@contextmanager
-def whole_file(path: Path, what: str, then: str = "") -> Iterator[Path]:
-    """A temporary path that becomes `path`; a failure to write is a RunError that says `what` and what to do."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as partial:
-            yield partial
-    except (OSError, RuntimeError, safetensors.SafetensorError) as error:
-        raise RunError(f"{path}: {what} could not be written ({error}); free some disk space{then}.") from error
-
-
 def copied_weights(network: nn.Module) -> dict[str, Tensor]:
     """A detached copy of all weights."""
     return {name: tensor.detach().clone() for name, tensor in network.state_dict().items()}
@@ -100,6 +89,17 @@ def save_weights(path: Path, weights: Mapping[str, Tensor], metadata: Mapping[st
     content = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
     with whole_file(path, "the weights") as partial:
         safetensors.torch.save_file(content, partial, metadata=None if metadata is None else dict(metadata))
+
+
+@contextmanager
+def whole_file(path: Path, what: str, then: str = "") -> Iterator[Path]:
+    """A temporary path that becomes `path`; a failure to write is a RunError that says `what` and what to do."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as partial:
+            yield partial
+    except (OSError, RuntimeError, safetensors.SafetensorError) as error:
+        raise RunError(f"{path}: {what} could not be written ({error}); free some disk space{then}.") from error
 
 
 def _read(path: Path) -> dict[str, Any]:
