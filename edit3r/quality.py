@@ -20,7 +20,7 @@ from edit3r.reporting import note
 PRESETS = ("fast", "balanced", "best")  # quickest first
 
 SHIPPED = Path(__file__).parent / "presets" / "quality.yaml"
-_HEADER = "# Measured and written by `edit3r tradeoff --update-presets`; see docs/tradeoff.md.\n"
+_HEADER = "# Measured settings of a run, chosen by `--quality`; see docs/tradeoff.md for how they are written.\n"
 
 
 class Expected(Settings):
@@ -82,11 +82,6 @@ def write_quality(quality: Quality, path: Path | None = None) -> Path:
     return path
 
 
-def preset_names(quality: Quality) -> list[str]:
-    """The presets there are, quickest first."""
-    return [name for name in PRESETS if any(point.preset == name for point in quality.points)]
-
-
 LIMITS = {
     "seconds": ("budget_ms", "ms", 1000),
     "gaussians": ("max_gaussians", "Gaussians", 1),
@@ -122,13 +117,13 @@ def choose(wish: Wish, photos: int, quality: Quality | None = None) -> tuple[Shi
     """
     quality = quality or read_quality()
     if not quality.points:
-        raise SettingsError("--quality: nothing has been measured yet; run edit3r tradeoff --update-presets.")
+        raise SettingsError("--quality: nothing has been measured yet; see docs/tradeoff.md.")
     costs = [expectation(point, photos / quality.photos) for point in quality.points]
     limits = wish.budgets
     if wish.quality is not None:
         preset = next((i for i, point in enumerate(quality.points) if point.preset == wish.quality), None)
         if preset is None:
-            raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see edit3r tradeoff.")
+            raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see docs/tradeoff.md.")
         if best_within([costs[preset]], [0.0], limits) == 0:
             return quality.points[preset], costs[preset]
         limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
