@@ -83,16 +83,16 @@ class MatchingNetwork(nn.Module):
         """Images in [0, 1] whose sides are multiples of 8 [pixels], normalised intrinsics."""
         height, width = images.shape[-2:]
         grid = (height // TOKEN_STRIDE, width // TOKEN_STRIDE)
-        pyramid = self.encoder(images.flatten(0, 1))
+        fine, tokens = self.encoder(images.flatten(0, 1))
         rays = pixel_rays(intrinsics, grid)[..., :2].flatten(2, 3)  # [batch, 2, token, 2]
-        tokens = _as_tokens(pyramid.tokens) + self.rays(rays)
+        tokens = _as_tokens(tokens) + self.rays(rays)
         coarse, tokens = self._match(tokens, rays, grid)
         corrected = coarse.coordinates + 0.1 * self.correct(tokens)
         maps = _as_maps(tokens, grid)
-        window = self._search(pyramid.fine, maps, corrected)
+        window = self._search(fine, maps, corrected)
         fine_grid = (height // FINE_STRIDE, width // FINE_STRIDE)
-        fine = self.decoder(pyramid.fine, maps, _as_maps(corrected, grid), window, fine_grid)
-        return PairPrediction(coarse, corrected.unflatten(2, grid), window, *fine)
+        decoded = self.decoder(fine, maps, _as_maps(corrected, grid), window, fine_grid)
+        return PairPrediction(coarse, corrected.unflatten(2, grid), window, *decoded)
 
     def _match(
         self, tokens: Float[Tensor, "batch 2 token c"], rays: Float[Tensor, "batch 2 token 2"], grid: tuple[int, int]
