@@ -25,15 +25,14 @@ def check_offer(registry: Registry, offer: Offer) -> str:
         cls, settings = registry.load_class(offer), registry.settings_class(offer)
     except Edit3rError as error:
         return str(error)
-    component = offer.component
     problem = (
-        _check_declaration(component)
-        or _check_interface(offer.kind, component, cls)
+        _check_declaration(offer.component)
+        or _check_interface(offer, cls)
         or _check_settings(cls, settings)
-        or _check_parts(offer.kind, component, cls, settings)
-        or _check_view_limits(offer.kind, component, cls)
+        or _check_parts(offer, cls, settings)
+        or _check_view_limits(offer, cls)
     )
-    return f"{offer.kind} {component.name!r}: {problem}" if problem else ""
+    return f"{offer.kind} {offer.component.name!r}: {problem}" if problem else ""
 
 
 def _check_declaration(component: Component) -> str:
@@ -46,15 +45,14 @@ def _check_declaration(component: Component) -> str:
     return ""
 
 
-def _check_interface(kind: str, component: Component, cls: type) -> str:
+def _check_interface(offer: Offer, cls: type) -> str:
     from edit3r.interfaces import INTERFACES
 
-    interface = INTERFACES[kind]
+    interface = INTERFACES[offer.kind]
     if not (isinstance(cls, type) and issubclass(cls, interface)):
-        return f"{component.target} must be a subclass of edit3r.interfaces.{interface.__name__}"
+        return f"{offer.component.target} must be a subclass of edit3r.interfaces.{interface.__name__}"
     if inspect.isabstract(cls):
-        left = ", ".join(sorted(cls.__abstractmethods__))
-        return f"{cls.__name__} does not implement {left}"
+        return f"{cls.__name__} does not implement {', '.join(sorted(cls.__abstractmethods__))}"
     return ""
 
 
@@ -70,11 +68,11 @@ def _check_settings(cls: type, settings: type[Settings]) -> str:
     return ""
 
 
-def _check_parts(kind: str, component: Component, cls: type, settings: type[Settings]) -> str:
-    unfilled = [part for part in component.parts if part not in settings.model_fields]
-    if unfilled and kind not in PARTS_FROM_OUTSIDE:
+def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
+    unfilled = [part for part in offer.component.parts if part not in settings.model_fields]
+    if unfilled and offer.kind not in PARTS_FROM_OUTSIDE:
         return f"part {unfilled[0]!r} is declared but Settings has no field of that name to choose it"
-    parts = dict.fromkeys(component.parts)
+    parts = dict.fromkeys(offer.component.parts)
     try:
         inspect.signature(cls).bind(None, **parts)
     except TypeError as error:
@@ -83,11 +81,11 @@ def _check_parts(kind: str, component: Component, cls: type, settings: type[Sett
     return ""
 
 
-def _check_view_limits(kind: str, component: Component, cls: type) -> str:
+def _check_view_limits(offer: Offer, cls: type) -> str:
     """A reconstructor says its limits twice: in the declaration, and on the class the pipeline asks."""
-    if kind != "reconstructor":
+    if offer.kind != "reconstructor":
         return ""
-    declared, said = (component.min_views, component.max_views), (cls.min_views, cls.max_views)
+    declared, said = (offer.component.min_views, offer.component.max_views), (cls.min_views, cls.max_views)
     simple = isinstance(said[0], int) and isinstance(said[1], int | None)  # else a property, known when built
     if simple and declared not in (said, (1, None)):
         return f"it declares min_views, max_views = {declared}, but {cls.__name__} says {said}; make them agree"

@@ -42,14 +42,20 @@ class SettingLine:
 
 def settings_lines(cls: type[Settings]) -> tuple[SettingLine, ...]:
     """Every setting of a component's settings class, in the order written."""
-    return tuple(_line(name, field) for name, field in cls.model_fields.items())
+    lines = []
+    for name, field in cls.model_fields.items():
+        default = None if field.is_required() else field.get_default(call_default_factory=True)
+        words, sentence = type_in_words(field.annotation), (field.description or "").strip()
+        lines.append(SettingLine(name, words, _range(field), _plain(default), sentence, field.is_required()))
+    return tuple(lines)
 
 
 def yaml_example(offer: Offer, cls: type[Settings]) -> str:
     """The component with its defaults as a configuration's YAML, each setting explained in a comment."""
-    lines = settings_lines(cls)
-    rows = [(f"  {line.name}: {line.default_yaml}", _comment(line)) for line in lines]
-    rows = [(f"  name: {offer.component.name}", ""), *rows]
+    rows = [(f"  name: {offer.component.name}", "")]
+    for line in settings_lines(cls):
+        comment = f"{line.sentence} ({line.allowed})" if line.sentence else line.allowed
+        rows.append((f"  {line.name}: {line.default_yaml}", comment))
     width = min(max(len(row) for row, _ in rows), 44)
     body = [f"{row:<{width}}  # {comment}" if comment else row for row, comment in rows]
     return "\n".join(_under_its_key(offer.kind, body))
@@ -57,26 +63,19 @@ def yaml_example(offer: Offer, cls: type[Settings]) -> str:
 
 def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
     """What a user should know before building the component, as (what, value)."""
-    most = "any number" if component.max_views is None else str(component.max_views)
-    views = f"{component.min_views} or more" if component.max_views is None else f"{component.min_views} to {most}"
+    most = "or more" if component.max_views is None else f"to {component.max_views}"
+    yes_or_no = ("no", "yes")
     lines = (
         ("licence", component.licence),
-        ("views", views),
-        ("needs a GPU", _yes(component.needs_gpu)),
-        ("needs the network", _yes(component.needs_network)),
-        ("same seed, same result", _yes(component.supports_seed)),
+        ("views", f"{component.min_views} {most}"),
+        ("needs a GPU", yes_or_no[component.needs_gpu]),
+        ("needs the network", yes_or_no[component.needs_network]),
+        ("same seed, same result", yes_or_no[component.supports_seed]),
         ("requires", ", ".join(component.requires)),
         ("parts", ", ".join(component.parts)),
         ("citation", component.citation),
     )
     return tuple((what, value) for what, value in lines if value)
-
-
-def _line(name: str, field: FieldInfo) -> SettingLine:
-    default = None if field.is_required() else field.get_default(call_default_factory=True)
-    sentence = (field.description or "").strip()
-    words = type_in_words(field.annotation)
-    return SettingLine(name, words, _range(field), _plain(default), sentence, field.is_required())
 
 
 def type_in_words(annotation: Any) -> str:
@@ -98,13 +97,8 @@ def type_in_words(annotation: Any) -> str:
 
 def _range(field: FieldInfo) -> str:
     """Bounds from pydantic's constraints."""
-    found = [
-        f"{sign} {getattr(bound, attribute):g}"
-        for attribute, sign in BOUNDS
-        for bound in field.metadata
-        if getattr(bound, attribute, None) is not None
-    ]
-    return ", ".join(found)
+    found = [(sign, getattr(bound, name, None)) for name, sign in BOUNDS for bound in field.metadata]
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in found if bound is not None)
 
 
 def _plain(value: Any) -> Any:
@@ -126,10 +120,6 @@ def _flow(value: Any) -> str:
     return text.removesuffix("\n").removesuffix("\n...")
 
 
-def _comment(line: SettingLine) -> str:
-    return f"{line.sentence} ({line.allowed})" if line.sentence else line.allowed
-
-
 def _under_its_key(kind: str, body: list[str]) -> list[str]:
     """Indent below the key where a configuration chooses this kind; a run has a list of refiners."""
     if kind == "refiner":
@@ -137,7 +127,3 @@ def _under_its_key(kind: str, body: list[str]) -> list[str]:
     if kind in PART_KINDS:
         return ["reconstructor:", f"  {kind}:", *("  " + line for line in body)]
     return [f"{kind}:", *body]
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"

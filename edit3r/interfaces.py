@@ -122,6 +122,7 @@ class Reconstructor(Configured, ABC):
     min_views: int = 2
     max_views: int | None = None  # the pipeline subsamples evenly above it and says so
     edits_views: bool = False  # True: edits while it reconstructs, by its part of kind editor and the request
+    takes_geometry: bool = False  # True: `from_geometry` reconstructs from geometry that somebody else measured
 
     @abstractmethod
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
@@ -132,6 +133,13 @@ class Reconstructor(Configured, ABC):
 
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
+
+    def from_geometry(self, views: Views, source: Views, geometry: "MatchedGeometry") -> Reconstruction:
+        """Reconstruct `views` from poses and depths of `source` instead of matching; only where `takes_geometry`.
+
+        `source` is the same photos before editing, `geometry` at their resolution. Differentiable by `network`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} takes no geometry")
 
     @property
     def network(self) -> nn.Module | None:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.morphology import dilate_softly
+from edit3r.geometry.maps import dilate_softly
 from edit3r.interfaces import Proposal, Segmenter
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name

@@ -71,7 +71,8 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", Edit3rDeprecationWarning)
                 offers += _offers(manager, name, version, load())
-            deprecations += [f"plugin {name!r}: {w.message}" for w in caught if _is_deprecation(w)]
+            old = [w.message for w in caught if issubclass(w.category, Edit3rDeprecationWarning)]
+            deprecations += [f"plugin {name!r}: {message}" for message in old]
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # sys.exit and pytest.skip at module level are no Exceptions
@@ -85,13 +86,10 @@ def _installed() -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
 
     Where two packages chose the same entry point name, the second is called by its distribution's name.
     """
-    points = sorted(metadata.entry_points(group=ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value))
+    # By name and module: an editable install beside its wheel lists a plugin twice.
+    points = {(point.name, point.value): point for point in metadata.entry_points(group=ENTRY_POINT_GROUP)}
     names: set[str] = set()
-    seen = set()
-    for point in points:
-        if (point.name, point.value) in seen:  # an editable install beside its wheel lists a plugin twice
-            continue
-        seen.add((point.name, point.value))
+    for _, point in sorted(points.items(), key=lambda named: named[0]):
         version = point.dist.version if point.dist is not None else ""
         name = point.name if point.name not in names or point.dist is None else point.dist.name
         names.add(name)
@@ -158,19 +156,12 @@ def _check_api(api: object) -> None:
     if not isinstance(api, int) or isinstance(api, bool):
         raise ValueError(f"EDIT3R_API must be a whole number such as {now}, got {api!r}")
     served = f"API {now}" if oldest == now else f"APIs {oldest} to {now}"
-    if api > now:
-        raise ValueError(f"written for edit3r API {api}, this edit3r has {served}; install a newer edit3r")
-    if api < oldest:
-        raise ValueError(
-            f"written for edit3r API {api}, this edit3r has {served}; install a newer version of the plugin"
-        )
+    if not oldest <= api <= now:
+        newer = "edit3r" if api > now else "version of the plugin"
+        raise ValueError(f"written for edit3r API {api}, this edit3r has {served}; install a newer {newer}")
     if api < now:
         text = f"written for edit3r API {api}, which will be dropped; the current one is {now}"
         warnings.warn(text, Edit3rDeprecationWarning, stacklevel=2)
-
-
-def _is_deprecation(warning: warnings.WarningMessage) -> bool:
-    return issubclass(warning.category, Edit3rDeprecationWarning)
 
 
 def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:

@@ -6,7 +6,6 @@ The points are in `edit3r/presets/quality.yaml`, measured as docs/tradeoff.md sa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal
@@ -18,11 +17,10 @@ from edit3r.config import Settings, make_settings, merge, read_yaml
 from edit3r.errors import SettingsError
 from edit3r.reporting import note
 
-PRESETS = ("fast", "balanced", "best")
-"""The presets, quickest first."""
+PRESETS = ("fast", "balanced", "best")  # quickest first
 
 SHIPPED = Path(__file__).parent / "presets" / "quality.yaml"
-_HEADER = "# Measured settings; docs/tradeoff.md says how.\n"
+_HEADER = "# Measured settings of a run, chosen by `--quality`; see docs/tradeoff.md for how they are written.\n"
 
 
 class Expected(Settings):
@@ -84,66 +82,55 @@ def write_quality(quality: Quality, path: Path | None = None) -> Path:
     return path
 
 
-def preset_names(quality: Quality) -> list[str]:
-    """The presets there are, quickest first."""
-    return [name for name in PRESETS if any(point.preset == name for point in quality.points)]
-
-
-_FLAGS = {
-    "seconds": ("--budget-ms", "ms", 1000),
-    "gaussians": ("--max-gaussians", "Gaussians", 1),
-    "memory_mb": ("--max-memory", "MiB", 1),
+LIMITS = {
+    "seconds": ("budget_ms", "ms", 1000),
+    "gaussians": ("max_gaussians", "Gaussians", 1),
+    "memory_mb": ("max_memory", "MiB", 1),
 }
-"""Cost to the flag that limits it, its unit there, and how many of those one unit of the cost is."""
+"""Cost to the setting that limits it, its unit there, and how many of those one unit of the cost is."""
 
 
 class Wish(Settings):
     """The four settings of a run that choose a measured point."""
 
-    quality: Literal["fast", "balanced", "best"] | None = Field(
-        None, description="preset: how accurate against how quick; see docs/tradeoff.md"
-    )
+    quality: Literal["fast", "balanced", "best"] | None = Field(None, description="preset")
     budget_ms: float | None = Field(None, gt=0, description="most time a run may be expected to take [ms]")
     max_gaussians: int | None = Field(None, ge=1, description="most Gaussians there may be")
     max_memory: float | None = Field(None, gt=0, description="most memory the process may be expected to take [MiB]")
 
     @property
     def is_made(self) -> bool:
-        return any(value is not None for value in self.model_dump().values())
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The point that a wish stands for."""
-
-    point: ShippedPoint
-    expected: Mapping[str, float]  # seconds, memory_mb, gaussians, psnr, ssim: of the worse kind of scene
-    measured: Mapping[str, Any]  # how
+        return bool(self.model_dump(exclude_none=True))
 
     @property
-    def settings(self) -> dict[str, Any]:
-        return self.point.settings
+    def budgets(self) -> dict[str, float]:
+        """Largest expectation of each kind of cost that still fits."""
+        given = {cost: (getattr(self, name), scale) for cost, (name, _, scale) in LIMITS.items()}
+        return {cost: most / scale for cost, (most, scale) in given.items() if most is not None}
 
 
-def choose(wish: Wish, photos: int, quality: Quality | None = None) -> Choice:
-    """The most accurate measured point that fits; raises SettingsError saying what the least is.
+def choose(wish: Wish, photos: int, quality: Quality | None = None) -> tuple[ShippedPoint, dict[str, float]]:
+    """The most accurate measured point that fits, and what it is expected to cost (see `expectation`).
 
-    Time, Gaussians and memory beyond the program's own are taken to grow with the number of photos.
+    Time, Gaussians and memory beyond the program's own are taken to grow with the number of photos. Raises
+    SettingsError, which says what the least is.
     """
     quality = quality or read_quality()
     if not quality.points:
         raise SettingsError("--quality: nothing has been measured yet; see docs/tradeoff.md.")
     costs = [expectation(point, photos / quality.photos) for point in quality.points]
-    limits = _budgets(wish)
-    preset = _preset(wish, quality)
-    if preset is not None and best_within([costs[preset]], [0.0], limits) == 0:
-        return Choice(quality.points[preset], costs[preset], quality.measured)
-    if preset is not None:
+    limits = wish.budgets
+    if wish.quality is not None:
+        preset = next((i for i, point in enumerate(quality.points) if point.preset == wish.quality), None)
+        if preset is None:
+            raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see docs/tradeoff.md.")
+        if best_within([costs[preset]], [0.0], limits) == 0:
+            return quality.points[preset], costs[preset]
         limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
     index = best_within(costs, [point.accuracy for point in quality.points], limits)
     if index is None:
         raise SettingsError(_nothing_fits(wish, costs, photos))
-    return Choice(quality.points[index], costs[index], quality.measured)
+    return quality.points[index], costs[index]
 
 
 def expectation(point: ShippedPoint, scale: float = 1.0) -> dict[str, float]:
@@ -159,67 +146,44 @@ def expectation(point: ShippedPoint, scale: float = 1.0) -> dict[str, float]:
     }
 
 
-def _preset(wish: Wish, quality: Quality) -> int | None:
-    """Index of the preset that was wished."""
-    if wish.quality is None:
-        return None
-    found = [index for index, point in enumerate(quality.points) if point.preset == wish.quality]
-    if not found:
-        raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see docs/tradeoff.md.")
-    return found[0]
-
-
-def _budgets(wish: Wish) -> dict[str, float]:
-    """Largest expectation of each kind that still fits."""
-    milliseconds, gaussians, memory = wish.budget_ms, wish.max_gaussians, wish.max_memory
-    seconds = None if milliseconds is None else milliseconds / 1000
-    given = {"seconds": seconds, "gaussians": gaussians, "memory_mb": memory}
-    return {key: value for key, value in given.items() if value is not None}
-
-
 def _nothing_fits(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
     """One sentence: what was wished, and the least that was measured."""
-    for key, most in _budgets(wish).items():
-        least = min(cost[key] for cost in costs)
+    for cost, most in wish.budgets.items():
+        least = min(expected[cost] for expected in costs)
         if least > most:
-            flag, unit, scale = _FLAGS[key]
-            way_out = f"; --gaussians {most} merges down to it, at an unmeasured loss" if key == "gaussians" else ""
+            name, unit, scale = LIMITS[cost]
+            way_out = (
+                f"; --gaussians {most:.0f} merges down to it, at an unmeasured loss" if cost == "gaussians" else ""
+            )
             return (
-                f"{flag} {most * scale:.0f}: too little for {photos} photos; "
+                f"{_flag(name)} {most * scale:.0f}: too little for {photos} photos; "
                 f"the least that was measured is {ceil(least * scale)} {unit}{way_out}."
             )
-    given = wish.model_dump(exclude_none=True).items()
-    wished = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in given)
+    wished = " ".join(f"{_flag(name)} {value}" for name, value in wish.model_dump(exclude_none=True).items())
     return f"{wished}: no measured setting fits all of these at once for {photos} photos; relax one of them."
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def with_quality(settings: Mapping[str, Any], photos: int) -> dict[str, Any]:
     """Run settings, completed by the measured point that their quality or budgets choose."""
-    wish = wish_of(settings)
+    wish = _wish_of(settings)
     if not wish.is_made:
         return dict(settings)
-    chosen = choose(wish, _used(settings, photos)).settings
-    return merge({key: value for key, value in chosen.items() if _meant_for(value, settings.get(key))}, settings)
+    point, _ = choose(wish, _used(settings, photos))
+    return merge({key: value for key, value in point.settings.items() if _fits(value, settings.get(key))}, settings)
 
 
-def _meant_for(chosen: Any, given: Any) -> bool:
-    """Settings of one component are of no use to another that the user named."""
-    names = [value if isinstance(value, str) else value.get("name") for value in (chosen, given) if _is_part(value)]
-    return len(names) < 2 or names[0] == names[1] or None in names
+def _fits(chosen: Any, given: Any) -> bool:
+    """Whether a chosen setting may lie under a given one: settings of one component are of no use to another."""
+    names = [value.get("name") if isinstance(value, Mapping) else value for value in (chosen, given)]
+    return None in names or names[0] == names[1]
 
 
-def _is_part(value: Any) -> bool:
-    return isinstance(value, str | Mapping)
-
-
-def wish_of(settings: Mapping[str, Any]) -> Wish:
+def _wish_of(settings: Mapping[str, Any]) -> Wish:
     return make_settings(Wish, {key: settings[key] for key in Wish.model_fields if key in settings}, where="run")
-
-
-def note_quality(config: Mapping[str, Any], photos: int) -> None:
-    """Note for `run.json` which measured point the settings chose, and what it was expected to cost."""
-    if wish_of(config).is_made:
-        note("quality", record(config, _used(config, photos)))
 
 
 def _used(settings: Mapping[str, Any], photos: int) -> int:
@@ -228,20 +192,24 @@ def _used(settings: Mapping[str, Any], photos: int) -> int:
     return min(photos, most) if isinstance(most, int) else photos
 
 
-def record(config: Mapping[str, Any], photos: int) -> dict[str, Any]:
-    """The point behind the final settings of a run on `photos` photos, and where the settings differ from it."""
-    wish = wish_of(config)
-    choice = choose(wish, photos)
-    return {
+def note_quality(config: Mapping[str, Any], photos: int) -> None:
+    """Note for `run.json` which measured point the settings chose, its expected cost, and what differs from it."""
+    wish = _wish_of(config)
+    if not wish.is_made:
+        return
+    photos = _used(config, photos)
+    point, expected = choose(wish, photos)
+    facts = {
         "wish": wish.model_dump(exclude_none=True),
-        "chosen": choice.point.label,
-        "preset": choice.point.preset,
-        "settings": choice.settings,
-        "overridden": [key for key, value in choice.settings.items() if not _agrees(config.get(key), value)],
-        "expected": {key: round(value, 4) for key, value in choice.expected.items()},
+        "chosen": point.label,
+        "preset": point.preset,
+        "settings": point.settings,
+        "overridden": [key for key, value in point.settings.items() if not _agrees(config.get(key), value)],
+        "expected": {key: round(value, 4) for key, value in expected.items()},
         "expected_for": f"a run without an editor on {photos} photos, on the worse of the measured kinds of scene",
-        "measured": dict(choice.measured),
+        "measured": read_quality().measured,
     }
+    note("quality", facts)
 
 
 def _agrees(final: Any, chosen: Any) -> bool:

@@ -39,8 +39,8 @@ class Registry:
 
     def offers(self, kind: str | None = None) -> list[Offer]:
         """Offers of one kind (all kinds by default), sorted by kind, name and plugin."""
-        if kind is not None:
-            _check_kind(kind)
+        if kind not in (None, *KINDS):
+            raise UnknownComponentError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
         chosen = [offer for offer in self.plugins.offers if kind in (None, offer.kind)]
         return sorted(chosen, key=lambda o: (KINDS.index(o.kind), o.component.name, o.plugin))
 
@@ -175,11 +175,6 @@ def _installed(module: str) -> bool:
         return importlib.util.find_spec(module) is not None
     except Exception:  # looking for a.b imports a, which may be broken in its own way
         return False
-
-
-def _check_kind(kind: str) -> None:
-    if kind not in KINDS:
-        raise UnknownComponentError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
 
 
 @cache

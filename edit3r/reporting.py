@@ -4,7 +4,6 @@ A component calls `track`, `note` or `warn`; the pipeline installs a `Report` ar
 shows it. Outside a run the calls do nothing, so a component used on its own needs no set-up.
 """
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -51,7 +50,6 @@ class Report:
 
 
 _current: ContextVar[Report | None] = ContextVar("edit3r_report", default=None)
-_lock = threading.Lock()
 
 
 @contextmanager
@@ -68,16 +66,14 @@ def note(key: str, value: Any) -> None:
     """Record a fact under `key` (dots group) in the run's manifest; `value` must be JSON data."""
     report = _current.get()
     if report is not None:
-        with _lock:
-            report.notes[key] = value
+        report.notes[key] = value
 
 
 def warn(text: str) -> None:
     """Tell the user something that does not stop the run; once per text, also kept in the manifest."""
     report = _current.get()
     if report is not None and text not in report.warnings:
-        with _lock:
-            report.warnings.append(text)
+        report.warnings.append(text)
         report.emit("warn", text)
 
 

@@ -1,4 +1,4 @@
-"""Alignment of two reconstructions of one scene: similarity transforms and changes of the unit of length."""
+"""Alignment of two reconstructions of one scene: similarity transforms and ratios of lengths."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,6 @@ __all__ = [
     "median_scale",
     "nearest_rotation",
     "robust_similarity",
-    "scale_poses",
     "weighted_similarity",
 ]
 
@@ -100,15 +99,6 @@ def nearest_rotation(matrix: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch
     turn = torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), -1)
     turn = torch.linalg.solve(stiffness, (turn - turn.detach())[..., None])[..., 0]  # 0 in value
     return rotation + rotation @ cross_matrix(turn)
-
-
-def scale_poses(
-    c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
-) -> Float[Tensor, "*batch 4 4"]:
-    """The same poses in another unit of length: camera centres times `factor`, one or broadcast over the batch."""
-    scaled = c2w.clone()
-    scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
-    return scaled
 
 
 def median_scale(source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]) -> Float[Tensor, ""]:

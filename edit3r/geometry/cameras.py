@@ -1,4 +1,4 @@
-"""Pinhole cameras: pixel rays, projection, inverse poses and intrinsics.
+"""Pinhole cameras: pixel rays, projection, poses, intrinsics, and pixels with depths as points or Gaussians.
 
 Intrinsics are normalised (fx, cx in image widths, fy, cy in heights); points and vectors are kept apart by name.
 """
@@ -8,6 +8,9 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.types import Cameras, Gaussians
 
 
 def intrinsics_from_fov(fov_x: float, image_size: tuple[int, int]) -> Float[Tensor, "3 3"]:
@@ -95,3 +98,47 @@ def relative_to_first(c2w: Float[Tensor, "batch view 4 4"]) -> Float[Tensor, "ba
     result = result.clone()
     result[:, 0] = torch.eye(4, dtype=c2w.dtype, device=c2w.device)
     return result
+
+
+def scale_poses(
+    c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
+) -> Float[Tensor, "*batch 4 4"]:
+    """The same poses in another unit of length: camera centres times `factor`, one or broadcast over the batch."""
+    scaled = c2w.clone()
+    scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
+    return scaled
+
+
+def pixel_scales(
+    depths: Float[Tensor, "batch view height width"], intrinsics: Float[Tensor, "batch view 3 3"], footprint: float
+) -> Float[Tensor, "batch view height width"]:
+    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]; `intrinsics` are normalised."""
+    focal = intrinsics[..., 0, 0] * depths.shape[-1]  # [pixels]
+    return footprint * depths / focal[..., None, None]
+
+
+def pixels_to_gaussians(
+    images: Float[Tensor, "batch view 3 height width"],
+    depths: Float[Tensor, "batch view height width"],
+    cameras: Cameras,
+    scales: Float[Tensor, "batch view height width"],
+    opacities: Float[Tensor, "batch view height width"],
+) -> Gaussians:
+    """One round Gaussian at every pixel's depth, ordered view by view, then row by row.
+
+    `depths` are camera z and `scales` standard deviations in the unit of the cameras' poses. Each Gaussian shows the
+    colour of its pixel from every side (harmonics of degree 0). Differentiable.
+    """
+    batch, views, height, width = depths.shape
+    count = views * height * width
+    points = unproject(depths, cameras.intrinsics, cameras.c2w)
+    quats = points.new_zeros(batch, count, 4)
+    quats[..., 0] = 1
+    return Gaussians(
+        means=points.reshape(batch, count, 3),
+        scales=scales.reshape(batch, count, 1).expand(-1, -1, 3).contiguous(),
+        quats=quats,
+        opacities=opacities.reshape(batch, count),
+        harmonics=colour_to_dc(images.permute(0, 1, 3, 4, 2)).reshape(batch, count, 1, 3),
+        view_index=torch.arange(views, device=points.device).repeat_interleave(height * width),
+    )

@@ -1,5 +1,7 @@
 """Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley signs)."""
 
+from math import pi, sqrt
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -7,27 +9,16 @@ from torch import Tensor
 DC = 0.28209479177387814
 """The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC."""
 
-_L1 = 0.4886025119029199
-_L2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-_L3 = (
-    -0.5900435899266435,
-    2.890611442640554,
-    -0.4570457994644658,
-    0.3731763325901154,
-    -0.4570457994644658,
-    1.445305721320277,
-    -0.5900435899266435,
+# Factors of the functions of degree 1 to 4.
+C1 = 0.5 * sqrt(3 / pi)
+C2 = tuple(a * sqrt(b / pi) for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15)))
+C3 = tuple(
+    a * sqrt(b / pi)
+    for a, b in ((-0.25, 17.5), (0.5, 105), (-0.25, 10.5), (0.25, 7), (-0.25, 10.5), (0.25, 105), (-0.25, 17.5))
 )
-_L4 = (
-    2.5033429417967046,
-    -1.7701307697799304,
-    0.9461746957575601,
-    -0.6690465435572892,
-    0.10578554691520431,
-    -0.6690465435572892,
-    0.47308734787878004,
-    -1.7701307697799304,
-    0.6258357354491761,
+C4 = tuple(
+    a * sqrt(b / pi) / 16
+    for a, b in ((12, 35), (-12, 17.5), (12, 5), (-12, 2.5), (3, 1), (-12, 2.5), (6, 5), (-12, 17.5), (3, 35))
 )
 
 
@@ -36,32 +27,38 @@ def basis(directions: Float[Tensor, "*batch 3"], degree: int) -> Float[Tensor, "
     x, y, z = directions.unbind(-1)
     values = [torch.full_like(x, DC)]
     if degree >= 1:
-        values += [-_L1 * y, _L1 * z, -_L1 * x]
+        values += [-C1 * y, C1 * z, -C1 * x]
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
         xy, yz, xz = x * y, y * z, x * z
-        values += [_L2[0] * xy, _L2[1] * yz, _L2[2] * (2 * zz - xx - yy), _L2[3] * xz, _L2[4] * (xx - yy)]
+        values += [
+            C2[0] * xy,
+            C2[1] * yz,
+            C2[2] * (2 * zz - xx - yy),
+            C2[3] * xz,
+            C2[4] * (xx - yy),
+        ]
     if degree >= 3:
         values += [
-            _L3[0] * y * (3 * xx - yy),
-            _L3[1] * xy * z,
-            _L3[2] * y * (4 * zz - xx - yy),
-            _L3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-            _L3[4] * x * (4 * zz - xx - yy),
-            _L3[5] * z * (xx - yy),
-            _L3[6] * x * (xx - 3 * yy),
+            C3[0] * y * (3 * xx - yy),
+            C3[1] * xy * z,
+            C3[2] * y * (4 * zz - xx - yy),
+            C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            C3[4] * x * (4 * zz - xx - yy),
+            C3[5] * z * (xx - yy),
+            C3[6] * x * (xx - 3 * yy),
         ]
     if degree >= 4:
         values += [
-            _L4[0] * xy * (xx - yy),
-            _L4[1] * yz * (3 * xx - yy),
-            _L4[2] * xy * (7 * zz - 1),
-            _L4[3] * yz * (7 * zz - 3),
-            _L4[4] * (zz * (35 * zz - 30) + 3),
-            _L4[5] * xz * (7 * zz - 3),
-            _L4[6] * (xx - yy) * (7 * zz - 1),
-            _L4[7] * xz * (xx - 3 * yy),
-            _L4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+            C4[0] * xy * (xx - yy),
+            C4[1] * yz * (3 * xx - yy),
+            C4[2] * xy * (7 * zz - 1),
+            C4[3] * yz * (7 * zz - 3),
+            C4[4] * (zz * (35 * zz - 30) + 3),
+            C4[5] * xz * (7 * zz - 3),
+            C4[6] * (xx - yy) * (7 * zz - 1),
+            C4[7] * xz * (xx - 3 * yy),
+            C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
         ]
     return torch.stack(values, -1)
 

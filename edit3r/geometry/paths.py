@@ -37,22 +37,16 @@ def interpolate_poses(
 ) -> Float[Tensor, "*batch 4 4"]:
     """Poses at `share` in [0, 1] of the screw motion from `start` to `end`: start exp(share log(start^-1 end)).
 
-    The translation part is share V(share w) V(w)^-1 t with V(w) = I + (1 - cos a)/a K + (a - sin a)/a K^2, where
-    w = a k is the rotation vector and K the cross-product matrix of its axis k (the exponential of SE(3)).
+    The logarithm of (R, t) is (w, V(w)^-1 t), where w is the rotation vector and V(w), the integral of exp(s [w]x)
+    over s in [0, 1], is the upper right block of exp([[[w]x, I], [0, 0]]).
     """
     relative = invert_rigid(start) @ end
-    quats = matrices_to_quats(relative[..., :3, :3])
-    axis, angle = _axis_angle(quats)
-    left = _screw_factor(axis, angle * share)
-    whole = _screw_factor(axis, angle)
-    velocity = torch.linalg.solve(whole, relative[..., :3, 3:])
-    motion = torch.zeros_like(relative)
-    half = 0.5 * angle * share
-    turned = torch.cat((torch.cos(half)[..., None], torch.sin(half)[..., None] * axis), -1)
-    motion[..., :3, :3] = quats_to_matrices(turned)
-    motion[..., :3, 3:] = share[..., None, None] * (left @ velocity)
-    motion[..., 3, 3] = 1
-    return start @ motion
+    twist, block = torch.zeros_like(relative), relative.new_zeros(*relative.shape[:-2], 6, 6)
+    twist[..., :3, :3] = block[..., :3, :3] = cross_matrix(_rotation_vector(relative[..., :3, :3]))
+    block[..., :3, 3:] = torch.eye(3, dtype=relative.dtype, device=relative.device)
+    integral = torch.linalg.matrix_exp(block)[..., :3, 3:]
+    twist[..., :3, 3:] = torch.linalg.solve(integral, relative[..., :3, 3:])
+    return start @ torch.linalg.matrix_exp(share[..., None, None] * twist)
 
 
 def _one_scene(
@@ -64,7 +58,8 @@ def _one_scene(
     position = torch.arange(frames, dtype=c2w.dtype, device=c2w.device) * (views / frames)
     leg = position.floor().long().clamp(max=views - 1)
     begin, end = order[leg], order[(leg + 1) % views]
-    share = _ease(position - leg)
+    share = position - leg
+    share = share * share * (3 - 2 * share)  # smoothstep: at rest at every view
     poses = interpolate_poses(c2w[begin], c2w[end], share)
     between = torch.lerp(intrinsics[begin], intrinsics[end], share[:, None, None])
     steps = (c2w[order, :3, 3] - c2w[order.roll(-1), :3, 3]).norm(dim=-1)
@@ -90,11 +85,6 @@ def _short_tour(centres: Float[Tensor, "view 3"]) -> Int[Tensor, "view"]:
     return torch.tensor(order, device=centres.device)
 
 
-def _ease(share: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Smoothstep: at rest at 0 and 1."""
-    return share * share * (3 - 2 * share)
-
-
 def _swing(step: float, depth: float | None) -> float:
     """How far the path leaves the straight way, for views `step` apart [scene units]."""
     swing = SIDE_STEP * step
@@ -110,7 +100,7 @@ def _side_step(offsets: Float[Tensor, "frame 2"], depth: float | None) -> Float[
     motion = torch.eye(4, dtype=offsets.dtype, device=offsets.device).repeat(len(offsets), 1, 1)
     motion[:, :2, 3] = offsets
     if depth is not None:
-        x, y = -offsets.unbind(-1)[0], -offsets.unbind(-1)[1]
+        x, y = (-offsets).unbind(-1)
         ahead = torch.full_like(x, depth)
         length = torch.sqrt(x * x + y * y + ahead * ahead)
         # Shortest rotation of (0, 0, 1) to (x, y, depth): quaternion (1 + cos, axis sin), normalised when used.
@@ -118,22 +108,9 @@ def _side_step(offsets: Float[Tensor, "frame 2"], depth: float | None) -> Float[
     return motion
 
 
-def _axis_angle(quats: Float[Tensor, "*batch 4"]) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch"]]:
-    """Unit axis and angle in [0, pi] of unit quaternions with w >= 0; no rotation has axis x."""
-    vector = quats[..., 1:]
-    length = vector.norm(dim=-1, keepdim=True)
-    default = torch.zeros_like(vector)
-    default[..., 0] = 1
-    axis = torch.where(length > 1e-12, vector / length.clamp(min=1e-12), default)
-    return axis, 2 * torch.atan2(length[..., 0], quats[..., 0])
-
-
-def _screw_factor(axis: Float[Tensor, "*batch 3"], angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
-    """V(angle axis) of `interpolate_poses`."""
-    cross = cross_matrix(axis)
-    small = angle.abs() < 1e-4  # the quotients lose digits there; their series do not
-    safe = torch.where(small, torch.ones_like(angle), angle)
-    first = torch.where(small, angle / 2, (1 - torch.cos(safe)) / safe)
-    second = torch.where(small, angle * angle / 6, 1 - torch.sin(safe) / safe)
-    identity = torch.eye(3, dtype=axis.dtype, device=axis.device)
-    return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+def _rotation_vector(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Axis times angle in [0, pi] of rotation matrices."""
+    quats = matrices_to_quats(matrices)
+    half_sine = quats[..., 1:].norm(dim=-1, keepdim=True)
+    factor = 2 * torch.atan2(half_sine, quats[..., :1]) / half_sine.clamp(min=1e-12)
+    return quats[..., 1:] * torch.where(half_sine > 1e-12, factor, 2.0)

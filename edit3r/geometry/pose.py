@@ -24,14 +24,14 @@ REPROJECTION_ERROR = 5 / 256
 """Largest distance of an inlier from its pixel, as a share of the longer side of the grid."""
 
 
-def estimate_cameras(gaussians: Gaussians, views: Views, grid: tuple[int, int] | None = None) -> Cameras:
+def estimate_cameras(gaussians: Gaussians, views: Views) -> Cameras:
     """Cameras of `views` in the frame of `gaussians`; view 0 is the identity.
 
-    Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on a `grid` of
-    (height, width); by default the one whose sides multiply to their number and are nearest to the images' shape.
+    Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on the grid that
+    `pixel_layout` finds.
     Deterministic, not differentiable. Raises MatchingError for a view that cannot be placed.
     """
-    poses = [_scene_poses(gaussians, views, scene, grid) for scene in range(len(views.images))]
+    poses = [_scene_poses(gaussians, views, scene) for scene in range(len(views.images))]
     c2w = torch.from_numpy(np.stack(poses)).to(views.images)
     return Cameras(c2w, views.intrinsics, views.image_size)
 
@@ -44,19 +44,15 @@ def pixel_layout(count: int, image_size: tuple[int, int]) -> tuple[int, int]:
     return height, count // height
 
 
-def _scene_poses(
-    gaussians: Gaussians, views: Views, scene: int, grid: tuple[int, int] | None
-) -> Float[np.ndarray, "view 4 4"]:
+def _scene_poses(gaussians: Gaussians, views: Views, scene: int) -> Float[np.ndarray, "view 4 4"]:
     """Camera-to-world poses of one scene's views."""
     poses = [np.eye(4)]
     for view in range(1, views.count):
         own = gaussians.view_index == view
         points = gaussians.means[scene, own]
-        layout = grid or pixel_layout(len(points), views.image_size) if len(points) else (1, 1)
-        if len(points) != layout[0] * layout[1]:
-            raise MatchingError(
-                f"view {view} has {len(points)} Gaussians, expected {layout[0]}x{layout[1]}, one per pixel."
-            )
+        if not len(points):
+            raise MatchingError(f"view {view} has 0 Gaussians, expected one per pixel.")
+        layout = pixel_layout(len(points), views.image_size)
         name = views.names[view] if views.names else f"view {view}"
         poses.append(_pose(points, gaussians.opacities[scene, own], views.intrinsics[scene, view], layout, name))
     return np.stack(poses)
@@ -93,7 +89,10 @@ def _pose(
     rotation, translation = cv2.solvePnPRefineLM(
         points[chosen] / unit, pixels[chosen], camera, None, rotation, translation
     )
-    return _camera_to_world(rotation, translation * unit)
+    pose = np.eye(4)  # OpenCV's rotation vector and translation take the world to the camera
+    pose[:3, :3] = cv2.Rodrigues(rotation)[0].T
+    pose[:3, 3] = -pose[:3, :3] @ (translation[:, 0] * unit)
+    return pose
 
 
 def _voters(
@@ -105,14 +104,3 @@ def _voters(
     index = index[:: max(1, -(-len(index) // MAX_POINTS))].cpu().numpy()
     pixels = np.stack((index % layout[1] + 0.5, index // layout[1] + 0.5), -1)
     return points[torch.from_numpy(index).to(points.device)].detach().cpu().double().numpy(), pixels
-
-
-def _camera_to_world(
-    rotation: Float[np.ndarray, "3 1"], translation: Float[np.ndarray, "3 1"]
-) -> Float[np.ndarray, "4 4"]:
-    """Invert OpenCV's world-to-camera rotation vector and translation."""
-    matrix = cv2.Rodrigues(rotation)[0].T
-    pose = np.eye(4)
-    pose[:3, :3] = matrix
-    pose[:3, 3] = -matrix @ translation[:, 0]
-    return pose

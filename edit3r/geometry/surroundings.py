@@ -13,10 +13,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.geometry.cameras import from_pixels, project, to_pixels, unproject
-from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.visibility import seen_by
-from edit3r.geometry.warping import warp
+from edit3r.geometry.cameras import from_pixels, pixel_scales, pixels_to_gaussians, to_pixels, unproject
+from edit3r.geometry.warping import seen_by, stands_before_others
 from edit3r.interfaces import MatchedGeometry
 from edit3r.types import Cameras, Gaussians, Views
 
@@ -45,7 +43,10 @@ def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussia
     A guess in front of it may be faint without letting the empty background through.
     """
     depths, colours, needed = _surface_behind(views, geometry)
-    needed &= geometry.registered[..., None, None] & ~_hides_a_photo(depths, views, geometry)
+    surfaces = geometry.depths * geometry.registered[..., None, None]
+    points = unproject(depths, views.intrinsics, geometry.c2w)
+    needed &= geometry.registered[..., None, None]
+    needed &= ~stands_before_others(points, surfaces, views.intrinsics, geometry.c2w)
     coarse = Views(colours, views.intrinsics)
     return _layer(coarse, depths, geometry, opacity * needed.to(depths.dtype), BACKDROP_FOOTPRINT)
 
@@ -129,22 +130,3 @@ def _surface_behind(
         smooth = F.avg_pool2d(smooth, 3, 1, 1, count_include_pad=False)
     depths = BEHIND / smooth[:, 3].unflatten(0, shape)
     return depths, smooth[:, :3].unflatten(0, shape), needed[:, 0].unflatten(0, shape)
-
-
-def _hides_a_photo(
-    depths: Float[Tensor, "batch view rows columns"], views: Views, geometry: MatchedGeometry
-) -> Bool[Tensor, "batch view rows columns"]:
-    """Blocks that would stand before what another registered view shows."""
-    points = unproject(depths, views.intrinsics, geometry.c2w)
-    hides = torch.zeros_like(depths, dtype=torch.bool)
-    for view in range(views.count):
-        for other in range(views.count):
-            if other != view:
-                ahead = points[:, view].flatten(1, 2)
-                coordinates, z = project(ahead, views.intrinsics[:, other], geometry.c2w[:, other])
-                surface = geometry.depths[:, other, None] * geometry.registered[:, other, None, None, None]
-                grid = coordinates.unflatten(1, depths.shape[2:])
-                seen = warp(surface, grid, mode="nearest", padding="zeros")[:, 0]
-                z = z.view_as(seen)
-                hides[:, view] |= (z > 0) & (z < seen)
-    return hides

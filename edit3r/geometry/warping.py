@@ -1,15 +1,29 @@
-"""Where the pixels of a view lie in another view, and images warped along that."""
+"""Where the points of a view lie in the other views: correspondences, warped images, and what hides what."""
 
 from dataclasses import dataclass
+from itertools import permutations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.geometry.cameras import project, unproject
+from edit3r.interfaces import MatchedGeometry
 
-__all__ = ["Correspondences", "find_correspondences", "partner_views", "warp"]
+__all__ = [
+    "Correspondences",
+    "find_correspondences",
+    "in_front_of_others",
+    "partner_views",
+    "seen_by",
+    "seen_by_others",
+    "stands_before_others",
+    "warp",
+]
+
+TOLERANCE = 0.03
+"""Relative difference in depth by which a pixel must stand before a measured surface to hide it."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +67,60 @@ def warp(
 ) -> Float[Tensor, "*batch channel height2 width2"]:
     """Sample `images` at normalised `coordinates` (x, y); pixel centres as in `cameras.pixel_grid`.
 
-    `mode` ('bilinear' or 'nearest') and `padding` ('border' repeats the edge, 'zeros') are those of `F.grid_sample`.
+    `mode` (such as 'nearest') and `padding` (such as 'border', which repeats the edge) are those of `F.grid_sample`.
     """
     flat, grid = images.reshape(-1, *images.shape[-3:]), coordinates.reshape(-1, *coordinates.shape[-3:]) * 2 - 1
     sampled = F.grid_sample(flat, grid, mode=mode, padding_mode=padding, align_corners=False)
     return sampled.reshape(*images.shape[:-2], *coordinates.shape[-3:-1])
+
+
+def in_front_of_others(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Guessed pixels (confidence below 0.5) that would hide a surface that another registered view measured."""
+    points = unproject(geometry.depths, intrinsics, geometry.c2w)
+    measured = (geometry.confidence > 0.5) & geometry.registered[..., None, None]
+    surfaces = (1 - TOLERANCE) * geometry.depths * measured
+    return stands_before_others(points, surfaces, intrinsics, geometry.c2w) & (geometry.confidence < 0.5)
+
+
+def stands_before_others(
+    points: Float[Tensor, "batch view rows columns 3"],
+    surfaces: Float[Tensor, "batch view height width"],
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    c2w: Float[Tensor, "batch view 4 4"],
+) -> Bool[Tensor, "batch view rows columns"]:
+    """World points of each view that would hide what another view shows; a view shows nothing where its camera z is 0.
+
+    `surfaces` are the camera z of what each view shows.
+    """
+    hides = torch.zeros(points.shape[:4], dtype=torch.bool, device=points.device)
+    for view, other in permutations(range(points.shape[1]), 2):
+        coordinates, z = project(points[:, view].flatten(1, 2), intrinsics[:, other], c2w[:, other])
+        grid = coordinates.unflatten(1, points.shape[2:4])
+        seen = warp(surfaces[:, other, None], grid, mode="nearest", padding="zeros")[:, 0]
+        z = z.view_as(seen)
+        hides[:, view] |= (z > 0) & (z < seen)
+    return hides
+
+
+def seen_by_others(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Pixels whose point lies within the image of another registered view, whether hidden there or not."""
+    points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
+    seen = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
+    for view, other in permutations(range(points.shape[1]), 2):
+        seen[:, view] |= seen_by(points[:, view], geometry, intrinsics, other)
+    return seen.view(geometry.depths.shape)
+
+
+def seen_by(
+    points: Float[Tensor, "batch point 3"],
+    geometry: MatchedGeometry,
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    view: int,
+) -> Bool[Tensor, "batch point"]:
+    """World points that lie within the image of `view`, whether hidden there or not; none if it is not registered."""
+    coordinates, depth = project(points, intrinsics[:, view], geometry.c2w[:, view])
+    return ((coordinates > 0) & (coordinates < 1)).all(-1) & (depth > 0) & geometry.registered[:, view, None]

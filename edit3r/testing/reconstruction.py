@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.errors import Edit3rError, MatchingError
+from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor, Refiner
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract, require_same_gaussians, require_valid_gaussians
 from edit3r.testing.rasterizer import reference_rasterizer

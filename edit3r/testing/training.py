@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.geometry.unproject import pixels_to_gaussians
+from edit3r.geometry.cameras import pixels_to_gaussians
 from edit3r.interfaces import Dataset, Loss, LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r.testing.rasterizer import reference_rasterizer

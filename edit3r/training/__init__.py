@@ -1,1 +1,1 @@
-"""What every training shares: the loop, its schedule, checkpoints, several processes, and jobs from a YAML file."""
+"""What every training shares: the loop, its schedule, checkpoints and several processes."""

@@ -49,7 +49,7 @@ class TrainingState:
             "random": _random_states(),
         }
         what, then = f"the checkpoint of step {self.step}", " and continue with --resume from the one before"
-        with _written(path, what, then) as partial:
+        with whole_file(path, what, then) as partial:
             torch.save(content, partial)
 
     def load(self, path: Path) -> None:
@@ -87,12 +87,12 @@ def copied_weights(network: nn.Module) -> dict[str, Tensor]:
 def save_weights(path: Path, weights: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None) -> None:
     """Write weights as safetensors, whole or not at all; raises RunError when the disk is full."""
     content = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
-    with _written(path, "the weights") as partial:
+    with whole_file(path, "the weights") as partial:
         safetensors.torch.save_file(content, partial, metadata=None if metadata is None else dict(metadata))
 
 
 @contextmanager
-def _written(path: Path, what: str, then: str = "") -> Iterator[Path]:
+def whole_file(path: Path, what: str, then: str = "") -> Iterator[Path]:
     """A temporary path that becomes `path`; a failure to write is a RunError that says `what` and what to do."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

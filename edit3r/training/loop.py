@@ -11,7 +11,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -218,30 +218,20 @@ def _averaged_weights(state: TrainingState) -> Iterator[None]:
         state.network.train()
 
 
-class StopRequest:
+class StopRequest(ExitStack):
     """Context manager; `asked` turns True at SIGINT or SIGTERM. A second signal acts as it would have before."""
 
-    def __init__(self) -> None:
-        self.asked = False
-        self._previous: dict[int, object] = {}
+    asked = False
 
     def __enter__(self) -> "StopRequest":
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                self._previous[number] = signal.signal(number, self._ask)
+                self.callback(signal.signal, number, signal.signal(number, self._ask))
         return self
-
-    def __exit__(self, *error: object) -> None:
-        self._restore()
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
-        self._restore()
-
-    def _restore(self) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-        self._previous = {}
+        self.close()  # the handlers that were there before
 
 
 class Journal:

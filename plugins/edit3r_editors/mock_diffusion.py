@@ -18,6 +18,8 @@ from torch import Tensor
 
 from edit3r import reporting
 from edit3r.config import Settings
+from edit3r.geometry.cameras import pixel_grid
+from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
@@ -119,22 +121,15 @@ def disagreeing(shared: Look, own: Look, amount: float) -> Look:
 def apply_look(images: Float[Tensor, "batch 3 height width"], look: Look) -> Float[Tensor, "batch 3 height width"]:
     """Warp, recolour and texture images; the result is in [0, 1]."""
     fields = _smooth_noise(look.noise_seed, 5, images)
-    result = _warped(images, look.warp * fields[:2].clamp(-1, 1)) if look.warp > 0 else images
+    result = images
+    if look.warp > 0:
+        places = pixel_grid(images.shape[-2:], images) + look.warp * fields[:2].clamp(-1, 1).permute(1, 2, 0)
+        result = warp(images, places.expand(len(images), -1, -1, -1), padding="reflection")
     result = kornia.enhance.adjust_hue(result, 2 * torch.pi * look.hue)
     result = kornia.enhance.adjust_saturation_with_gray_subtraction(result, look.saturation)
     result = kornia.enhance.adjust_gamma(result, look.gamma)
     tint = images.new_tensor(look.tint)[:, None, None]
     return (result + tint + look.texture * fields[2:]).clamp(0, 1)
-
-
-def _warped(
-    images: Float[Tensor, "batch 3 height width"], shift: Float[Tensor, "2 height width"]
-) -> Float[Tensor, "batch 3 height width"]:
-    """Resample images at x + shift [image widths and heights]."""
-    identity = torch.eye(2, 3, dtype=images.dtype, device=images.device).expand(len(images), 2, 3)
-    grid = F.affine_grid(identity, list(images.shape), align_corners=False)
-    moved = grid + 2 * shift.permute(1, 2, 0)  # grid_sample counts from -1 to 1
-    return F.grid_sample(images, moved, padding_mode="reflection", align_corners=False)
 
 
 def _smooth_noise(

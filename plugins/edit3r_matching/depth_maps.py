@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 
 from edit3r import config, reporting
-from edit3r.geometry.upsampling import upsample_depth
+from edit3r.geometry.maps import upsample_depth
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.completion import confirmed, fill, push_back, without_speckles
 from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plane_inverse_depths

@@ -5,9 +5,9 @@ from pydantic import Field
 
 from edit3r import config
 from edit3r.config import PartChoice
+from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.visibility import in_front_of_others, seen_by_others
+from edit3r.geometry.warping import in_front_of_others, seen_by_others
 from edit3r.interfaces import Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 

@@ -6,8 +6,6 @@ convolutions, batch normalisation folded into them. `imagenet_front` reads its w
 afterwards.
 """
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -27,14 +25,6 @@ TAPS = (0, 2, 4)
 """Blocks whose outputs are handed on."""
 
 
-@dataclass(frozen=True)
-class Pyramid:
-    """Features of N images."""
-
-    fine: Float[Tensor, "image channel height2 width2"]  # stride FINE_STRIDE
-    tokens: Float[Tensor, "image channel2 height4 width4"]  # stride TOKEN_STRIDE, with what stride 8 sees
-
-
 class PyramidEncoder(nn.Module):
     """Projects the front's features of strides 2, 4 and 8, and the pixels themselves, to two maps."""
 
@@ -45,12 +35,15 @@ class PyramidEncoder(nn.Module):
         self.fine = _conv(half + 3 * FINE_STRIDE**2, fine_width)
         self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), nn.Conv2d(width, width, 1))
 
-    def forward(self, images: Float[Tensor, "image 3 height width"]) -> Pyramid:
+    def forward(
+        self, images: Float[Tensor, "image 3 height width"]
+    ) -> tuple[Float[Tensor, "image channel height2 width2"], Float[Tensor, "image channel2 height4 width4"]]:
+        """Fine features (stride FINE_STRIDE), and tokens (stride TOKEN_STRIDE) with what stride 8 sees."""
         images = standardised(images)
         half, quarter, eighth = self.front(images)
         pixels = F.pixel_unshuffle(images, FINE_STRIDE)
         eighth = F.interpolate(eighth, quarter.shape[-2:], mode="bilinear", align_corners=False)
-        return Pyramid(self.fine(torch.cat((half, pixels), 1)), self.tokens(torch.cat((quarter, eighth), 1)))
+        return self.fine(torch.cat((half, pixels), 1)), self.tokens(torch.cat((quarter, eighth), 1))
 
 
 def standardised(images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image 3 height width"]:

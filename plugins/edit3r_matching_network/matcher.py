@@ -9,8 +9,8 @@ from torch import Tensor
 from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.errors import MatchingError
-from edit3r.geometry.alignment import scale_poses
-from edit3r.geometry.upsampling import resize, upsample_depth
+from edit3r.geometry.cameras import scale_poses
+from edit3r.geometry.maps import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
@@ -53,7 +53,8 @@ class NetworkMatcher(Matcher):
         small = resize(views.images, network_size(views.image_size, self.settings.network_size))
         pairs = [self._pair(small, views.intrinsics, other) for other in range(1, views.count)]
         textured = small.std((2, 3, 4)) > FLAT
-        placed = torch.stack([self._placed(pair) for pair in pairs], 1) & textured[:, :1] & textured[:, 1:]
+        matched = torch.stack([(pair.confidence > SURE).float().mean((2, 3)).amin(1) for pair in pairs], 1)
+        placed = (matched >= self.settings.least_matched) & textured[:, :1] & textured[:, 1:]
         self._report(placed, pairs, views)
         return _joined(pairs, placed, small, views.images)
 
@@ -64,11 +65,6 @@ class NetworkMatcher(Matcher):
         chosen = images[:, [0, other]], intrinsics[:, [0, other]]
         prediction = self.matching_network(chosen[0].to(next(self.matching_network.parameters())), chosen[1])
         return pair_geometry(prediction, chosen[1], chosen[0], self.settings.adjust)
-
-    def _placed(self, pair: PairGeometry) -> Bool[Tensor, "batch"]:
-        """Whether enough of both views' cells match."""
-        share = (pair.confidence > SURE).float().mean((2, 3)).amin(1)
-        return share >= self.settings.least_matched
 
     def _report(self, placed: Bool[Tensor, "batch pair"], pairs: list[PairGeometry], views: Views) -> None:
         """Note how much matched, warn of views that are left out; raises MatchingError when a scene has none left."""

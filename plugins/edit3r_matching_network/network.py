@@ -83,16 +83,16 @@ class MatchingNetwork(nn.Module):
         """Images in [0, 1] whose sides are multiples of 8 [pixels], normalised intrinsics."""
         height, width = images.shape[-2:]
         grid = (height // TOKEN_STRIDE, width // TOKEN_STRIDE)
-        pyramid = self.encoder(images.flatten(0, 1))
+        fine, tokens = self.encoder(images.flatten(0, 1))
         rays = pixel_rays(intrinsics, grid)[..., :2].flatten(2, 3)  # [batch, 2, token, 2]
-        tokens = _as_tokens(pyramid.tokens) + self.rays(rays)
+        tokens = _as_tokens(tokens) + self.rays(rays)
         coarse, tokens = self._match(tokens, rays, grid)
         corrected = coarse.coordinates + 0.1 * self.correct(tokens)
         maps = _as_maps(tokens, grid)
-        window = self._search(pyramid.fine, maps, corrected)
+        window = self._search(fine, maps, corrected)
         fine_grid = (height // FINE_STRIDE, width // FINE_STRIDE)
-        fine = self.decoder(pyramid.fine, maps, _as_maps(corrected, grid), window, fine_grid)
-        return PairPrediction(coarse, corrected.unflatten(2, grid), window, *fine)
+        decoded = self.decoder(fine, maps, _as_maps(corrected, grid), window, fine_grid)
+        return PairPrediction(coarse, corrected.unflatten(2, grid), window, *decoded)
 
     def _match(
         self, tokens: Float[Tensor, "batch 2 token c"], rays: Float[Tensor, "batch 2 token 2"], grid: tuple[int, int]
@@ -117,8 +117,10 @@ class MatchingNetwork(nn.Module):
         corrected: Float[Tensor, "batch 2 token 2"],
     ) -> WindowMatches:
         """Match fine features around the corrected coarse matches."""
-        described = self.describe_fine(fine) + _enlarged(self.describe_around(maps), fine)
-        descriptors = unit_descriptors(described, 1, self.log_fine_sharpness).unflatten(0, (-1, 2))
+        around = F.interpolate(self.describe_around(maps), fine.shape[-2:], mode="bilinear", align_corners=False)
+        descriptors = unit_descriptors(self.describe_fine(fine) + around, 1, self.log_fine_sharpness).unflatten(
+            0, (-1, 2)
+        )
         return match_in_window(descriptors, corrected)
 
 
@@ -240,12 +242,6 @@ def _as_tokens(maps: Float[Tensor, "image c height width"]) -> Float[Tensor, "ba
 def _as_maps(tokens: Float[Tensor, "batch 2 token c"], grid: tuple[int, int]) -> Float[Tensor, "image c height width"]:
     """Inverse of `_as_tokens`."""
     return tokens.flatten(0, 1).transpose(1, 2).unflatten(-1, grid)
-
-
-def _enlarged(
-    maps: Float[Tensor, "image c h w"], like: Float[Tensor, "image d h2 w2"]
-) -> Float[Tensor, "image c h2 w2"]:
-    return F.interpolate(maps, like.shape[-2:], mode="bilinear", align_corners=False)
 
 
 def load_network(weights: str) -> MatchingNetwork:

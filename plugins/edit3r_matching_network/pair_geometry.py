@@ -71,17 +71,13 @@ def pair_geometry(
     )
 
 
-@dataclass(frozen=True)
-class PointPairs:
-    """The same N points of B scenes as either view sees them, each in its own camera's frame."""
+def pose_by_procrustes(
+    prediction: PairPrediction, intrinsics: Float[Tensor, "batch 2 3 3"], every: int = 1
+) -> Similarity:
+    """What takes points of view 1's camera into view 0's; its scale is what view 1's depths are to be multiplied by.
 
-    first: Float[Tensor, "batch point 3"]
-    second: Float[Tensor, "batch point 3"]
-    weights: Float[Tensor, "batch point"]  # >= 0
-
-
-def point_pairs(prediction: PairPrediction, intrinsics: Float[Tensor, "batch 2 3 3"], every: int = 1) -> PointPairs:
-    """Every `every`-th cell (along both axes) of view 1 with its match in view 0."""
+    The points are every `every`-th cell (along both axes) of view 1, and their matches in view 0.
+    """
     part = slice(every // 2, None, every)
     log_depths = prediction.log_depths[:, 1, part, part]
     coordinates = prediction.coordinates[:, 1, part, part]
@@ -90,15 +86,7 @@ def point_pairs(prediction: PairPrediction, intrinsics: Float[Tensor, "batch 2 3
     log_there = warp(prediction.log_depths[:, 0, None], coordinates)[:, 0]
     first = rays_through(coordinates, intrinsics[:, 0]) * log_there.exp()[..., None]
     weights = torch.sigmoid(prediction.confidence_logits[:, 1, part, part]) * (-log_depths.detach()).exp()
-    return PointPairs(first.flatten(1, 2), second.flatten(1, 2), weights.flatten(1))
-
-
-def pose_by_procrustes(
-    prediction: PairPrediction, intrinsics: Float[Tensor, "batch 2 3 3"], every: int = 1
-) -> Similarity:
-    """What takes points of view 1's camera into view 0's; its scale is what view 1's depths are to be multiplied by."""
-    pairs = point_pairs(prediction, intrinsics, every)
-    return robust_similarity(pairs.second, pairs.first, pairs.weights)
+    return robust_similarity(second.flatten(1, 2), first.flatten(1, 2), weights.flatten(1))
 
 
 def cycle_error(

@@ -67,14 +67,9 @@ def geometry_terms(prediction: PairPrediction, batch: TrainingPairs) -> dict[str
         ),
         "depth": apart.mean() + 0.25 * _slope_error(gap),
         "spread": (apart.detach() * (-spread).exp() + spread).mean(),
-        "unit": unit_error(prediction, truth),
+        "unit": gap.flatten(1).mean(1).abs().mean(),  # of the absolute depth, as far as the data has a usual one
         **_pose_terms(prediction, batch, unit),
     }
-
-
-def unit_error(prediction: PairPrediction, truth: PairTruth) -> Float[Tensor, ""]:
-    """Error of the absolute depth, as far as the data has a usual one [log]."""
-    return (prediction.log_depths - truth.log_depths).flatten(1).mean(1).abs().mean()
 
 
 def match_error(

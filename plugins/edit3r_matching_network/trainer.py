@@ -23,6 +23,7 @@ from edit3r_matching_network.supervision import geometry_terms, match_error, rot
 from edit3r_matching_network.training_pairs import Augmentation, PairMemory, augmented
 
 VALIDATION_SCENES = 64
+SHOWN = ("match_median", "within_cell", "depth", "confidence", "coarse", "match")  # in the log of validations
 
 
 class GeometryTrainer(Trainer):
@@ -104,13 +105,8 @@ def held_out_measures(network: MatchingNetwork, pairs: PairMemory, size: int) ->
         truth = true_pairs(batch)
         error = match_error(prediction.coordinates, truth)[truth.visible]
         terms = geometry_terms(prediction, batch)
-        rows.append(
-            {
-                "match_median": float(error.median()),
-                "within_cell": float((error < 1).float().mean()),
-                **{name: float(terms[name]) for name in ("depth", "confidence", "coarse", "match")},
-            }
-        )
+        terms |= {"match_median": error.median(), "within_cell": (error < 1).float().mean()}
+        rows.append({name: float(terms[name]) for name in SHOWN})
         turns.append(rotation_errors(prediction, batch))
     values = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
     turns = torch.cat(turns)

@@ -29,12 +29,11 @@ class TrainingPairs:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far a scene is changed each time it is drawn; 0: not at all."""
+    """How far a scene is changed each time it is drawn, beside mirroring, swapped views and colours; 0: not at all."""
 
     exposure: float = 0.25  # gain, bias and gamma of each view
     noise: float = 0.03  # most [sRGB]
     narrow: float = 0.3  # how often the images lose rows
-    flips: bool = True  # mirror, swap the views, swap colour channels
 
 
 class PairMemory:
@@ -59,24 +58,22 @@ class PairMemory:
 
 def joined(pairs: Sequence[TrainingPairs]) -> TrainingPairs:
     """One batch of all pairs."""
-    names = ("images", "intrinsics", "c2w", "depths")
-    return TrainingPairs(*(torch.cat([getattr(pair, name) for pair in pairs]) for name in names))
+    return TrainingPairs(*(torch.cat(values) for values in zip(*(vars(pair).values() for pair in pairs))))
 
 
 def augmented(batch: TrainingPairs, how: Augmentation, rng: np.random.Generator) -> TrainingPairs:
     """Each scene changed in its own way; all lose the same rows, so that they still fit together."""
-    changed = joined([_augmented(_one(batch, index), how, rng) for index in range(len(batch.images))])
+    singles = [TrainingPairs(*rows) for rows in zip(*(value.split(1) for value in vars(batch).values()))]
+    changed = joined([_augmented(single, how, rng) for single in singles])
     return _fewer_rows(changed, rng) if rng.random() < how.narrow else changed
 
 
 def _augmented(pair: TrainingPairs, how: Augmentation, rng: np.random.Generator) -> TrainingPairs:
-    images = pair.images
-    if how.flips:
-        if rng.random() < 0.5:
-            pair = _swapped(pair)
-        if rng.random() < 0.5:
-            pair = _mirrored(pair)
-        images = pair.images[:, :, torch.from_numpy(rng.permutation(3))]
+    if rng.random() < 0.5:
+        pair = _swapped(pair)
+    if rng.random() < 0.5:
+        pair = _mirrored(pair)
+    images = pair.images[:, :, torch.from_numpy(rng.permutation(3))]
     gain, bias, gamma = (torch.from_numpy(rng.uniform(-1, 1, (1, 2, 1, 1, 1))).float() * how.exposure for _ in range(3))
     images = ((1 + 0.8 * gain) * images + 0.4 * bias).clamp(0, 1) ** gamma.exp()
     sigma = how.noise * rng.random() ** 2
@@ -109,11 +106,6 @@ def _fewer_rows(batch: TrainingPairs, rng: np.random.Generator) -> TrainingPairs
     intrinsics[..., 1, 2] = (intrinsics[..., 1, 2] * height - top) / kept
     rows = slice(top, top + kept)
     return TrainingPairs(batch.images[..., rows, :], intrinsics, batch.c2w, batch.depths[..., rows, :])
-
-
-def _one(batch: TrainingPairs, index: int) -> TrainingPairs:
-    part = slice(index, index + 1)
-    return TrainingPairs(batch.images[part], batch.intrinsics[part], batch.c2w[part], batch.depths[part])
 
 
 def _packed(sample: SceneSample) -> TrainingPairs:

@@ -6,7 +6,7 @@ Matches pull robustly (Cauchy) in the image plane, so an error of predicted dept
 in a fit of 3D points; predicted depths hold what matches cannot tell. Not differentiable.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
@@ -194,14 +194,9 @@ def _projection_derivative(
 ) -> Float[Tensor, "batch 2 cell 2 3"]:
     """Derivative of (x/z, y/z) times `focal` by the point."""
     zero = torch.zeros_like(z)
-    rows = torch.stack(
-        (
-            torch.stack((1 / z, zero, -points[..., 0] / z**2), -1),
-            torch.stack((zero, 1 / z, -points[..., 1] / z**2), -1),
-        ),
-        -2,
-    )
-    return rows * focal[..., None]
+    across = torch.stack((1 / z, zero, -points[..., 0] / z**2), -1)
+    down = torch.stack((zero, 1 / z, -points[..., 1] / z**2), -1)
+    return torch.stack((across, down), -2) * focal[..., None]
 
 
 def _pose_derivative(
@@ -242,8 +237,5 @@ def best_of(candidates: Adjusted, count: int) -> Adjusted:
 
 def _where(chosen: Bool[Tensor, "batch"], new: Fields, old: Fields) -> Fields:
     """`new` for the chosen scenes, else `old`, field by field."""
-    values = {
-        name: torch.where(chosen.reshape(-1, *(1,) * (getattr(new, name).dim() - 1)), getattr(new, name), value)
-        for name, value in vars(old).items()
-    }
-    return replace(old, **values)
+    pairs = zip(vars(new).values(), vars(old).values())
+    return type(old)(*(torch.where(chosen.reshape(-1, *(1,) * (a.dim() - 1)), a, b) for a, b in pairs))

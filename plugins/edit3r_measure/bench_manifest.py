@@ -20,7 +20,7 @@ from torch import Tensor
 from edit3r.config import Settings, make_settings
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
-from edit3r.geometry.morphology import dilate
+from edit3r.geometry.maps import dilate
 from edit3r.interfaces import SceneSample
 from edit3r.io.images import load_photos
 from edit3r.io.masks import load_masks

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from edit3r.config import Settings, make_settings, read_yaml
 from edit3r.errors import InputError, MissingDependencyError, RunError
-from edit3r.geometry.morphology import dilate_softly
+from edit3r.geometry.maps import dilate_softly
 from edit3r.interfaces import Detection, Detector, Segmenter
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 from edit3r_measure.report import write_text

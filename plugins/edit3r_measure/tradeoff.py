@@ -89,7 +89,7 @@ def _report(
     args: argparse.Namespace, plan: SweepPlan, points: Sequence[Any], measurements: Sequence[Mapping[str, Any]]
 ) -> None:
     """Write table, plot, page and presets."""
-    from edit3r.quality import preset_names, write_quality
+    from edit3r.quality import write_quality
     from edit3r_measure.tradeoff_points import make_quality
     from edit3r_measure.tradeoff_report import describe_machine, plot, report, write_into_page
 
@@ -111,7 +111,7 @@ def _report(
     if not args.quiet:
         print(text)
     if args.update_presets:
-        if len(preset_names(quality)) < 3:
+        if len(presets) < 3:
             raise Edit3rError("the presets stay as they are: no three points on the front are 2x apart in time.")
         print(f"wrote {write_quality(quality)}")
 

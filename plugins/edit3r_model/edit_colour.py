@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.geometry.morphology import dilate
+from edit3r.geometry.maps import dilate
 from edit3r.geometry.warping import Correspondences, warp
 
 CHANNELS = 12

@@ -14,13 +14,11 @@ from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
-from edit3r.geometry.alignment import scale_poses
+from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.unproject import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.upsampling import guided_upsample, resize
-from edit3r.geometry.visibility import in_front_of_others
-from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
+from edit3r.geometry.warping import Correspondences, find_correspondences, in_front_of_others, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.edit_colour import blur, change_of, near_an_edit
@@ -39,6 +37,8 @@ class Edit3rReconstructor(Reconstructor):
 
     View 0 is the reference: its edit is kept as it is. Without any edit the colours are exactly the source images'.
     """
+
+    takes_geometry = True
 
     class Settings(config.Settings):
         matcher: PartChoice = Field(

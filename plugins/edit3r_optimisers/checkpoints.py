@@ -1,30 +1,16 @@
 """Checkpoints of fits: written whole or not at all, found again by what they were made from."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
-from edit3r.errors import InputError, RunError
-from edit3r.io.atomic import atomic_write
+from edit3r.cache import fingerprint
+from edit3r.errors import InputError
 from edit3r.reporting import note
-
-
-def fingerprint(*parts: Any) -> str:
-    """Return a name for exactly these inputs: tensors count by their bytes, anything else by its text."""
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, Tensor):
-            array = part.detach().cpu().contiguous()
-            digest.update(f"{array.dtype}{tuple(array.shape)}".encode())
-            digest.update(array.numpy().tobytes())
-        else:
-            digest.update(repr(part).encode())
-    return digest.hexdigest()[:16]
+from edit3r.training.checkpoint import whole_file
 
 
 @dataclass(frozen=True)
@@ -48,13 +34,8 @@ class CheckpointFile:
 
     def save(self, content: Mapping[str, Any]) -> None:
         """Replace the file; raises RunError when it cannot be written."""
-        try:
-            with atomic_write(self.path) as partial:
-                torch.save(dict(content), partial)
-        except (OSError, RuntimeError) as error:
-            raise RunError(
-                f"{self.path}: the checkpoint could not be written ({error}); free some disk space."
-            ) from error
+        with whole_file(self.path, "the checkpoint") as partial:
+            torch.save(dict(content), partial)
 
 
 @dataclass
@@ -69,7 +50,6 @@ class Checkpoints:
         """Return the checkpoint file of the fit `name` with these inputs; None where none are kept."""
         if self.folder is None:
             return None
-        self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"{name}-{fingerprint(*made_from)}.pt"
         self._used.append(path)
         return CheckpointFile(path, self.every)

@@ -60,11 +60,6 @@ def edited_from(
     return _confined(editor, views, replace(views, images=mixed), request)
 
 
-def for_views(request: EditRequest, indices: list[int]) -> EditRequest:
-    """Return the request with the masks of some views only."""
-    return replace(request, masks=None if request.masks is None else request.masks[:, indices])
-
-
 def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest) -> Views:
     """Check the editor's answer and keep it inside the request's masks."""
     check_edit(editor, views, answer)

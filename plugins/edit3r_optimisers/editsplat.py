@@ -4,7 +4,7 @@ EditSplat (Lee et al. 2025): section 3.2 projects edited neighbours into a view 
 attention maps of the edit to the Gaussians and prunes a share of the most attended before the second fit.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -18,8 +18,8 @@ from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note, track
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import depths_of, edited, edited_from, for_views
-from edit3r_optimisers.fitting import FixedImages
+from edit3r_optimisers.edits import depths_of, edited, edited_from
+from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
 
@@ -51,7 +51,7 @@ class EditSplatReconstructor(FittingMethod):
         first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
         guided = self._guided(scene, first, gaussians, cameras)
         trimmed = self._trimmed(scene, guided, gaussians, cameras)
-        return self._fit_edits(scene, trimmed, cameras, FixedImages(guided.images[0])), cameras
+        return self._fit(scene, "edits", trimmed, cameras, TargetImages(guided.images[0])), cameras
 
     def _guided(self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras) -> Views:
         """Edit every view again from the fusion of its neighbours' first edits."""
@@ -59,8 +59,8 @@ class EditSplatReconstructor(FittingMethod):
         images = first.images.clone()
         for view in track(range(first.count), "edit from fused neighbours"):
             around = nearest_views(cameras, view, self.settings.neighbours)
-            start = fuse(view, around, first.images[0], depths, cameras).image[None, None]
-            photo, request = scene.photos.select([view]), for_views(scene.request, [view])
+            start = fuse(view, around, first.images[0], depths, cameras)[0][None, None]
+            photo, request = scene.photos.select([view]), scene.request.of_views([view])
             images[:, [view]] = edited_from(self.editor, photo, start, request, self.settings.guidance).images
         return replace(first, images=images)
 
@@ -73,24 +73,17 @@ class EditSplatReconstructor(FittingMethod):
         return gaussians.select(kept) if kept.any() else gaussians
 
 
-@dataclass(frozen=True)
-class Fused:
-    """The edit of one view, blended from all of them."""
-
-    image: Float[Tensor, "3 height width"]
-    support: Float[Tensor, "height width"]  # summed weights of the neighbours; 0: only the view's own edit
-
-
 def fuse(
     view: int,
     neighbours: list[int],
     edits: Float[Tensor, "view 3 height width"],
     depths: Float[Tensor, "view height width"],
     cameras: Cameras,
-) -> Fused:
+) -> tuple[Float[Tensor, "3 height width"], Float[Tensor, "height width"]]:
     """Project the edits of `neighbours` into `view` by depth and blend them with its own (section 3.2).
 
-    `depths` are camera z of the fitted scene. The paper chooses neighbours by ImageReward and the background by SAM,
+    Returns the image and the summed weights of the neighbours, 0 where only the view's own edit counts. `depths` are
+    camera z of the fitted scene. The paper chooses neighbours by ImageReward and the background by SAM,
     which need weights; here each counts by how exactly its surface is the one that the view sees.
     """
     points = unproject(depths[view], cameras.intrinsics[0, view], cameras.c2w[0, view])
@@ -98,7 +91,7 @@ def fuse(
     for other in neighbours:
         colours, weight = _seen_from(points, edits[other], depths[other], cameras.select([other]))
         total, weights = total + weight * colours, weights + weight
-    return Fused(total / weights, weights - OWN_WEIGHT)
+    return total / weights, weights - OWN_WEIGHT
 
 
 def nearest_views(cameras: Cameras, view: int, count: int) -> list[int]:

@@ -7,7 +7,7 @@ continues from its checkpoint with the same bytes, because everything random is 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -27,34 +27,21 @@ WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 
 
-class TargetImages(Protocol):
-    """The images that are fitted to; they may change while the fit goes on."""
+class TargetImages:
+    """The images that are fitted to. They stay as they are; a subclass may change them while the fit goes on."""
 
-    images: Float[Tensor, "view 3 height width"]
+    def __init__(self, images: Float[Tensor, "view 3 height width"]) -> None:
+        self.images = images
 
     def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
         """Called before every step with a function that returns the Gaussians so far."""
 
     def state(self) -> dict[str, Any]:
         """Return what changed since the beginning, for checkpoints."""
-
-    def restore(self, state: dict[str, Any]) -> None: ...
-
-
-@dataclass
-class FixedImages:
-    """Target images that stay as they are."""
-
-    images: Float[Tensor, "view 3 height width"]
-
-    def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
-        pass
-
-    def state(self) -> dict[str, Any]:
         return {}
 
     def restore(self, state: dict[str, Any]) -> None:
-        pass
+        """Continue from what `state` returned."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from edit3r.interfaces import Editor, MatchedGeometry, Matcher, Rasterizer, Reco
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import depths_of, edited, for_views, rendered
-from edit3r_optimisers.fitting import FixedImages
+from edit3r_optimisers.edits import depths_of, edited, rendered
+from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
 
@@ -60,7 +60,7 @@ class GaussCtrlReconstructor(FittingMethod):
         views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
         geometry = depths_of(gaussians, cameras, self.rasterizer)
         images = self._edited(views, cameras, geometry, scene.request)
-        return self._fit_edits(scene, gaussians, cameras, FixedImages(images)), cameras
+        return self._fit(scene, "edits", gaussians, cameras, TargetImages(images)), cameras
 
     def _edited(
         self, views: Views, cameras: Cameras, geometry: tuple[Depths, Depths], request: EditRequest
@@ -72,7 +72,7 @@ class GaussCtrlReconstructor(FittingMethod):
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
             editor = self._editor_with(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
-            answer = edited(editor, views.select(chunk), for_views(request, chunk))
+            answer = edited(editor, views.select(chunk), request.of_views(chunk))
             images[chunk] = answer.images[0]
         return images
 

@@ -5,17 +5,18 @@ noised, and denoised with the unedited photo as condition; the result replaces t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
 from pydantic import Field, model_validator
 
+from edit3r.cache import identity
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import edited_from, for_views
-from edit3r_optimisers.fitting import view_at
+from edit3r_optimisers.edits import edited_from
+from edit3r_optimisers.fitting import TargetImages, view_at
 from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
 
@@ -44,32 +45,16 @@ class InstructNerf2NerfReconstructor(FittingMethod):
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
-        chosen = self.settings
-        strengths = (chosen.least_strength, chosen.most_strength)
-        schedule = UpdateSchedule(chosen.every, chosen.views_at_once, strengths, chosen.fresh_noise)
-        targets = DatasetUpdate(scene.photos, cameras, scene.request, schedule, self.editor, self.rasterizer)
-        asked = scene.request.prompt, scene.request.seed, scene.request.masks
-        gaussians = self._fit_edits(scene, gaussians, cameras, targets, *asked, schedule, *_identity(self.editor))
+        chosen, asked = self.settings, scene.request
+        targets = DatasetUpdate(scene.photos, cameras, asked, chosen, self.editor, self.rasterizer)
+        schedule = chosen.every, chosen.views_at_once, chosen.least_strength, chosen.most_strength, chosen.fresh_noise
+        made_from = asked.prompt, asked.seed, asked.masks, schedule, identity(self.editor)
+        gaussians = self._fit(scene, "edits", gaussians, cameras, targets, *made_from)
         note("refit.edits_of_the_dataset", targets.updates)
         return gaussians, cameras
 
 
-def _identity(editor: Editor) -> tuple[str, str]:
-    """Describe the editor, so that a checkpoint made with another is not continued."""
-    return type(editor).__qualname__, repr(getattr(editor, "settings", None))
-
-
-@dataclass(frozen=True)
-class UpdateSchedule:
-    """When and how images are edited anew."""
-
-    every: int  # steps
-    views: int  # at once
-    strengths: tuple[float, float]  # least and most, in [0, 1]; 1: nothing of the render stays
-    fresh_noise: bool  # another seed for every edit
-
-
-class DatasetUpdate:
+class DatasetUpdate(TargetImages):
     """Target images that start as the photos and are edited anew; `updates` counts the edits."""
 
     def __init__(
@@ -77,17 +62,17 @@ class DatasetUpdate:
         photos: Views,
         cameras: Cameras,
         request: EditRequest,
-        schedule: UpdateSchedule,
+        settings: InstructNerf2NerfReconstructor.Settings,
         editor: Editor,
         rasterizer: Rasterizer,
     ) -> None:
-        self.photos, self.cameras, self.request, self.schedule = photos, cameras, request, schedule
+        super().__init__(photos.images[0].clone())
+        self.photos, self.cameras, self.request, self.settings = photos, cameras, request, settings
         self.editor, self.rasterizer = editor, rasterizer
-        self.images = photos.images[0].clone()
         self.updates = 0
 
     def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
-        if step % self.schedule.every == 0:
+        if step % self.settings.every == 0:
             self._update(scene())
 
     def state(self) -> dict[str, Any]:
@@ -99,13 +84,13 @@ class DatasetUpdate:
     @torch.no_grad()
     def _update(self, gaussians: Gaussians) -> None:
         """Edit the next views, starting from how the scene shows them now."""
-        count = min(self.schedule.views, self.photos.count)
+        count = min(self.settings.views_at_once, self.photos.count)
         first = self.updates * count
         # A round of all views may begin and end within one update; a view is edited once then.
         views = list(dict.fromkeys(view_at(first + k, self.photos.count, self.request.seed) for k in range(count)))
         start = self.rasterizer.render(gaussians, self.cameras.select(views)).images
-        request = for_views(self.request, views)
-        if self.schedule.fresh_noise:
+        request = self.request.of_views(views)
+        if self.settings.fresh_noise:
             request = replace(request, seed=self.request.seed + self.updates)
         answer = edited_from(self.editor, self.photos.select(views), start, request, self._strength())
         self.images[views] = answer.images[0]
@@ -114,5 +99,5 @@ class DatasetUpdate:
     def _strength(self) -> float:
         """Draw the strength evenly between the limits, by seed and number of the edit."""
         generator = torch.Generator().manual_seed(self.request.seed * 1_000_003 + self.updates)
-        least, most = self.schedule.strengths
+        least, most = self.settings.least_strength, self.settings.most_strength
         return least + (most - least) * float(torch.rand((), generator=generator))

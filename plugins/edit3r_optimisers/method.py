@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Shaped
 from torch import Tensor
 
@@ -13,7 +12,7 @@ from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_optimisers.checkpoints import Checkpoints
-from edit3r_optimisers.fitting import FitPlan, FixedImages, TargetImages, fit
+from edit3r_optimisers.fitting import FitPlan, TargetImages, fit
 from edit3r_optimisers.settings import FitSettings, MethodSettings
 from edit3r_optimisers.starting_points import begin
 
@@ -66,19 +65,16 @@ class FittingMethod(Reconstructor):
 
     def _fit_photos(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
-        start = begin(scene.photos, self.reconstructor, self.settings)
-        targets = FixedImages(scene.photos.images[0])
-        return self._fit(scene, "photos", start.gaussians, start.cameras, targets), start.cameras
-
-    def _fit_edits(
-        self, scene: Scene, start: Gaussians, cameras: Cameras, targets: TargetImages, *made_from: object
-    ) -> Gaussians:
-        """Fit the edits, beginning at `start`; `made_from` says what else decides how the targets change."""
-        return self._fit(scene, "edits", start, cameras, targets, *made_from)
+        start, cameras = begin(scene.photos, self.reconstructor, self.settings)
+        return self._fit(scene, "photos", start, cameras, TargetImages(scene.photos.images[0])), cameras
 
     def _fit(
         self, scene: Scene, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages, *made_from: object
     ) -> Gaussians:
+        """Fit the "photos" or the "edits", beginning at `start`.
+
+        `made_from` says what else decides how the targets change, so that a checkpoint is only used for the same.
+        """
         steps = self.settings.steps if what == "photos" else self.settings.edit_steps
         chosen = {name: getattr(self.settings, name) for name in FitSettings.model_fields}
         plan = FitPlan(FitSettings(**chosen), steps, self.settings.seed, f"fit to the {what}")
@@ -117,10 +113,5 @@ def _batched(results: list[tuple[Gaussians, Cameras]]) -> Reconstruction:
 
 def _filled(gaussians: Gaussians, count: int) -> Gaussians:
     """Append transparent copies of the first Gaussian, up to `count`."""
-    missing = count - gaussians.count
-    if missing == 0:
-        return gaussians
-    index = torch.cat((torch.arange(gaussians.count), torch.zeros(missing, dtype=torch.int64)))
-    grown = gaussians.select(index.to(gaussians.means.device))
-    shown = F.pad(torch.ones(gaussians.count), (0, missing)).to(grown.opacities)
-    return replace(grown, opacities=grown.opacities * shown)
+    copies = gaussians.select(torch.zeros(count - gaussians.count, dtype=torch.int64))
+    return Gaussians.cat((gaussians, replace(copies, opacities=torch.zeros_like(copies.opacities))))

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers.edits import edited, rendered
-from edit3r_optimisers.fitting import FixedImages
+from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import FittingMethod, Scene
 from edit3r_optimisers.settings import MethodSettings
 
@@ -31,4 +31,4 @@ class RefitReconstructor(FittingMethod):
             views = scene.edited
         else:
             return gaussians, cameras
-        return self._fit_edits(scene, gaussians, cameras, FixedImages(views.images[0])), cameras
+        return self._fit(scene, "edits", gaussians, cameras, TargetImages(views.images[0])), cameras

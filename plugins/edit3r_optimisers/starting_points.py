@@ -1,6 +1,6 @@
 """Where a fit begins: a reconstruction moved to the known poses, or random points."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from edit3r.errors import InputError, MatchingError
-from edit3r.geometry.alignment import median_scale, scale_poses
-from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first
+from edit3r.geometry.alignment import median_scale
+from edit3r.geometry.cameras import invert_rigid, pixel_rays, relative_to_first, scale_poses
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
@@ -26,20 +26,11 @@ VISIBLE_OPACITY = 0.05  # a fainter first Gaussian would be removed before it co
 FAR_AWAY = 10.0  # distance to a scene that no two cameras look at together, in distances between cameras
 
 
-@dataclass(frozen=True)
-class Start:
-    """First Gaussians and the views' cameras, one scene, in the frame of view 0."""
+def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings) -> tuple[Gaussians, Cameras]:
+    """Return first Gaussians for one scene's unedited photos (batch 1) and the photos' cameras, in view 0's frame.
 
-    gaussians: Gaussians
-    cameras: Cameras
-
-
-def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings) -> Start:
-    """Return the first Gaussians for one scene's unedited photos (batch 1) and the poses of the photos.
-
-    The poses are the known ones, else those of the reconstruction.
-
-    Raises MatchingError when neither is there, InputError for random points without known poses.
+    The poses are the known ones, else those of the reconstruction. Raises MatchingError when neither is there, and
+    InputError for random points without known poses.
     """
     known = None
     if photos.c2w is not None:
@@ -50,18 +41,18 @@ def begin(photos: Views, reconstructor: Reconstructor, settings: MethodSettings)
                 "start=random needs known poses and the photos carry none; "
                 "give Views with c2w, or begin from a reconstruction (start=reconstructor)."
             )
-        return Start(random_points(photos, known, settings.points, settings.seed), known)
+        return random_points(photos, known, settings.points, settings.seed), known
     try:
         first = _reconstructed(photos, reconstructor)
     except MatchingError as error:
         if known is None:
             raise
         warn(f"the first reconstruction failed ({error}); poses are known, so the fit begins from random points.")
-        return Start(random_points(photos, known, settings.points, settings.seed), known)
+        return random_points(photos, known, settings.points, settings.seed), known
     gaussians = first.gaussians if known is None else moved_to(first.gaussians, first.cameras, known)
     gaussians = replace(gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY))
     note("refit.first_gaussians", min(gaussians.count, settings.points))
-    return Start(thinned(gaussians, settings.points, settings.seed), known or first.cameras)
+    return thinned(gaussians, settings.points, settings.seed), known or first.cameras
 
 
 def _reconstructed(photos: Views, reconstructor: Reconstructor) -> Reconstruction:

@@ -104,9 +104,10 @@ class TrainableGaussians:
 
     def append(self, added: Parameters, view_index: Int[Tensor, "added"]) -> None:
         """Add Gaussians with moments of 0."""
-        grown = [self.parameters.map(_concatenated, added)]
-        grown += [moment.map(_concatenated, added.map(torch.zeros_like)) for moment in (self.first, self.second)]
-        self._replace(grown[0], torch.cat((self.view_index, view_index)), *grown[1:])
+        none = added.map(torch.zeros_like)
+        pairs = (self.parameters, added), (self.first, none), (self.second, none)
+        grown, *moments = (old.map(lambda *both: torch.cat(both), new) for old, new in pairs)
+        self._replace(grown, torch.cat((self.view_index, view_index)), *moments)
 
     def cap_opacities(self, most: float) -> None:
         """Lower opacities to at most `most` and forget where they were heading."""
@@ -132,10 +133,6 @@ class TrainableGaussians:
         self.parameters = parameters.map(lambda value: value.detach().clone().requires_grad_(True))
         self.first, self.second = (moment.map(torch.clone) for moment in (first, second))
         self.view_index = view_index
-
-
-def _concatenated(old: Float[Tensor, "old *shape"], new: Float[Tensor, "new *shape"]) -> Float[Tensor, "all *shape"]:
-    return torch.cat((old, new))
 
 
 def detached(gaussians: Gaussians) -> Gaussians:

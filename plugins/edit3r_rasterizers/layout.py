@@ -1,10 +1,4 @@
-"""Memory layouts that the numba kernels share."""
-
-from dataclasses import dataclass
-
-import numpy as np
-import torch
-from torch import Tensor
+"""Memory layouts that the numba kernels share: sizes, and what stands in which column."""
 
 TILE = 16
 """Side of a tile [pixels]; a tile is TILE / BLOCK squared blocks."""
@@ -37,35 +31,3 @@ CAMERA = 20
 SUM_V, SUM_VS, SUM_VT, SUM_VSS, SUM_VST, SUM_VTT = 0, 1, 2, 3, 4, 5
 SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = 6, 7, 8, 9
 SUMS = 10
-
-
-@dataclass(frozen=True)
-class TileGrid:
-    """The tiles of an image."""
-
-    height: int  # [pixels]
-    width: int  # [pixels]
-
-    @property
-    def columns(self) -> int:
-        return -(-self.width // TILE)
-
-    @property
-    def rows(self) -> int:
-        return -(-self.height // TILE)
-
-    @property
-    def count(self) -> int:
-        return self.rows * self.columns
-
-
-def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
-    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave the image."""
-    pose = c2w.detach().to("cpu", torch.float64).numpy()
-    matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
-    size = np.array([grid.width, grid.height], dtype=np.float64)
-    focal, centre = matrix[[0, 1], [0, 1]] * size, matrix[:2, 2] * size
-    margin = border * 0.5 * size / focal
-    low, high = -(centre / focal + margin), (size - centre) / focal + margin
-    limits = np.stack((low, high), -1).ravel()
-    return np.concatenate((pose[:3, :3].ravel(), pose[:3, 3], focal, centre, limits))

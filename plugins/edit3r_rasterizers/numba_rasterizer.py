@@ -13,11 +13,11 @@ from edit3r.interfaces import Rasterizer
 from edit3r.types import Cameras, Gaussians, Rendering
 from edit3r_rasterizers.compositing import BACKWARD_SCRATCH, FORWARD_SCRATCH, differentiate_tiles, shade_tiles
 from edit3r_rasterizers.kernels import aligned_empty, even_bounds, run_slices, scratch, thread_count
-from edit3r_rasterizers.layout import RECORD, SUMS, TileGrid, pack_camera
-from edit3r_rasterizers.projection import PROJECTION_SCRATCH, project
+from edit3r_rasterizers.layout import RECORD, SUMS
+from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_camera, project
 from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
-from edit3r_rasterizers.tile_lists import TileLists, list_tiles
+from edit3r_rasterizers.tile_lists import TileGrid, TileLists, list_tiles
 from edit3r_rasterizers.tiles import BATCH
 
 

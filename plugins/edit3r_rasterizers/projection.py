@@ -3,6 +3,8 @@
 import math
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers import layout
@@ -13,6 +15,7 @@ from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum, square_root
 from edit3r_rasterizers.simd_memory import flat, shifted, store
+from edit3r_rasterizers.tile_lists import TileGrid
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
 """Factor from standard deviations to the records' unit, whose squares are exponents of two."""
@@ -26,6 +29,18 @@ _LEFT, _TOP, _RIGHT, _BOTTOM, _DIRECTION_X, _DIRECTION_Y, _DIRECTION_Z = (INPUTS
 _BASIS = INPUTS + U(16)
 PROJECTION_SCRATCH = int(_BASIS * GROUP) + 25
 """Doubles of scratch memory that `project` needs: the rows above, then one direction's harmonics basis."""
+
+
+def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
+    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave the image."""
+    pose = c2w.detach().to("cpu", torch.float64).numpy()
+    matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
+    size = np.array([grid.width, grid.height], dtype=np.float64)
+    focal, centre = matrix[[0, 1], [0, 1]] * size, matrix[:2, 2] * size
+    margin = border * 0.5 * size / focal
+    low, high = -(centre / focal + margin), (size - centre) / focal + margin
+    limits = np.stack((low, high), -1).ravel()
+    return np.concatenate((pose[:3, :3].ravel(), pose[:3, 3], focal, centre, limits))
 
 
 @kernel

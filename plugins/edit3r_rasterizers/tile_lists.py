@@ -7,7 +7,6 @@ import numpy as np
 from edit3r.errors import RunError
 from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import even_bounds, inlined, kernel, run_slices
-from edit3r_rasterizers.layout import TileGrid
 from edit3r_rasterizers.simd_memory import flat, prefetch, shifted
 
 MAX_ENTRIES = 2**31 - 1
@@ -18,6 +17,26 @@ COUNTS = 4 * 256
 """Length of the sort's table of counts."""
 _AHEAD = U(8)  # splats whose memory is asked for before it is their turn
 _EXACT_ABOVE = U(4)  # a box of more tiles than this is tested tile by tile
+
+
+@dataclass(frozen=True)
+class TileGrid:
+    """The tiles of an image."""
+
+    height: int  # [pixels]
+    width: int  # [pixels]
+
+    @property
+    def columns(self) -> int:
+        return -(-self.width // layout.TILE)
+
+    @property
+    def rows(self) -> int:
+        return -(-self.height // layout.TILE)
+
+    @property
+    def count(self) -> int:
+        return self.rows * self.columns
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.geometry.morphology import dilate
+from edit3r.geometry.maps import dilate
 
 Image = Float[Tensor, "*batch 3 height width"]
 Masks = Float[Tensor, "*batch height width"]

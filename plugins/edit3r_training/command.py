@@ -27,8 +27,8 @@ class TrainCommand(Command):
         from edit3r.console import StageConsole
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.training.job import prepare
         from edit3r.training.processes import is_first_process
+        from edit3r_training.job import prepare
 
         values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
         if args.out:
@@ -37,8 +37,8 @@ class TrainCommand(Command):
         with StageConsole(quiet=not first) as console:
             report = Report(on_event=console)
             with collecting(report), report.stage("train"):
-                prepared = prepare(values, default_registry(), resume=args.resume, overwrite=args.overwrite)
-                best = prepared.trainer.train(prepared.job)
+                trainer, job = prepare(values, default_registry(), resume=args.resume, overwrite=args.overwrite)
+                best = trainer.train(job)
         if first:
             print(f"best checkpoint: {best}")
         return 0

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -11,11 +10,11 @@ from torch import Tensor
 
 from edit3r import reporting
 from edit3r.errors import MatchingError
-from edit3r.interfaces import Dataset, MatchedGeometry, TrainingJob
+from edit3r.interfaces import Dataset, TrainingJob
 from edit3r.io.images import save_image
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
-from edit3r.types import Reconstruction, Views
+from edit3r.types import Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, make_batch
 from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
@@ -24,17 +23,10 @@ MOST_SCENES = 64
 SEED = 987_654_321
 
 
-@runtime_checkable
-class GeometryConditioned(Protocol):
-    """A reconstructor that can be handed geometry instead of matching photos itself."""
-
-    def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction: ...
-
-
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
     """With the batch's simulated matching where the reconstructor takes geometry, else from the images alone."""
     reconstructor = job.reconstructor
-    if batch.geometry is not None and isinstance(reconstructor, GeometryConditioned):
+    if batch.geometry is not None and reconstructor.takes_geometry:
         return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
     return reconstructor(batch.edited, batch.source)
 

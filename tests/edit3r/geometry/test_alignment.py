@@ -5,9 +5,9 @@ from edit3r.geometry.alignment import (
     median_scale,
     nearest_rotation,
     robust_similarity,
-    scale_poses,
     weighted_similarity,
 )
+from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.rotations import cross_matrix, rotation_angle
 
 

@@ -10,7 +10,7 @@ from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.surroundings import backdrop
-from edit3r.geometry.visibility import in_front_of_others, seen_by_others
+from edit3r.geometry.warping import in_front_of_others, seen_by_others
 from edit3r.interfaces import MatchedGeometry, Matcher
 
 

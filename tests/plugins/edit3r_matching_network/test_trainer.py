@@ -6,11 +6,11 @@ import safetensors.torch
 import torch
 from edit3r_matching_network.network import MatchingNetwork, load_network, save_network
 from edit3r_matching_network.trainer import GeometryRecipe, GeometryTrainer
+from edit3r_training.job import prepare
 
 from edit3r.errors import InputError, SettingsError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build, default_registry
-from edit3r.training.job import prepare
 
 DATA = {"image_size": 32, "textures": 8, "scenes": 4, "targets": 0}
 
@@ -84,7 +84,7 @@ def test_the_shipped_recipe_can_be_built(tmp_path):
         read_yaml(find_config("training/edit3r-network")),
         {"reconstructor": {"matcher": {"weights": "untrained"}}, "out": str(tmp_path)},
     )
-    assert isinstance(prepare(values, default_registry()).trainer, GeometryTrainer)
+    assert isinstance(prepare(values, default_registry())[0], GeometryTrainer)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from edit3r_optimisers.checkpoints import Checkpoints, fingerprint
+from edit3r_optimisers.checkpoints import Checkpoints
 from edit3r_optimisers.fitting import (
     FitPlan,
-    FixedImages,
+    TargetImages,
     active_degree,
     fit,
     photometric_loss,
@@ -32,7 +32,7 @@ def start(build, posed):
 
 
 def fitted(start, posed, rasterizer, steps, settings=QUICK, checkpoint=None, targets=None):
-    targets = targets or FixedImages(posed.images[0])
+    targets = targets or TargetImages(posed.images[0])
     return fit(*start, targets, rasterizer, FitPlan(settings, steps, 3, "test"), checkpoint)
 
 
@@ -61,7 +61,7 @@ class Stop(Exception):
     pass
 
 
-class Stopping(FixedImages):
+class Stopping(TargetImages):
     """Raises when it is asked before step 9."""
 
     def before_step(self, step, scene):
@@ -93,7 +93,7 @@ def test_a_file_that_is_no_checkpoint_is_an_error_that_says_what_to_do(tmp_path)
 def test_checkpoints_of_other_inputs_are_other_files_and_vanish_when_the_work_is_done(tmp_path):
     checkpoints = Checkpoints(tmp_path, every=1)
     one, other = (checkpoints.file("fit", torch.tensor([value]), "same") for value in (1.0, 2.0))
-    assert one.path != other.path and fingerprint(torch.zeros(2)) != fingerprint(torch.zeros(1, 2))
+    assert one.path != other.path
     for checkpoint in (one, other):
         checkpoint.save({"step": 1})
     checkpoints.discard()

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_optimisers.instruct_nerf2nerf import DatasetUpdate, UpdateSchedule
+from edit3r_optimisers.instruct_nerf2nerf import DatasetUpdate, InstructNerf2NerfReconstructor
 
 from edit3r.reporting import Report, collecting
 from edit3r.testing.scenes import gaussian_cloud
 from edit3r.types import EditRequest
 
-SCHEDULE = UpdateSchedule(every=3, views=1, strengths=(0.5, 0.5), fresh_noise=True)
+SCHEDULE = InstructNerf2NerfReconstructor.Settings(every=3, least_strength=0.5, most_strength=0.5)
 ASK = EditRequest("invert", seed=5)
 
 
@@ -81,7 +81,7 @@ def test_fresh_noise_is_another_seed_each_time(targets, editor):
     before(targets(), range(0, 9, 3))
     assert [request.seed for _, request in editor.calls] == [5, 6, 7]
     editor.calls.clear()
-    before(targets(replace(SCHEDULE, fresh_noise=False)), range(0, 9, 3))
+    before(targets(SCHEDULE.model_copy(update={"fresh_noise": False})), range(0, 9, 3))
     assert [request.seed for _, request in editor.calls] == [5, 5, 5]
 
 
@@ -96,7 +96,7 @@ def test_masks_go_with_their_view_and_confine_it(targets, posed, editor):
 
 
 def test_several_views_at_once_are_one_call(targets, editor):
-    before(targets(replace(SCHEDULE, views=3)), [0, 3])
+    before(targets(SCHEDULE.model_copy(update={"views_at_once": 3})), [0, 3])
     assert [views.count for views, _ in editor.calls] == [3, 3]
 
 

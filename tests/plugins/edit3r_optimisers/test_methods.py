@@ -5,7 +5,6 @@ import torch
 from pydantic import ValidationError
 
 import edit3r
-from edit3r.config import PartChoice
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract
@@ -129,8 +128,7 @@ def test_a_run_gives_the_method_its_editor_prompt_and_masks(build, posed, name):
 
 def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
     tiny = {"steps": 1, "edit_steps": 1, "start": "random", "points": 50}
-    recon = PartChoice(name="refit", settings=tiny)
-    result = edit3r.run(posed, "make it red", recon=recon, editor="none")
+    result = edit3r.run(posed, "make it red", recon={"name": "refit", **tiny}, editor="none")
     assert result.reconstructor.editor is result.editor and result.editor.offer.component.name == "none"
 
 

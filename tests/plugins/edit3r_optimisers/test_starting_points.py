@@ -52,9 +52,9 @@ def test_gaussians_stay_on_their_pixels_however_wrong_the_predicted_poses_are(fi
 
 def test_known_poses_are_used_and_the_frame_is_that_of_view_0(first, posed):
     turned = replace(posed, c2w=torch.linalg.inv(posed.c2w[:, 1:2]) @ posed.c2w)
-    start = begin(turned, build_of(first), MethodSettings())
-    assert torch.equal(start.cameras.c2w[0, 0], torch.eye(4))
-    assert torch.allclose(start.cameras.c2w, posed.c2w, atol=1e-5)
+    _, cameras = begin(turned, build_of(first), MethodSettings())
+    assert torch.equal(cameras.c2w[0, 0], torch.eye(4))
+    assert torch.allclose(cameras.c2w, posed.c2w, atol=1e-5)
 
 
 def build_of(first: Reconstruction) -> Reconstructor:
@@ -66,15 +66,15 @@ def build_of(first: Reconstruction) -> Reconstructor:
 
 
 def test_without_known_poses_those_of_the_reconstruction_count(first, truth):
-    start = begin(truth.views, build_of(first), MethodSettings())
-    assert torch.equal(start.cameras.c2w, first.cameras.c2w)
+    _, cameras = begin(truth.views, build_of(first), MethodSettings())
+    assert torch.equal(cameras.c2w, first.cameras.c2w)
 
 
 def test_photos_that_cannot_be_matched_begin_at_random_where_poses_are_known(posed, truth):
     report = Report()
     with collecting(report):
-        start = begin(posed, Lost(), MethodSettings(points=50))
-    assert start.gaussians.count == 50 and "nothing in common" in report.warnings[0]
+        gaussians, _ = begin(posed, Lost(), MethodSettings(points=50))
+    assert gaussians.count == 50 and "nothing in common" in report.warnings[0]
     with pytest.raises(MatchingError):
         begin(truth.views, Lost(), MethodSettings())
 

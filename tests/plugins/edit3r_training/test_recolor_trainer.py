@@ -94,6 +94,8 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
 
 def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     class Unmatched:
+        takes_geometry = False
+
         network = torch.nn.Linear(2, 2)
 
         def __call__(self, views, source=None, request=None):

@@ -1,8 +1,8 @@
 import pytest
+from edit3r_training.job import prepare
 
 from edit3r.errors import InputError, SettingsError, UnknownComponentError
 from edit3r.registry import default_registry
-from edit3r.training.job import prepare
 
 SMALL = {
     "trainer": {"name": "recolor", "steps": 3},
@@ -15,13 +15,13 @@ SMALL = {
 
 
 def test_a_configuration_builds_every_component():
-    prepared = prepare(SMALL, default_registry())
-    weight, loss = prepared.job.losses["mse"]
-    assert prepared.trainer.settings.steps == 3
+    trainer, job = prepare(SMALL, default_registry())
+    weight, loss = job.losses["mse"]
+    assert trainer.settings.steps == 3
     assert weight == 0.5 and loss.settings.cell == 2
-    assert len(prepared.job.train_data) == 2
-    assert prepared.job.validation_data is None
-    assert prepared.job.config["trainer"]["settings"]["steps"] == 3
+    assert len(job.train_data) == 2
+    assert job.validation_data is None
+    assert job.config["trainer"]["settings"]["steps"] == 3
 
 
 def test_an_unknown_key_is_named():
@@ -44,8 +44,8 @@ def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
     values = SMALL | {"out": str(tmp_path)}
     with pytest.raises(InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"):
         prepare(values, default_registry())
-    assert prepare(values, default_registry(), overwrite=True).job.resume is False
-    assert prepare(values, default_registry(), resume=True).job.resume is True
+    assert prepare(values, default_registry(), overwrite=True)[1].resume is False
+    assert prepare(values, default_registry(), resume=True)[1].resume is True
 
 
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path):

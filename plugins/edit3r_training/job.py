@@ -1,4 +1,4 @@
-"""From a training configuration to a job with everything built.
+"""From a training configuration to a trainer and its job, with everything built.
 
 trainer: {name: recolor, steps: 1000}
 reconstructor: {name: edit3r, weights: untrained}
@@ -10,7 +10,6 @@ out: runs/edit
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +37,9 @@ class TrainingConfig(Settings):
     out: str = Field("runs/train", description="folder for checkpoints, logs and sample sheets")
 
 
-@dataclass(frozen=True)
-class PreparedTraining:
-    """A trainer and its job."""
-
-    trainer: Trainer
-    job: TrainingJob
-
-
 def prepare(
     values: Mapping[str, Any], registry: Registry, resume: bool = False, overwrite: bool = False
-) -> PreparedTraining:
+) -> tuple[Trainer, TrainingJob]:
     """Build every component that a configuration names.
 
     Raises InputError when the output folder holds another training and neither `resume` nor `overwrite` is set.
@@ -70,7 +61,7 @@ def prepare(
         resume=resume,
         config=config.model_dump(mode="json"),
     )
-    return PreparedTraining(build("trainer", config.trainer), job)
+    return build("trainer", config.trainer), job
 
 
 def _check_free(out: Path, may_hold_training: bool) -> None:
