@@ -17,7 +17,7 @@ from pydantic import Field, field_validator, model_validator
 import edit3r
 from edit3r.config import PartChoice, Settings, make_settings, merge
 from edit3r.errors import InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
-from edit3r.geometry.alignment import scale_poses
+from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Editor
 from edit3r.io.images import save_image
