@@ -43,9 +43,28 @@ class Editor(Configured, ABC):
     pipeline composites the result with them, so pixels outside stay bit-equal whatever the editor does.
     """
 
+    starts_from_images: bool = False  # True: it has `edit_from`
+    gives_attention: bool = False  # True: it has `attention`
+    references: int = 0  # how many views, from the first, its other views look at; 0: each is edited by itself
+    takes_depth: bool = False  # True: it reads depth from its part `matcher`, which another may take the place of
+
     @abstractmethod
     def edit(self, views: Views, request: EditRequest) -> Views:
         """Return the edited views, images in [0, 1]. Raises PromptError for an instruction it cannot carry out."""
+
+    def edit_from(
+        self, views: Views, start: Float[Tensor, "batch view 3 height width"], request: EditRequest, strength: float
+    ) -> Views:
+        """Edit `views`, beginning from other images `start` of them; `strength` in [0, 1] says how little of it stays.
+
+        A diffusion editor adds noise to `start` at `strength` of the way and removes it with `views` and the prompt as
+        conditions (Instruct-NeRF2NeRF, section 4.2).
+        """
+        raise NotImplementedError(f"{type(self).__name__} cannot start from images")
+
+    def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
+        """Tell where the edit looks: cross-attention of the prompt's words, any scale >= 0."""
+        raise NotImplementedError(f"{type(self).__name__} gives no attention")
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,8 @@ class ControlNetDepthEditor(Editor):
         self.settings, self.matcher = settings, matcher
         self._pipeline: Any = None
         self._depth_model: Any = None
+        self.takes_depth = not settings.depth_model
+        self.references = settings.references if settings.cross_view > 0 else 0
 
     @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:

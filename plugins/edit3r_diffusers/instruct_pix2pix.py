@@ -28,6 +28,8 @@ class InstructPix2PixEditor(Editor):
     Masks are obeyed in the latents: outside, every step puts the photo's own noised latents back.
     """
 
+    starts_from_images = gives_attention = True
+
     class Settings(DiffusionSettings):
         model: str = Field("timbrooks/instruct-pix2pix", description="model id on the hub, or a saved folder")
         guidance: float = Field(7.5, ge=1, le=50, description="how strongly the instruction is followed; 1: not raised")

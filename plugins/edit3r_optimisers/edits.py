@@ -1,7 +1,6 @@
 """What the methods ask the editor: edits confined to the masks, edits that begin from an image, renders to edit."""
 
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -12,19 +11,6 @@ from edit3r.pipeline import composite
 from edit3r.reporting import warn
 from edit3r.stage_checks import check_edit, component_name, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-
-
-@runtime_checkable
-class StartsFromImages(Protocol):
-    """An editor that can begin its edit of `views` from other images of the same views.
-
-    A diffusion editor adds noise to `start` at `strength` of its way (1: nothing but noise is left) and removes it
-    with `views` and the prompt as conditions (Instruct-NeRF2NeRF, section 4.2).
-    """
-
-    def edit_from(
-        self, views: Views, start: Float[Tensor, "batch view 3 height width"], request: EditRequest, strength: float
-    ) -> Views: ...
 
 
 @torch.no_grad()
@@ -47,7 +33,7 @@ def edited_from(
 
     An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
     """
-    if isinstance(editor, StartsFromImages):
+    if editor.starts_from_images:
         with errors_named_after(editor):
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)

@@ -5,7 +5,6 @@ attention maps of the edit to the Gaussians and prunes a share of the most atten
 """
 
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -116,14 +115,6 @@ def _seen_from(
     return sampled[:3], torch.exp(-0.5 * error.square()) * inside
 
 
-@runtime_checkable
-class GivesAttention(Protocol):
-    """An editor that can say where an edit looks."""
-
-    def attention(self, views: Views, request: EditRequest) -> Float[Tensor, "batch view height width"]:
-        """Return the cross-attention of the prompt's words, of any scale >= 0."""
-
-
 def attention_maps(
     editor: Editor, photos: Views, edits: Views, request: EditRequest
 ) -> tuple[Float[Tensor, "batch view height width"], str]:
@@ -131,7 +122,7 @@ def attention_maps(
 
     That is the editor's own attention; else the masks; else how much each pixel changed.
     """
-    if isinstance(editor, GivesAttention):
+    if editor.gives_attention:
         maps, told_by = editor.attention(photos, request), "the editor's cross-attention"
     elif request.masks is not None:
         maps, told_by = request.masks, "the masks, the editor gives no attention"

@@ -68,7 +68,7 @@ class GaussCtrlReconstructor(FittingMethod):
         """Edit all views, a few at a time, the reference views first in every call."""
         self._warn_of_missing_abilities()
         together = self.settings.together
-        references = reference_views(views.count, min(references_of(self.editor), together - 1))
+        references = reference_views(views.count, min(self.editor.references, together - 1))
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
             editor = self._editor_with(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
@@ -77,37 +77,20 @@ class GaussCtrlReconstructor(FittingMethod):
         return images
 
     def _editor_with(self, geometry: FittedGeometry) -> Editor:
-        """Return a copy of the editor with the fitted scene as matcher, or the editor itself where it has none."""
-        if not takes_depth(self.editor):
+        """Return a copy of the editor with the fitted scene as matcher; the editor itself where it reads no depth."""
+        if not self.editor.takes_depth:
             return self.editor
         self._copy = self._copy or copy(self.editor)
         self._copy.matcher = geometry
         return self._copy
 
     def _warn_of_missing_abilities(self) -> None:
-        name, aligns = component_name(self.editor), aligns_views(self.editor)
-        conditioned = takes_depth(self.editor)
+        name = component_name(self.editor)
+        aligns, conditioned = self.editor.references > 0, self.editor.takes_depth
         note("gaussctrl.editor", {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned})
         missing = [text for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH)) if not done]
         if missing:
             warn(f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor 'controlnet-depth' does both.")
-
-
-def aligns_views(editor: Editor) -> bool:
-    """Tell whether the editor's views look at each other (setting `cross_view` of controlnet-depth)."""
-    return getattr(getattr(editor, "settings", None), "cross_view", 0) > 0
-
-
-def takes_depth(editor: Editor) -> bool:
-    """Tell whether the editor reads depth from a matcher part that can be replaced."""
-    matcher = getattr(editor, "parts", {}).get("matcher")
-    own_network = getattr(getattr(editor, "settings", None), "depth_model", "")
-    return matcher is not None and getattr(editor, "matcher", None) is matcher and not own_network
-
-
-def references_of(editor: Editor) -> int:
-    """Return how many views, from the first, the editor's other views look at; 0 for one whose views do not."""
-    return editor.settings.references if aligns_views(editor) else 0
 
 
 def reference_views(count: int, wanted: int) -> list[int]:

@@ -96,7 +96,9 @@ def test_masks_come_before_change_and_the_editors_own_attention_before_both(view
     maps, told_by = attention_maps(editor, *views, EditRequest("x", masks=masks))
     assert torch.equal(maps, 2 * masks) and "masks" in told_by
 
-    class Attentive:
+    class Attentive(type(editor)):
+        gives_attention = True
+
         def attention(self, views, request):
             return torch.tensor([[[[3.0, 0], [0, 0]]]])
 

@@ -1,10 +1,8 @@
 """Which views are edited together, and what the editor is given."""
 
-from types import SimpleNamespace
-
 import pytest
 import torch
-from edit3r_optimisers.gaussctrl import aligns_views, chunks, reference_views, references_of, takes_depth
+from edit3r_optimisers.gaussctrl import chunks, reference_views
 
 from edit3r.interfaces import Editor
 from edit3r.reporting import Report, collecting
@@ -30,13 +28,12 @@ def test_an_editor_that_cannot_align_is_used_and_the_run_says_what_is_missing(bu
     assert [views.count for views, _ in editor.calls] == [2, 1]
     (said,) = [text for text in report.warnings if text.startswith("gaussctrl")]
     assert "not aligned" in said and "not conditioned" in said
-    assert not aligns_views(editor) and not takes_depth(editor) and references_of(editor) == 0
 
 
 class Depthy(Editor):
     """Looks across views and asks its matcher for depth, as controlnet-depth does."""
 
-    settings = SimpleNamespace(cross_view=0.4, references=1, depth_model="")
+    references, takes_depth = 1, True
 
     def __init__(self):
         self.matcher, self.asked = object(), []

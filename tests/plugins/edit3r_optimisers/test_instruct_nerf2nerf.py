@@ -63,6 +63,8 @@ def test_an_editor_that_cannot_start_from_a_picture_is_mixed_with_the_render_and
 
 def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(targets, posed):
     class Starting:
+        starts_from_images = True
+
         def edit(self, views, request):
             raise AssertionError
 

@@ -95,7 +95,6 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
 def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     class Unmatched:
         takes_geometry = False
-
         network = torch.nn.Linear(2, 2)
 
         def __call__(self, views, source=None, request=None):
@@ -113,6 +112,8 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
 
 class _Spy:
     """Stands between a recipe and its reconstructor, rasterizer and loss, and keeps what each is given last."""
+
+    takes_geometry = False
 
     def __init__(self, job: TrainingJob, **settings) -> None:
         self.reconstructor, self.rasterizer, self.network = job.reconstructor, job.rasterizer, job.reconstructor.network
@@ -171,6 +172,7 @@ def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
 
 def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
     class Frozen:
+        takes_geometry = False
         network = torch.nn.Linear(2, 2)
 
         def __call__(self, views, source=None, request=None):
