@@ -40,10 +40,8 @@ def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) ->
     make_folder(out)
     text = bench_report.report_text(columns)
     write_text(out / "report.md", text)
-    write_json(
-        out / "report.json",
-        {**bench_report.summary_of(columns), "timing": {column.label: timing(column) for column in columns}},
-    )
+    times = {column.label: timing(column) for column in columns}
+    write_json(out / "report.json", {**bench_report.summary_of(columns), "timing": times})
     write_page(out / "index.html", text, write_plots(columns, out), columns, edits_shown)
     return f"{bench_report.main_table(columns)}\n\n{bench_report.time_table(columns)}\n"
 
