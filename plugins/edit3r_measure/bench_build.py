@@ -20,6 +20,7 @@ from edit3r.io.images import evenly, find_photos, load_photos
 from edit3r.registry import Registry
 from edit3r.reporting import progress, track, warn
 from edit3r.stage_checks import component_name
+from edit3r_measure import bench_proposals
 from edit3r_measure.bench_manifest import (
     EDITS_PER_SCENE,
     VISIBLE,
@@ -32,18 +33,7 @@ from edit3r_measure.bench_manifest import (
     hash_of_sample,
     load_sample,
 )
-from edit3r_measure.bench_proposals import (
-    WORDS,
-    Boxes,
-    LanguageModel,
-    ProposedEdit,
-    choose_edits,
-    edits_from_model,
-    edits_from_templates,
-    find_objects,
-    masks_from_boxes,
-    without_near_duplicates,
-)
+from edit3r_measure.bench_proposals import Boxes, LanguageModel, ProposedEdit, choose_edits
 from edit3r_measure.report import make_folder
 from edit3r_measure.scene_sources import choose_triples
 
@@ -216,9 +206,9 @@ class PhotoBuild(Settings):
             labels = tuple(self._objects(scene))
             if not labels:
                 warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
-            own = edits_from_model(labels, self.model) if self.model is not None else []
-            own += edits_from_templates(labels or (UNNAMED,), self.seed + number)
-            found[scene.id] = without_near_duplicates(own)
+            own = bench_proposals.edits_from_model(labels, self.model) if self.model is not None else []
+            own += bench_proposals.edits_from_templates(labels or (UNNAMED,), self.seed + number)
+            found[scene.id] = bench_proposals.without_near_duplicates(own)
         return found
 
     def manifest(self, vetted: Mapping[str, Sequence[ProposedEdit]]) -> Manifest:
@@ -246,7 +236,9 @@ class PhotoBuild(Settings):
         """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
         if self.detector is None:
             return dict.fromkeys(self.labels, ())
-        return find_objects(scene.load_inputs(self.image_size), self.detector, self.labels or WORDS["vocabulary"])
+        return bench_proposals.find_objects(
+            scene.load_inputs(self.image_size), self.detector, self.labels or bench_proposals.WORDS["vocabulary"]
+        )
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
         frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
@@ -284,7 +276,7 @@ class PhotoBuild(Settings):
         if not files and edit.type in ("Remove", "Modify") and boxes and None not in boxes:
             folder = make_folder(self.out.parent / f"{self.out.stem}-masks")
             files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
-            masks = masks_from_boxes(scene.load_inputs(self.image_size), boxes, self.segmenter)
+            masks = bench_proposals.masks_from_boxes(scene.load_inputs(self.image_size), boxes, self.segmenter)
             for file, mask in zip(files, masks):
                 with atomic_write(file) as partial:
                     Image.fromarray((mask * 255).round().byte().numpy()).save(partial)

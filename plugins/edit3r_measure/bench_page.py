@@ -13,16 +13,8 @@ from PIL import Image
 from edit3r.io.atomic import atomic_write
 from edit3r.io.images import evenly
 from edit3r.reporting import warn
-from edit3r_measure.bench_report import (
-    Column,
-    main_table,
-    mean_of,
-    metric_names,
-    report_text,
-    summary_of,
-    time_table,
-    timing,
-)
+from edit3r_measure import bench_report
+from edit3r_measure.bench_report import Column, mean_of, metric_names, timing
 from edit3r_measure.metrics import Interval
 from edit3r_measure.report import make_folder, write_json, write_text
 
@@ -46,13 +38,12 @@ PALETTE = ("#2f6f9f", "#d1782f", "#5b8c5a", "#8d6a9f", "#b8505c", "#6b6b6b", "#a
 def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) -> str:
     """Write report.md, report.json, plots and index.html into `out`, and return the main table and the times."""
     make_folder(out)
-    text = report_text(columns)
+    text = bench_report.report_text(columns)
     write_text(out / "report.md", text)
-    write_json(
-        out / "report.json", {**summary_of(columns), "timing": {column.label: timing(column) for column in columns}}
-    )
+    times = {column.label: timing(column) for column in columns}
+    write_json(out / "report.json", {**bench_report.summary_of(columns), "timing": times})
     write_page(out / "index.html", text, write_plots(columns, out), columns, edits_shown)
-    return f"{main_table(columns)}\n\n{time_table(columns)}\n"
+    return f"{bench_report.main_table(columns)}\n\n{bench_report.time_table(columns)}\n"
 
 
 def write_page(path: Path, text: str, plots: Sequence[Path], columns: Sequence[Column], most: int) -> None:

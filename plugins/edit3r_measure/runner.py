@@ -17,6 +17,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic_core import to_json
+
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
 from edit3r_measure.report import write_text
@@ -119,16 +121,8 @@ def repair(path: Path) -> None:
 
 
 def _line(row: Row) -> str:
-    return json.dumps(_finite(row), ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    """Return `value` with None in the place of every number that JSON does not have."""
-    if isinstance(value, Mapping):
-        return {key: _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    """Return the row as a line of JSON, with null in the place of every number that JSON does not have."""
+    return json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False) + "\n"
 
 
 @dataclass(frozen=True)
