@@ -22,6 +22,7 @@ class RenderCommand(Command):
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
+        add("--overwrite", action="store_true", help="replace an earlier result in --out even where it was changed")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
@@ -53,7 +54,7 @@ class RenderCommand(Command):
             with report.stage("read scene"):
                 gaussians = load_ply(args.scene)
                 cameras, names = _cameras(args)
-            with atomic_folder(args.out) as root:
+            with atomic_folder(args.out, args.overwrite) as root:
                 folder = RunFolder(root)
                 with report.stage("render input views"):
                     views = render_each(rasterizer, gaussians, cameras, "views")
