@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import sys
 import time
 from collections.abc import Iterator
@@ -118,35 +119,42 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
 
 def _changed(folder: Path) -> list[str]:
-    """What lies in the folder and is not as the folder's own list says."""
+    """What lies in the folder and is not what its marker lists, or was written after the marker."""
     for _ in range(100):
         before = _identity(folder)
-        listed, found = _listed(folder), _entries(folder)
+        (listed, written), found = _read_marker(folder), _entries(folder)
         if _identity(folder) == before:  # else another run has replaced the folder meanwhile
             break
-    return sorted(name for name, state in found.items() if name != MARKER and listed.get(name) != state)
+    same = {name for name, (size, time) in found.items() if listed.get(name, "") == size and (time or 0) <= written}
+    return sorted(set(found) - same - {MARKER})
 
 
-def _listed(folder: Path) -> dict[str, list[int]]:
-    """What the folder's marker says it holds; nothing where there is no marker that can be read."""
+def _read_marker(folder: Path) -> tuple[dict[str, int | None], int]:
+    """What the folder's marker lists and when it was written [ns]; nothing where there is none that can be read."""
+    marker = folder / MARKER
     try:
-        listed = json.loads((folder / MARKER).read_text(encoding="utf-8"))["files"]
+        listed, written = json.loads(marker.read_text(encoding="utf-8"))["files"], _time(marker.stat())
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
-    return listed if isinstance(listed, dict) else {}
+        return {}, 0
+    return (listed, written) if isinstance(listed, dict) else ({}, 0)
 
 
-def _entries(folder: Path) -> dict[str, list[int]]:
-    """Everything in the folder by its path inside: size [bytes] and time of change [ns] of files, [] for folders."""
-    entries: dict[str, list[int]] = {}
+def _entries(folder: Path) -> dict[str, tuple[int | None, int | None]]:
+    """Everything in the folder by its path inside: (size [bytes], time [ns]) of files, (None, None) for folders."""
+    entries = {}
     for place, folders, files in os.walk(folder):
         for name in (*folders, *files):
             path = Path(place, name)
             with suppress(FileNotFoundError):
                 state = path.lstat()
-                plain = path.is_dir() and not path.is_symlink()
-                entries[path.relative_to(folder).as_posix()] = [] if plain else [state.st_size, state.st_mtime_ns]
-    return entries
+                known = (None, None) if stat.S_ISDIR(state.st_mode) else (state.st_size, _time(state))
+                entries[path.relative_to(folder).as_posix()] = known
+    return dict(sorted(entries.items()))
+
+
+def _time(state: os.stat_result) -> int:
+    """When a file was written, renamed or otherwise put where it is [ns]; copying a file's times does not hide that."""
+    return max(state.st_mtime_ns, state.st_ctime_ns)
 
 
 def _identity(folder: Path) -> tuple[int, int]:
@@ -159,7 +167,8 @@ def _identity(folder: Path) -> tuple[int, int]:
 
 def _write_marker(folder: Path) -> None:
     """List what the finished folder holds, whole or not at all: a folder with a marker is whole."""
-    content = json.dumps({"files": _entries(folder)}, indent=1) + "\n"
+    sizes = {name: size for name, (size, _) in _entries(folder).items() if name != MARKER}
+    content = json.dumps({"files": sizes}, indent=1) + "\n"
     draft = folder / f"{MARKER}-draft"
     draft.write_text(content, encoding="utf-8")
     os.replace(draft, folder / MARKER)

@@ -65,7 +65,7 @@ def test_an_earlier_run_with_a_note_added_is_refused(tmp_path):
     assert (tmp_path / "out" / "scene.ply").read_text() == "old"
 
 
-@pytest.mark.parametrize("change", ["edited", "empty folder", "same size"])
+@pytest.mark.parametrize("change", ["edited", "empty folder", "same size", "older file"])
 def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp_path, change):
     out = tmp_path / "out"
     make_run(out)
@@ -75,6 +75,8 @@ def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp
     else:
         time.sleep(0.01)  # coarser than the clock of file times
         changed.write_text("mine!" if change == "edited" else "own")
+        if change == "older file":
+            os.utime(changed, (1, 1))
     with pytest.raises(InputError, match=rf"{changed.name} was added or changed by hand.*--overwrite"):
         make_run(out, "new")
     assert changed.exists() and left_in(tmp_path) == ["out"]
