@@ -150,7 +150,7 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     """The earlier run's frames and, unless another is asked for, its reconstructor."""
     frames = {"frames": earlier.frames}
     named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
-    named = [choice if isinstance(choice, str) else choice.get("name") for choice in named]
+    named = [choice.get("name") if isinstance(choice, dict) else choice for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
     wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
