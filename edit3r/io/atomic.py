@@ -82,7 +82,12 @@ def atomic_folder(out: str | Path, overwrite: bool = False) -> Iterator[Path]:
     was added or changed by hand is replaced only with `overwrite`. Anything else is refused at once (InputError), so
     that nobody's files are lost and no minutes are spent before saying so.
     """
-    final = Path(out).expanduser().resolve()
+    try:
+        final = Path(out).expanduser().resolve()
+        final.exists()
+    except (OSError, ValueError, RuntimeError) as error:  # too long, a null byte, links in a circle, no home
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{str(out)[:200]!r}: cannot be a folder ({reason}); give --out another one.") from None
     check_replaceable(final, overwrite)
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
