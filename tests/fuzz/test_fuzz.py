@@ -6,6 +6,7 @@
 
 import os
 import random
+import re
 import tempfile
 import warnings
 from pathlib import Path
@@ -37,7 +38,7 @@ def problem_of(sentence: str) -> str:
     """What is wrong with the sentence of a refusal; "" where it is as a user needs it."""
     if not sentence.strip() or len(sentence) > 12_000:
         return "no sentence, or an endless one"
-    if "unexpected" in sentence or "Traceback" in sentence or "sk-secret" in sentence:
+    if re.search(r"unexpected \w*(Error|Exit|Exception)|Traceback|sk-secret", sentence):
         return "says what no user should read"
     return ""
 
