@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 
 from edit3r.reporting import warn
 
@@ -25,7 +24,7 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
         try:
             dispatcher._cache = _ForgivingCache(function)  # what `cache=True` sets, without numba's class
         except RuntimeError:  # numba found neither the function's own folder nor the user's cache folder writable
-            _warn_of_no_folder()
+            dispatcher._cache = _NoCache()
         return dispatcher
 
     return decorate
@@ -47,9 +46,11 @@ class _ForgivingCache(FunctionCache):
             super().save_overload(sig, data)
 
 
-@cache
-def _warn_of_no_folder() -> None:
-    warn(
-        "No folder to keep compiled kernels in: they are compiled anew in every process, which takes seconds. "
-        "Name a writable folder in the environment variable NUMBA_CACHE_DIR."
-    )
+class _NoCache(NullCache):
+    """Keeps nothing, and says so when something is compiled: while modules load, nobody would hear it."""
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        warn(
+            "No folder to keep compiled kernels in: they are compiled anew in every process, which takes seconds. "
+            "Name a writable folder in the environment variable NUMBA_CACHE_DIR."
+        )
