@@ -11,6 +11,7 @@ from markdown_it import MarkdownIt
 from PIL import Image
 
 from edit3r.io.atomic import atomic_write
+from edit3r.io.decode import FORMATS
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1500px; padding: 0 1rem; color: #1c1c1e;
@@ -89,7 +90,7 @@ def _strips(methods: Sequence[MethodStrips]) -> str:
 
 def _embed(content: bytes) -> str:
     """Return an image file's content as an `img` tag that holds it as WebP."""
-    image = Image.open(io.BytesIO(content)).convert("RGB")
+    image = Image.open(io.BytesIO(content), formats=FORMATS).convert("RGB")
     if image.height > HEIGHT:
         image = image.resize((round(image.width * HEIGHT / image.height), HEIGHT), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
+from edit3r.io.decode import read_image
 from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
 from edit3r_measure.metrics import psnr
 from edit3r_measure.tradeoff_knobs import SweepPlan
@@ -105,7 +105,7 @@ def with_distances(
     """
     for kind in points[0].kinds if points else ():
         group = [m for m in measurements if m["kind"] == kind and image(m["key"]).is_file()]
-        images = {(m["label"], m["scene"]): np.asarray(Image.open(image(m["key"])), np.float32) / 255 for m in group}
+        images = {(m["label"], m["scene"]): np.asarray(read_image(image(m["key"])), np.float32) / 255 for m in group}
         best = max(points, key=lambda point: point.kinds[kind].psnr)
         points = [_with_distance(point, best, kind, images) for point in points]
     return list(points)

@@ -18,9 +18,8 @@ from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from edit3r.errors import RunError
-from edit3r.io.decode import MAX_PIXELS
+from edit3r.io.decode import FORMATS, MAX_PIXELS
 
-FORMATS = ("PNG", "JPEG", "WEBP")
 SHAPE_TOLERANCE = 0.05  # relative difference in width / height up to which an answer of another size is scaled back
 
 
