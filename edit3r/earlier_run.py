@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from pydantic import TypeAdapter
 
 from edit3r.errors import InputError
-from edit3r.io.cameras import read_scene_cameras
-from edit3r.io.framing import Frame
-from edit3r.io.images import Photo, read_image
+from edit3r.io.cameras import intrinsics_from_outside, pose_from_outside, read_scene_cameras
+from edit3r.io.images import Photo, read_image, unique_names
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.reporting import note
@@ -65,7 +65,7 @@ def read_earlier_run(root: str | Path) -> EarlierRun:
     try:
         manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
         return _earlier_run(root, manifest)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
         raise InputError(
             f"{folder.manifest}: lacks what is needed to continue ({type(error).__name__}: {error}); "
             f"start again from the photos."
@@ -75,7 +75,12 @@ def read_earlier_run(root: str | Path) -> EarlierRun:
 def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
     """The run that `manifest` (the content of run.json) and the files beside it describe."""
     stored, run = manifest["notes"][NOTE], manifest["settings"]["run"]
-    names = tuple(_safe_name(name, root) for name in stored["names"])
+    names = tuple(stored["names"])
+    for name, safe in zip(names, unique_names([str(name) for name in names])):
+        if name != safe:  # the folder may come from a stranger
+            raise InputError(
+                f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name, or there twice."
+            )
     photos, edited = (_views(root / folder, names, stored) for folder in ("inputs", "edited"))
     cameras, _ = read_scene_cameras(root / "cameras.json")
     if cameras.count != len(names) or cameras.image_size != photos.image_size:
@@ -83,9 +88,9 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
     return EarlierRun(
         photos=photos,
         edited=edited,
-        scene=Reconstruction(load_ply(root / "scene.ply"), cameras),
+        scene=Reconstruction(load_ply(root / "scene.ply", visible=True), cameras),
         prompts=tuple(str(prompt) for prompt in manifest["notes"]["edits"]),
-        records=tuple(_record(record) for record in manifest["inputs"]),
+        records=_records(manifest["inputs"], len(names)),
         reconstructor={"name": run["reconstructor"]["name"], **run["reconstructor"]["settings"]},
         frames=int(run["frames"]),
     )
@@ -95,20 +100,22 @@ def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> View
     """The images `NAME.png` of a folder as views, with the stored intrinsics and poses."""
     pixels = [np.array(read_image(folder / f"{name}.png"), dtype=np.float32) / 255 for name in names]
     images = torch.from_numpy(np.stack(pixels)).permute(0, 3, 1, 2).contiguous()[None]
-    intrinsics = torch.tensor(stored["intrinsics"], dtype=torch.float32)[None]
-    c2w = None if stored["c2w"] is None else torch.tensor(stored["c2w"], dtype=torch.float32)[None]
+    known = [intrinsics_from_outside(matrix, 1, 1) for matrix in stored["intrinsics"]]
+    poses = None if stored["c2w"] is None else [pose_from_outside(matrix, "c2w") for matrix in stored["c2w"]]
+    intrinsics, c2w = (
+        None if matrices is None else torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
+        for matrices in (known, poses)
+    )
     return Views(images, intrinsics, names, c2w, tuple(bool(assumed) for assumed in stored["assumed"]))
 
 
-def _safe_name(name: Any, root: Path) -> str:
-    """Raise InputError for a view name that is no plain file name: the folder may come from a stranger."""
-    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set("/\\\0:") and len(name) <= 120
-    if not plain:
-        raise InputError(f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name.")
-    return name
-
-
-def _record(record: dict[str, Any]) -> Photo:
-    frame = Frame(**{name: tuple(value) for name, value in record["frame"].items()})
-    pairs = {name: tuple(record[name]) for name in ("size", "focal")}
-    return Photo(**{**record, **pairs, "frame": frame})
+def _records(value: Any, count: int) -> tuple[Photo, ...]:
+    """How each of `count` photos became a view; raises ValueError for anything else."""
+    records = TypeAdapter(tuple[Photo, ...]).validate_python(value)
+    if len(records) != count:
+        raise ValueError(f"{len(records)} inputs, expected one for each of {count} views")
+    for record in records:
+        (height, width), (left, top, right, bottom) = record.frame.source, record.frame.box
+        if not (0 <= left < right <= width + 1 and 0 <= top < bottom <= height + 1 and min(record.frame.target) > 0):
+            raise ValueError(f"{record.name} is cut from {record.frame.box} of {width}x{height} pixels")
+    return records

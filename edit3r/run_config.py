@@ -10,13 +10,14 @@ from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
 from edit3r.quality import with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
+MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
 class RunConfig(Settings):
     """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r run`."""
 
-    prompt: str = Field("", description="what to change, such as 'paint the bike red'")
+    prompt: str = Field("", max_length=MOST_PROMPT, description="what to change, such as 'paint the bike red'")
     editor: PartChoice = Field(PartChoice(name=DEFAULTS["editor"]), description="2D editor and its settings")
     reconstructor: PartChoice = Field(
         PartChoice(name=DEFAULTS["reconstructor"]), description="reconstructor and its settings"

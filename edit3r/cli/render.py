@@ -22,6 +22,7 @@ class RenderCommand(Command):
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as rasterizer.background=[1,1,1]")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-render", help="folder for the results (default edit3r-render)")
+        add("--overwrite", action="store_true", help="replace an earlier result in --out even where it was changed")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
@@ -38,25 +39,29 @@ class RenderCommand(Command):
         from edit3r.io.viewer import save_viewer
         from edit3r.registry import default_registry
         from edit3r.rendering import path_around, render_each
-        from edit3r.reporting import Report, collecting
+        from edit3r.reporting import Report, collecting, warn
         from edit3r.results import VIDEO_FPS
-        from edit3r.run_config import RunConfig
+        from edit3r.run_config import make_run_config
 
         settings = parse_assignments(args.set)
         if set(settings) - {"rasterizer"}:
             raise SettingsError(
                 f"--set {sorted(settings)[0]}: render has settings of the rasterizer only (rasterizer.KEY)."
             )
-        name = args.rasterizer or RunConfig.model_fields["rasterizer"].default.name
-        rasterizer = default_registry(tuple(args.plugin)).build("rasterizer", name, **settings.get("rasterizer", {}))
+        if not 2 <= args.frames <= 2000:
+            raise SettingsError(f"--frames: expected 2 to 2000 frames, got {args.frames}.")
+        choice = make_run_config(settings, {"rasterizer": args.rasterizer} if args.rasterizer else {}).rasterizer
+        rasterizer = default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
             with report.stage("read scene"):
-                gaussians = load_ply(args.scene)
+                gaussians = load_ply(args.scene, visible=True)
                 cameras, names = _cameras(args)
-            with atomic_folder(args.out) as root:
+            with atomic_folder(args.out, args.overwrite) as root:
                 folder = RunFolder(root)
                 with report.stage("render input views"):
                     views = render_each(rasterizer, gaussians, cameras, "views")
+                    if not views.alphas.any():
+                        warn(f"{args.scene}: nothing of it can be seen from the cameras; the pictures are blank.")
                     if "pictures" in args.make:
                         for name, image in zip(names, views.images[0]):
                             save_image(image.clamp(0, 1), folder.renders / f"{name}.png")

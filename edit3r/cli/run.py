@@ -48,6 +48,9 @@ class RunCommand(Command):
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
+        add(
+            "--overwrite", action="store_true", help="replace an earlier run in --out even where it was changed by hand"
+        )
         add("--strict", action="store_true", help="end with exit code 1 when the verdict on the result is 'failed'")
         add("--quiet", action="store_true", help="print errors only")
 
@@ -81,7 +84,7 @@ class RunCommand(Command):
                 masks = load_masks(given, photos) if given else None
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
-            with atomic_folder(args.out) as folder:
+            with atomic_folder(args.out, args.overwrite) as folder:
                 result = pipeline.run(
                     photos.views,
                     config,
@@ -147,7 +150,7 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     """The earlier run's frames and, unless another is asked for, its reconstructor."""
     frames = {"frames": earlier.frames}
     named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
-    named = [choice if isinstance(choice, str) else choice.get("name") for choice in named]
+    named = [choice.get("name") if isinstance(choice, dict) else choice for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
     wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}

@@ -4,8 +4,9 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
-from numba import njit
 from torch import Tensor
+
+from edit3r.compiling import compiled
 
 __all__ = ["dilate", "dilate_softly", "guided_upsample", "resize", "upsample_depth"]
 
@@ -98,7 +99,7 @@ def upsample_depth(
     return _joint_upsample(inverse, confidence.astype(np.float32), guide, np.ascontiguousarray(image, np.float32))
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - compiled
     small_height, small_width = inverse.shape
     height, width = photo.shape[:2]

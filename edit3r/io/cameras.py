@@ -19,13 +19,30 @@ from jaxtyping import Float64
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import to_pixels
 from edit3r.io.atomic import atomic_write
-from edit3r.io.decode import image_size
+from edit3r.io.decode import MAX_PIXELS, image_size
 from edit3r.types import Cameras
 
-__all__ = ["CAMERA_FILES", "PosedCamera", "posed_cameras", "read_cameras", "write_cameras"]
+__all__ = [
+    "CAMERA_FILES",
+    "PosedCamera",
+    "intrinsics_from_outside",
+    "pose_from_outside",
+    "posed_cameras",
+    "read_cameras",
+    "read_scene_cameras",
+    "write_cameras",
+]
 
 CAMERA_FILES = ("cameras.json", "transforms.json")
 """Names looked for beside photos, in this order."""
+
+TOLERANCE = 0.01
+"""How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded."""
+
+FOCAL = (0.01, 1000.0)  # of the longer side
+FARTHEST = 1e8  # of a position [the file's unit]: float32 would keep nothing of the rest
+FARTHEST_CENTRE = 100.0  # of the principal point [image widths, heights]
+MOST_DISTORTION = 100.0
 
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _PINHOLE_MODELS = (None, "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
@@ -62,7 +79,7 @@ def read_cameras(path: str | Path) -> list[PosedCamera]:
     cameras = []
     for index, entry in enumerate(entries):
         try:
-            cameras.append(_checked(parse(entry, path.parent)))
+            cameras.append(parse(entry, path.parent))
         except InputError:
             raise
         except KeyError as error:
@@ -122,12 +139,14 @@ def _read_json(path: Path) -> Any:
 
 
 def _from_list_entry(entry: Mapping[str, Any], folder: Path) -> PosedCamera:
+    file = _file_name(entry["file"])
+    width, height = _size(entry["width"], entry["height"])
     return PosedCamera(
-        str(entry["file"]),
-        int(entry["width"]),
-        int(entry["height"]),
-        _matrix(entry.get("K"), (3, 3), "K"),
-        _matrix(entry.get("c2w"), (4, 4), "c2w"),
+        file,
+        width,
+        height,
+        intrinsics_from_outside(entry.get("K"), width, height),
+        pose_from_outside(entry.get("c2w"), "c2w"),
     )
 
 
@@ -141,20 +160,23 @@ def _from_frame(frame: Mapping[str, Any], folder: Path) -> PosedCamera:
     if focal_x or focal_y:
         centre_x, centre_y = float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))
         # One angle alone means square pixels.
-        pixels = np.array([[focal_x or focal_y, 0, centre_x], [0, focal_y or focal_x, centre_y], [0, 0, 1.0]])
-    pose = _matrix(frame.get("transform_matrix"), (4, 4), "transform_matrix")
+        rows = [[focal_x or focal_y, 0, centre_x], [0, focal_y or focal_x, centre_y], [0, 0, 1.0]]
+        pixels = intrinsics_from_outside(rows, width, height)
+    pose = pose_from_outside(frame.get("transform_matrix"), "transform_matrix")
     distortion = tuple(float(frame.get(name, 0.0)) for name in _DISTORTION)
+    if not all(abs(value) <= MOST_DISTORTION for value in distortion):
+        raise ValueError(f"lens distortion {distortion}, expected at most {MOST_DISTORTION:g}")
     c2w = None if pose is None else pose @ _OPENGL_TO_OPENCV
     return PosedCamera(file, width, height, pixels, c2w, distortion if any(distortion) else ())
 
 
 def _image_of(frame: Mapping[str, Any], folder: Path) -> tuple[str, tuple[int, int]]:
     """File as named on disk (Blender scenes leave the suffix out) and (height, width), from it if need be."""
-    file = str(frame["file_path"])
+    file = _file_name(frame["file_path"])
     if not (folder / file).is_file() and (folder / f"{file}.png").is_file():
         file += ".png"
     if "w" in frame and "h" in frame:
-        return file, (int(frame["h"]), int(frame["w"]))
+        return file, _size(frame["w"], frame["h"])[::-1]
     return file, image_size(folder / file)
 
 
@@ -166,23 +188,82 @@ def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float
     return None
 
 
-def _matrix(value: Any, shape: tuple[int, int], name: str) -> Float64[np.ndarray, "rows columns"] | None:
+def pose_from_outside(value: Any, name: str) -> Float64[np.ndarray, "4 4"] | None:
+    """Turn what a file says into a pose, a rotation and a position; None stays None.
+
+    3x4 is taken as well. Raises ValueError, saying what is wrong, for anything else, such as a matrix that mirrors,
+    scales or flattens the world.
+    """
     if value is None:
         return None
-    matrix = np.array(value, dtype=np.float64)
-    if name != "K" and matrix.shape == (3, 4):
+    matrix = _numbers(value, name)
+    if matrix.shape == (3, 4):
         matrix = np.vstack((matrix, (0.0, 0.0, 0.0, 1.0)))
-    if matrix.shape != shape:
-        raise ValueError(f"{name} has shape {matrix.shape}, expected {shape}")
+    if matrix.shape != (4, 4):
+        raise ValueError(f"{name} has shape {matrix.shape}, expected (4, 4)")
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > TOLERANCE:
+        raise ValueError(f"the last row of {name} is {_shown(matrix[3])}, expected 0, 0, 0, 1")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation).max() > 1e6 or np.abs(rotation.T @ rotation - np.eye(3)).max() > TOLERANCE:
+        lengths = _shown(np.hypot.reduce(rotation))
+        raise ValueError(f"the axes in {name} are no rotation (lengths {lengths}), expected length 1 at right angles")
+    if np.linalg.det(rotation) < 0:
+        raise ValueError(f"{name} mirrors the world, expected a rotation (determinant 1, not -1)")
+    if np.abs(matrix[:3, 3]).max() > FARTHEST:
+        raise ValueError(f"the position in {name} is {_shown(matrix[:3, 3])}, expected at most {FARTHEST:g}")
     return matrix
 
 
-def _checked(camera: PosedCamera) -> PosedCamera:
-    if camera.width < 1 or camera.height < 1:
-        raise ValueError(f"size {camera.width}x{camera.height}, expected at least 1x1")
-    for name, matrix in (("K", camera.K), ("c2w", camera.c2w)):
-        if matrix is not None and not np.isfinite(matrix).all():
-            raise ValueError(f"{name} holds values that are not finite")
-    if camera.K is not None and min(camera.K[0, 0], camera.K[1, 1]) <= 0:
-        raise ValueError(f"focal lengths {camera.K[0, 0]:g}, {camera.K[1, 1]:g}, expected above 0")
-    return camera
+def intrinsics_from_outside(value: Any, width: float, height: float) -> Float64[np.ndarray, "3 3"] | None:
+    """Turn what a file says into intrinsics of an image of that size, in the same unit; None stays None.
+
+    Raises ValueError, saying what is wrong, for anything but `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`.
+    """
+    if value is None:
+        return None
+    matrix = _numbers(value, "K")
+    if matrix.shape != (3, 3):
+        raise ValueError(f"K has shape {matrix.shape}, expected (3, 3)")
+    focal = matrix[[0, 1], [0, 1]]
+    if focal.min() <= 0:
+        raise ValueError(f"focal lengths {_shown(focal)}, expected above 0")
+    if not np.all((focal > FOCAL[0] * max(width, height)) & (focal < FOCAL[1] * max(width, height))):
+        raise ValueError(
+            f"focal lengths {_shown(focal)}, expected {FOCAL[0]:g} to {FOCAL[1]:g} times the image's longer side"
+        )
+    if np.abs(matrix[:2, 2] / (width, height)).max() > FARTHEST_CENTRE:
+        raise ValueError(f"the principal point of K is {_shown(matrix[:2, 2])}, far outside of the image")
+    rest = (matrix[0, 1] / focal[0], matrix[1, 0] / focal[1], *(matrix[2] - (0, 0, 1)))
+    if np.abs(rest).max() > TOLERANCE:
+        raise ValueError("K has other numbers where a pinhole has 0, 0, 0, 0 and 1")
+    return matrix
+
+
+def _numbers(value: Any, name: str) -> Float64[np.ndarray, "*shape"]:
+    matrix = np.array(value, dtype=np.float64)
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"{name} holds values that are not finite")
+    return matrix
+
+
+def _size(width: Any, height: Any) -> tuple[int, int]:
+    """(width, height) as a file states them; raises ValueError for what is no size of an image."""
+    if isinstance(width, str) or isinstance(height, str) or int(width) != width or int(height) != height:
+        raise ValueError("width and height must be whole numbers")
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise ValueError(
+            f"size {width:g}x{height:g}, expected at least 1x1 and at most {MAX_PIXELS // 10**6} megapixels"
+        )
+    return int(width), int(height)
+
+
+def _file_name(value: Any) -> str:
+    """A path of an image as a file states it; raises ValueError for what names no file."""
+    named = isinstance(value, str) and "\0" not in value and Path(value).name not in ("", "..") and len(value) <= 4096
+    if not named:
+        raise ValueError(f"{str(value)[:60]!r} is no name of a picture file")
+    return value
+
+
+def _shown(values: Float64[np.ndarray, "*shape"]) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)

@@ -24,7 +24,9 @@ READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
 _FULL_FRAME_DIAGONAL = math.hypot(36, 24)  # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal
 
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # FocalPlaneResolutionUnit: inch, cm, mm, um
-_FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")
+FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")
+"""What Pillow may take a file for: for EPS, for one, it would start another program. `Image.open` always gets these."""
+
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
 
@@ -117,7 +119,7 @@ def _reason(error: Exception) -> str:
 def _formats(path: Path) -> Sequence[str]:
     """What Pillow may take the file for; never one that starts another program, such as EPS, whatever its name."""
     if _head(path)[4:8] != b"ftyp":
-        return _FORMATS
+        return FORMATS
     Image.init()  # an older Pillow has no AVIF, and HEIF is there once it is registered
     return [name for name in ("AVIF", "HEIF") if name in Image.OPEN]
 

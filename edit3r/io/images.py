@@ -35,6 +35,7 @@ __all__ = [
     "encode_png",
     "evenly",
     "find_photos",
+    "is_plain_name",
     "load_photos",
     "load_views",
     "packaged_pair",
@@ -183,6 +184,11 @@ def unique_names(names: Sequence[str]) -> list[str]:
         taken.add(_same_file(unique))
         result.append(unique)
     return result
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether a name from a file of strangers is the name of a file or folder, and no path that leads elsewhere."""
+    return isinstance(name, str) and 0 < len(name) <= 120 and not _UNSAFE.search(name) and name.strip(". ") != ""
 
 
 def _safe_name(name: str) -> str:

@@ -5,6 +5,7 @@ then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3 (wxyz). The 
 """
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +28,15 @@ MOST_RUNS = 256  # of equal view_index that the header keeps
 
 _FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), camera at the origin"
 _VIEWS = "view_index runs (view:count)"
+_RUN = re.compile(r"(-1|[0-9]{1,9}):([0-9]{1,12})")
 _REQUIRED = (
     *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
 )
 
 MOST_HEADER_BYTES = 1 << 20
+MOST_COMMENT = 1000  # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
+LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 _TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2"},
     **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4"},
@@ -62,18 +66,22 @@ def save_ply(
         file.write(table.data)
 
 
-def load_ply(path: str | Path) -> Gaussians:
+def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a 3DGS PLY (binary or ascii, any number type, extra properties ignored) as one scene on the CPU.
 
     Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are left out with a
-    warning. Raises InputError for a file that is no such PLY, or is cut off.
+    warning. Raises InputError for a file that is no such PLY, or is cut off; with `visible` also for a scene in which
+    nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
     missing = [name for name in _REQUIRED if name not in header.names]
     if missing:
         raise InputError(f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}.")
-    return _from_table(header.read_vertices(), header)
+    gaussians = _from_table(header.read_vertices(), header)
+    if visible and not (gaussians.opacities >= LEAST_OPACITY).any():
+        raise InputError(f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255.")
+    return gaussians
 
 
 def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
@@ -106,9 +114,14 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
 
 def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
-    lines += [f"comment {' '.join(comment.split())}" for comment in comments]
+    lines += [f"comment {_one_line(comment)}" for comment in comments]
     lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in table.dtype.names), "end_header"]
     return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
+
+
+def _one_line(comment: str) -> str:
+    line = " ".join(comment.split())
+    return line if len(line) <= MOST_COMMENT or comment.startswith(_VIEWS) else f"{line[:MOST_COMMENT]}..."
 
 
 def _view_runs(view_index: np.ndarray) -> list[str]:
@@ -126,13 +139,10 @@ def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
     """`view_index` from the header's comment, -1 where it says nothing that fits the number of Gaussians."""
     for comment in header.comments:
         if comment.startswith(_VIEWS):
-            runs = [run.partition(":") for run in comment.removeprefix(_VIEWS).split()]
-            try:
-                index = np.repeat([int(view) for view, _, _ in runs], [int(count) for _, _, count in runs])
-            except ValueError:
-                break
-            if len(index) == header.count:
-                return index.astype(np.int64)
+            runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
+            if all(runs) and sum(int(run[2]) for run in runs) == header.count:
+                views, counts = ([int(run[group]) for run in runs] for group in (1, 2))
+                return np.repeat(np.array(views, dtype=np.int64), counts)
     return np.full(header.count, -1, dtype=np.int64)
 
 
@@ -275,6 +285,6 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
 
 
 def _whole_number(path: Path, text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        raise InputError(f"{path}: expected a number of vertices, got {text!r}.")
+    if not re.fullmatch("[0-9]{1,15}", text):
+        raise InputError(f"{path}: expected a number of vertices, got {text[:60]!r}.")
     return int(text)

@@ -123,7 +123,9 @@ def recorded(value: Any, name: str = "") -> Any:
     """JSON data of nested dataclasses, mappings, sequences and settings; secrets are blanked."""
     if isinstance(value, str) and value and _SECRET.search(name):
         return "(not recorded)"
-    if value is None or isinstance(value, (bool, int, str)):
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()  # a file name may be no UTF-8
+    if value is None or isinstance(value, (bool, int)):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None

@@ -7,6 +7,7 @@ It draws each Gaussian in the plain colour it has seen from the photo it came fr
 import base64
 import html
 import json
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -21,13 +22,13 @@ from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import basis
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
+from edit3r.io.ply import LEAST_OPACITY
 from edit3r.reporting import warn
 from edit3r.types import Cameras, Gaussians
 
 __all__ = ["save_viewer"]
 
 MOST_GAUSSIANS = 1_500_000  # about 46 MB of page: six photos of 512 pixels; beyond it browsers get slow to sort
-LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 SCALE_LEVELS = 255
 
 
@@ -63,11 +64,16 @@ def save_viewer(
         "title": title,
         "subtitle": subtitle,
     }
-    head, tail = files("edit3r.io").joinpath("viewer.html").read_text(encoding="utf-8").split("__DATA__")
-    content = json.dumps(meta, allow_nan=False).replace("<", "\\u003c")  # no text may end the script element
-    head = head.replace("__TITLE__", html.escape(title or "3D scene")).replace("__META__", content)
+    parts = {
+        "TITLE": html.escape(title or "3D scene"),
+        "META": json.dumps(meta, allow_nan=False).replace("<", "\\u003c"),  # no text may end the script element
+        "DATA": base64.b64encode(data).decode("ascii"),
+    }
+    template = files("edit3r.io").joinpath("viewer.html").read_text(encoding="utf-8")
+    # In one pass: what a title says is never taken for a place to fill.
+    page = re.sub("__(TITLE|META|DATA)__", lambda place: parts[place[1]], template)
     with atomic_write(path) as partial:
-        partial.write_bytes(b"".join((head.encode(), base64.b64encode(data), tail.encode())))
+        partial.write_text(page, encoding="utf-8", errors="replace")  # a file name in the title may be no UTF-8
 
 
 def _shown(gaussians: Gaussians, cameras: Cameras) -> Int[Tensor, "shown"]:

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from numba import njit
 from scipy.ndimage import binary_opening
 
+from edit3r.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
 from edit3r_matching.plane_sweep import Neighbour, RawDepth
 
@@ -126,7 +126,7 @@ def push_back(
     return _push_back(inverse, measured, own.farthest, own.step, matrix, shift, other.inverse, other_measured, limit)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _push_back(
     inverse, measured, farthest, step, matrix, shift, other, other_measured, limit
 ):  # pragma: no cover - compiled
@@ -144,7 +144,7 @@ def _push_back(
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _hides(ray, inverse, shift, other, other_measured, limit):  # pragma: no cover - compiled
     """Whether a point at `inverse` depth along a reference ray stands before the neighbour's measured surface.
 

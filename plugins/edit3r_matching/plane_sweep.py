@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from numba import njit
 
+from edit3r.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
 
 __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
@@ -117,7 +117,7 @@ def _box(image: Float[np.ndarray, "h w *channel"], radius: int) -> Float[np.ndar
     return cv2.blur(image, (2 * radius + 1, 2 * radius + 1), borderType=cv2.BORDER_REFLECT)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True, nogil=True)
 def _moments(image, grey, warped):  # pragma: no cover - compiled
     """Warped grey, its square and its product with the reference, and the truncated colour difference in [0, 1]."""
     height, width = grey.shape
@@ -136,7 +136,7 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
     return moments, difference
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@compiled(fastmath=True, nogil=True, inline="always")
 def _correlation_cost(value, square, product, mean, variance):  # pragma: no cover - compiled
     """1 - normalised cross-correlation, in [0, 1]; flat windows in both images agree weakly."""
     other = max(square - value * value, np.float32(0))
@@ -145,7 +145,7 @@ def _correlation_cost(value, square, product, mean, variance):  # pragma: no cov
     return min(max(cost, np.float32(0)), np.float32(1))
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True, nogil=True)
 def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen, out):  # pragma: no cover - compiled
     height, width = out.shape
     weight_s, weight_l = np.float32(SMALL_WEIGHT), np.float32(LARGE_WEIGHT)
@@ -158,7 +158,7 @@ def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen,
             out[y, x] = cost if seen[y, x] else unseen
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _write_block(volume, block, start, weight):  # pragma: no cover - compiled
     """Add planes `[BLOCK, height, width]` to the volume from plane `start` on, pixel by pixel."""
     planes, height, width = block.shape

@@ -7,7 +7,8 @@ an edge, since depth edges are usually seen.
 import cv2
 import numpy as np
 from jaxtyping import Float
-from numba import njit
+
+from edit3r.compiling import compiled
 
 __all__ = ["aggregate", "best_plane"]
 
@@ -36,7 +37,7 @@ def _jump_costs(grey: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "h
     return (LEAST_JUMP + JUMP * np.exp(-gradient / EDGE)).astype(np.float32)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True, nogil=True)
 def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover - compiled
     """Paths from the previous pixel of the row and from three pixels of the previous row, in scan order."""
     height, width, planes = cost.shape
@@ -79,7 +80,7 @@ def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover -
         above_least, below_least = below_least, above_least
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True, nogil=True)
 def _start_path(cost, path, total):  # pragma: no cover - compiled
     least = np.float32(BIG)
     for d in range(cost.shape[0]):
@@ -90,7 +91,7 @@ def _start_path(cost, path, total):  # pragma: no cover - compiled
     return least
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True, nogil=True)
 def _extend(cost, previous, previous_least, small_step, jump, path, total):  # pragma: no cover - compiled
     """One step of Hirschmueller's equation 13; returns the least value of the new path costs."""
     least = np.float32(BIG)
@@ -104,7 +105,7 @@ def _extend(cost, previous, previous_least, small_step, jump, path, total):  # p
     return least
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def best_plane(total):  # pragma: no cover - compiled
     """Position of the least cost `[height, width]` in planes, refined by a parabola through three planes."""
     height, width, planes = total.shape

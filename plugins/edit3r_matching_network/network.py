@@ -244,6 +244,9 @@ def _as_maps(tokens: Float[Tensor, "batch 2 token c"], grid: tuple[int, int]) ->
     return tokens.flatten(0, 1).transpose(1, 2).unflatten(-1, grid)
 
 
+MOST_WIDTH = 1024  # and blocks, heads: no file makes the network fill the memory
+
+
 def load_network(weights: str) -> MatchingNetwork:
     """The network with the weights of a file, or 'shipped', 'untrained' (which is announced) or 'imagenet-front'.
 
@@ -261,7 +264,7 @@ def load_network(weights: str) -> MatchingNetwork:
     try:
         network = MatchingNetwork(**sizes)
         network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-    except (TypeError, RuntimeError) as error:
+    except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError) as error:
         raise InputError(f"{path}: not weights of this network ({str(error).splitlines()[0]}).") from None
     reporting.note("matcher.weights", path.name)
     return network.eval()
@@ -278,6 +281,11 @@ def _read(path: Path) -> tuple[dict[str, int], dict[str, Tensor]]:
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             sizes = json.loads((file.metadata() or {}).get("sizes", "{}"))
-            return sizes, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            if any(not 0 <= size <= MOST_WIDTH for size in sizes.values()):
+                raise ValueError(f"it says that its sizes are {str(sizes)[:200]}")
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+        if not all(tensor.isfinite().all() for tensor in state.values()):
+            raise ValueError("it holds values that are not finite")
+        return sizes, state
     except Exception as error:
-        raise InputError(f"{path}: not a safetensors file ({error}).") from None
+        raise InputError(f"{path}: not a usable safetensors file ({error}).") from None

@@ -22,10 +22,11 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.maps import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.images import load_photos
+from edit3r.io.images import is_plain_name, load_photos
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
+from edit3r.run_config import MOST_PROMPT
 from edit3r.types import Cameras, Views
 from edit3r_measure.report import read_json, write_json
 
@@ -72,7 +73,7 @@ class ItemRecord(Settings):
     id: str = Field(description="unique in the manifest, usable as a folder name")
     scene: str = Field(description="id of its scene")
     type: EditType
-    prompt: str = Field(description="the instruction, shared by all views")
+    prompt: str = Field(max_length=MOST_PROMPT, description="the instruction, shared by all views")
     description: str = Field("", description="what the edited photo shows, for CLIP; '' to use the prompt")
     before: str = Field("", description="what the unedited photo shows, for CLIP direction; '' not measured")
     seed: int = Field(0, ge=0, description="shared by all views")
@@ -137,10 +138,18 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
             if names.count(name) > 1:
                 raise InputError(f"{path}: two {what}s are called {name!r}.")
     for item in manifest.items:
+        if not is_plain_name(item.id):  # results lie in a folder of that name
+            raise InputError(f"{path}: the item id {item.id[:60]!r} is no plain file name.")
         if item.scene not in scenes:
             raise InputError(f"{path}: item {item.id!r} names the scene {item.scene!r}, which is not in the manifest.")
         if len(item.inputs) < 1 or len(item.masks) not in (0, len(item.inputs)):
             raise InputError(f"{path}: item {item.id!r} needs input frames, and a mask for each of them or none.")
+        used, frames = (*item.inputs, *item.held_back), len(manifest.scene(item.scene).frames)
+        wrong = [index for index in used if index < 0 or (item.sample is None and index >= frames)]
+        if wrong:
+            raise InputError(f"{path}: item {item.id!r} uses frame {wrong[0]}, which its scene does not have.")
+        if len(set(used)) < len(used):
+            raise InputError(f"{path}: item {item.id!r} uses a frame twice.")
 
 
 @dataclass(frozen=True)
@@ -205,6 +214,8 @@ def _generated(item: ItemRecord, record: SampleRecord, registry: Registry, verif
             "install the versions under 'made_with', or accept other pictures with --no-verify."
         )
     order = [*item.inputs, *item.held_back]
+    if max(order) >= len(sample.context):
+        raise InputError(f"{item.id}: uses frame {max(order)}, but the scene that is made has {len(sample.context)}.")
     photos, truth = sample.context[order], sample.edited_context[order]
     cameras = sample.context_cameras.select(order)
     return LoadedItem(

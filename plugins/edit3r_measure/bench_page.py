@@ -11,6 +11,7 @@ from markdown_it import MarkdownIt
 from PIL import Image
 
 from edit3r.io.atomic import atomic_write
+from edit3r.io.decode import FORMATS
 from edit3r.io.images import evenly
 from edit3r.reporting import warn
 from edit3r_measure import bench_report
@@ -88,7 +89,7 @@ def _strips(columns: Sequence[Column], edit: str) -> str:
 
 def _embed(content: bytes) -> str:
     """Return an image file's content as an `img` tag that holds it as WebP."""
-    image = Image.open(io.BytesIO(content)).convert("RGB")
+    image = Image.open(io.BytesIO(content), formats=FORMATS).convert("RGB")
     if image.height > HEIGHT:
         image = image.resize((round(image.width * HEIGHT / image.height), HEIGHT), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

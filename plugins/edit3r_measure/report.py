@@ -55,7 +55,7 @@ def read_json(path: Path) -> Any:
     """Return the content of a JSON file. Raises InputError naming a file that is none."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON ({error}).") from None
 
 

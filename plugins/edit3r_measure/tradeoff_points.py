@@ -10,8 +10,8 @@ from statistics import fmean, median
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
+from edit3r.io.decode import read_image
 from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
 from edit3r_measure.metrics import psnr
 from edit3r_measure.report import grouped
@@ -103,7 +103,7 @@ def with_distances(
     """
     for kind in points[0].kinds if points else ():
         files = {(m["label"], m["scene"]): image(m["key"]) for m in measurements if m["kind"] == kind}
-        views = {at: np.asarray(Image.open(f), np.float32) / 255 for at, f in files.items() if f.is_file()}
+        views = {at: np.asarray(read_image(f), np.float32) / 255 for at, f in files.items() if f.is_file()}
         best = max(points, key=lambda point: point.kinds[kind].psnr).label
         filled = []
         for point in points:

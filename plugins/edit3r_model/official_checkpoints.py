@@ -185,8 +185,8 @@ def _count(state: Mapping[str, Tensor], pattern: str) -> int:
 
 def read_torch_file(path: Path) -> Mapping[str, object]:
     """Read the dictionary in a `.ckpt` or `.pth`; tensors stay on disk until used, no code in the file is run."""
-    mapped = zipfile.is_zipfile(path)
     try:
+        mapped = zipfile.is_zipfile(path)
         # MASt3R keeps its command line as an argparse.Namespace, which holds plain values only.
         with torch.serialization.safe_globals([argparse.Namespace]):
             content = torch.load(path, map_location="cpu", mmap=mapped, weights_only=True)

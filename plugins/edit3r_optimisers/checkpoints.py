@@ -26,10 +26,10 @@ class CheckpointFile:
             return None
         try:
             content = torch.load(self.path, weights_only=True)
+            note("refit.resumed_from", {"file": self.path.name, "step": int(content["step"])})
         except Exception as error:
             reason = " ".join(str(error).split())[:200]
             raise InputError(f"{self.path}: not a checkpoint of a fit ({reason}); delete it to begin anew.") from None
-        note("refit.resumed_from", {"file": self.path.name, "step": content["step"]})
         return content
 
     def save(self, content: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.errors import InputError
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
@@ -145,10 +146,15 @@ class _Fit:
         content = checkpoint.load() if checkpoint is not None else None
         if content is None:
             return 0
-        self.scene.restore(content["scene"])
-        self.statistics = DensityStatistics(**content["statistics"])
-        self.losses = list(content["losses"])
-        self.targets.restore(content["targets"])
+        try:
+            self.scene.restore(content["scene"])
+            self.statistics = DensityStatistics(**content["statistics"])
+            self.losses = list(content["losses"])
+            self.targets.restore(content["targets"])
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise InputError(
+                f"{checkpoint.path}: not a checkpoint of this fit ({error}); delete it to begin anew."
+            ) from None
         return content["step"]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numba import njit
 
-from edit3r.reporting import warn
+from edit3r.compiling import compiled
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 
@@ -40,15 +40,7 @@ def kernel(function: Callable) -> Callable:
     name, a change of what the kernel inlines from elsewhere compiles it anew instead of running what was.
     """
     function.__qualname__ = f"{function.__qualname__}_{_SOURCES}"
-    options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-    try:
-        return njit(cache=True, **options)(function)
-    except RuntimeError:  # numba found neither this folder nor the user's cache folder writable
-        warn(
-            "No folder to keep compiled kernels in: they are compiled anew in every process, which takes seconds. "
-            "Name a writable folder in the environment variable NUMBA_CACHE_DIR."
-        )
-        return njit(**options)(function)
+    return compiled(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
 
 
 inlined = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -47,7 +47,7 @@ class RecolorCommand(Command):
         find = _replayed(args) if args.replay else _found(args)
         with StageConsole(quiet=args.quiet) as console:
             report = Report(on_event=console)
-            with collecting(report), atomic_folder(args.out) as folder:
+            with collecting(report), atomic_folder(args.out, args.overwrite) as folder:
                 with report.stage("read photos"):
                     photos = load_photos(args.images, size=args.size)
                 with report.stage("regions"):

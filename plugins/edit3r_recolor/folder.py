@@ -24,6 +24,7 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import to_pixels
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras, write_cameras
+from edit3r.io.decode import FORMATS
 from edit3r.io.images import LoadedPhotos, Photo, save_image, save_pixels, to_bytes
 from edit3r.io.masks import fitted_mask, read_mask
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
@@ -124,9 +125,9 @@ def _label_maps(folder: Path, photos: tuple[Photo, ...]) -> list[Float[Tensor, "
 def _label_map(file: Path) -> np.ndarray:
     """Read object numbers `[H, W]` as stored: grey levels, palette indices or 16-bit values."""
     try:
-        with Image.open(file) as image:
+        with Image.open(file, formats=FORMATS) as image:
             values = np.array(image)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{file}: cannot be read as a mask ({error}).") from None
     if values.ndim != 2:
         raise InputError(f"{file}: a colour picture; expected object numbers as grey levels or palette indices.")

@@ -4,12 +4,13 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.errors import Edit3rError, PromptError, RunError
+from edit3r.errors import Edit3rError, InputError, PromptError, RunError
 from edit3r.reporting import note, progress, warn
 from edit3r.types import EditRequest, Views
 from edit3r_remote.frames import Frame, decode, encode_mask, encode_png
@@ -100,15 +101,23 @@ class Dispatcher:
         except RunError as error:
             if cached:
                 raise
-            where = self.cache.keep(key, answer, accepted=False)
+            where, _ = self._keep(key, answer, accepted=False)
             raise RunError(f"{self.service.label}: {error}{f' It is kept as {where}.' if where else ''}") from None
         if not cached:
-            self.cache.keep(key, answer)
+            _, problem = self._keep(key, answer)
+            remark = " ".join(filter(None, (remark, problem)))
         return ViewResult(frame.extract(image), remark, cached, seconds, answer)
+
+    def _keep(self, key: str, answer: Answer, accepted: bool = True) -> tuple[Path | None, str]:
+        """Where the answer was kept, or why it was not: a full disk must not cost the picture that was paid for."""
+        try:
+            return self.cache.keep(key, answer, accepted), ""
+        except (OSError, InputError) as error:
+            return None, f"the answer cannot be kept in editor.cache ({error})."
 
     def _ask(self, request: Request) -> Answer:
         try:
-            return self.service.send(request)
+            return self.service.without_key(self.service.send(request))
         except Edit3rError:
             raise
         except Exception as error:  # an SDK and its HTTP library raise dozens of types; their texts may hold the key

@@ -6,6 +6,7 @@ stretched, so what comes back lies where it was.
 
 import io
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from edit3r.errors import RunError
+from edit3r.io.decode import FORMATS, MAX_PIXELS
 
 SHAPE_TOLERANCE = 0.05  # relative difference in width / height up to which an answer of another size is scaled back
 
@@ -73,8 +75,14 @@ def decode(content: bytes, size: tuple[int, int], view: str) -> tuple[Float[Tens
     Raises RunError for what is no image, or one of another shape.
     """
     try:
-        with Image.open(io.BytesIO(content)) as image:
-            pixels = np.array(image.convert("RGB"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # said below, before decoding
+            with Image.open(io.BytesIO(content), formats=FORMATS) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise RunError(f"the answer for {view} is {image.width}x{image.height} pixels, far too many.")
+                pixels = np.array(image.convert("RGB"))
+    except Image.DecompressionBombError:
+        raise RunError(f"the answer for {view} has far too many pixels.") from None
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
         start = content[:40].decode("utf-8", "replace")
         raise RunError(f"the answer for {view} is no picture ({len(content)} bytes, starting {start!r}).") from None

@@ -124,7 +124,7 @@ class GeminiImages(ImageService):
             raise PromptError(f"gemini-image sent no picture for {request.name}: {self._reason(response, parts)}")
         usage = response.usage_metadata
         tokens = (usage.prompt_token_count, usage.candidates_token_count) if usage else (0, 0)
-        return Answer(image, *(count or 0 for count in tokens))
+        return Answer(image, *tokens)
 
     def _reason(self, response: Any, parts: list[Any]) -> str:
         text = " ".join(part.text for part in parts if part.text)

@@ -102,5 +102,5 @@ class OpenAiImages(ImageService):
         if not encoded:
             raise RunError(f"gpt-image answered without a picture for {request.name}: {self.quote(response)}")
         usage = response.usage
-        tokens = (usage.input_tokens, usage.output_tokens) if usage else (0, 0)
+        tokens = (getattr(usage, name, 0) for name in ("input_tokens", "output_tokens"))  # of any type
         return Answer(base64.b64decode(encoded), *tokens)

@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from edit3r.config import Settings
 from edit3r.errors import MissingDependencyError
 from edit3r.io.atomic import atomic_write
 
+MOST_TOKENS = 10**12
 QUOTE_LENGTH = 300  # characters of a service's words repeated in an error
 
 
@@ -49,8 +50,15 @@ class Answer:
     """What came back, paid for."""
 
     image: bytes  # an encoded image, not yet checked
-    input_tokens: int
+    input_tokens: int  # 0 where the service gave no count
     output_tokens: int
+
+    def __post_init__(self) -> None:
+        """Take what is no count as 0: a wrong bill must not cost the picture that was paid for."""
+        for name in ("input_tokens", "output_tokens"):
+            count = getattr(self, name)
+            plain = isinstance(count, int) and not isinstance(count, bool) and 0 <= count < MOST_TOKENS
+            object.__setattr__(self, name, count if plain else 0)
 
 
 class ImageService(ABC):
@@ -62,6 +70,10 @@ class ImageService(ABC):
     @abstractmethod
     def send(self, request: Request) -> Answer:
         """Ask and wait, with the retries the settings allow. Raises PromptError for a refusal, else RunError."""
+
+    def without_key(self, answer: Answer) -> Answer:
+        """The answer, in which nothing is the key: its bytes may be shown and kept."""
+        return replace(answer, image=answer.image.replace(self.key.encode(), b"***"))
 
     def quote(self, words: object) -> str:
         """Put the service's words on one line, shortened, without the key."""

@@ -6,9 +6,9 @@ Four rays a pixel for the colour and the soft masks; the depth is that of the pi
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from edit3r.compiling import compiled
 from edit3r_training.procedural_scenes import CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene
 
 _OFFSETS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.0, 0.0]])
@@ -46,7 +46,7 @@ def cast(
     return CastImage(image, depth, objects)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _hit(kind, origin, ray):
     """(t, face) of the nearest hit with a unit primitive in its own frame; t = inf for a miss."""
     miss = (np.inf, 0)
@@ -79,7 +79,7 @@ def _hit(kind, origin, ray):
     return (near, near_face) if near > 1e-4 else miss
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _hit_cylinder(origin, ray):
     """Cylinder around the y axis: mantle is face 0, caps are faces 2 and 3."""
     best, face = np.inf, 0
@@ -100,7 +100,7 @@ def _hit_cylinder(origin, ray):
     return best, face
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _surface(kind, face, point):
     """Texture coordinates in [0, 1] and the normal, both in the object's own frame."""
     normal = np.zeros(3)
@@ -118,7 +118,7 @@ def _surface(kind, face, point):
     return 0.5 + 0.5 * point[(axis + 1) % 3], 0.5 + 0.5 * point[(axis + 2) % 3], normal
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _texel(bank, texture, level, u, v, out):
     """Bilinear lookup with mirrored repeats, so that no seam shows."""
     side = TILE >> level
@@ -133,7 +133,7 @@ def _texel(bank, texture, level, u, v, out):
         out[c] = (top * (1 - fy) + bottom * fy) / 255
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _cast(surfaces, looks, camera, image, depth, objects):
     """Fill `image`, `depth` and `objects` pixel by pixel, by the nearest hit of five rays each."""
     kinds, centres, matrices = surfaces

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
+from edit3r.io.decode import FORMATS
 from edit3r.io.framing import frame_for
 from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_gap
 
@@ -94,8 +95,8 @@ def _square(
 ) -> tuple[Float[Tensor, "3 size size"], Float[Tensor, "3 3"]]:
     """The centred square of one frame in [0, 1], and its normalised intrinsics."""
     try:
-        image = Image.open(io.BytesIO(file.numpy().tobytes())).convert("RGB")
-    except (UnidentifiedImageError, OSError) as error:
+        image = Image.open(io.BytesIO(file.numpy().tobytes()), formats=FORMATS).convert("RGB")
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"scene {key}: a frame is no image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()

@@ -9,10 +9,8 @@ import pytest
 
 from edit3r.errors import InputError, RunError
 from edit3r.io import atomic
-from edit3r.io.atomic import LOCK, MARKER, atomic_folder, atomic_write
+from edit3r.io.atomic import MARKER, atomic_folder, atomic_write
 from edit3r.io.run_folder import RunFolder
-
-needs_locks = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
 
 def make_run(out, text="old"):
@@ -67,6 +65,43 @@ def test_an_earlier_run_with_a_note_added_is_refused(tmp_path):
     assert (tmp_path / "out" / "scene.ply").read_text() == "old"
 
 
+@pytest.mark.parametrize("change", ["edited", "empty folder", "same size", "older file"])
+def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp_path, change):
+    out = tmp_path / "out"
+    make_run(out)
+    changed = out / ("notes" if change == "empty folder" else "scene.ply")
+    if change == "empty folder":
+        changed.mkdir()
+    else:
+        time.sleep(0.01)  # coarser than the clock of file times
+        changed.write_text("mine!" if change == "edited" else "own")
+        if change == "older file":
+            os.utime(changed, (1, 1))
+    with pytest.raises(InputError, match=rf"{changed.name} was added or changed by hand.*--overwrite"):
+        make_run(out, "new")
+    assert changed.exists() and left_in(tmp_path) == ["out"]
+    with atomic_folder(out, overwrite=True) as folder:
+        (folder / "scene.ply").write_text("new")
+    assert left_in(out) == [MARKER, "scene.ply"] and left_in(tmp_path) == ["out"]
+
+
+def test_overwrite_never_replaces_what_no_run_wrote(tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(InputError, match="not from an earlier run"), atomic_folder(tmp_path, overwrite=True):
+        pass
+    assert left_in(tmp_path) == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("in_one_step", [True, False])
+def test_the_old_result_stays_when_the_new_one_is_gone(tmp_path, monkeypatch, in_one_step):
+    if not in_one_step:
+        monkeypatch.setattr(atomic, "_exchange_in_one_step", lambda new, old: False)
+    make_run(tmp_path / "out")
+    with pytest.raises(RunError, match="another program took"), atomic_folder(tmp_path / "out") as folder:
+        folder.rmdir()
+    assert left_in(tmp_path) == ["out"] and (tmp_path / "out" / "scene.ply").read_text() == "old"
+
+
 def test_an_empty_folder_is_used_and_a_file_refused(tmp_path):
     (tmp_path / "out").mkdir()
     make_run(tmp_path / "out")
@@ -84,13 +119,16 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
 
 def test_finished_results_are_kept_when_the_place_was_taken_meanwhile(tmp_path):
     with (
-        pytest.raises(RunError, match=r"The finished results are in .*\.out\.partial-"),
+        pytest.raises(RunError, match=r"The finished results are in .*out-finished-"),
         atomic_folder(tmp_path / "out") as folder,
     ):
         (folder / "scene.ply").write_text("new")
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "other.txt").touch()
-    assert (folder / "scene.ply").read_text() == "new" and left_in(tmp_path / "out") == ["other.txt"]
+    assert left_in(tmp_path / "out") == ["other.txt"]
+    make_run(tmp_path / "out2")  # no later run takes it for left over
+    (kept,) = tmp_path.glob("out-finished-*")
+    assert (kept / "scene.ply").read_text() == "new"
 
 
 KILLED = """
@@ -170,39 +208,3 @@ def test_unwritable_folder_is_one_sentence(tmp_path):
     with pytest.raises(InputError, match="cannot be created"):
         make_run(tmp_path / "out")
     tmp_path.chmod(0o700)
-
-
-# ---- what killed runs left goes; what a living run writes to stays ----
-
-
-@needs_locks
-def test_what_a_killed_run_left_is_removed_by_the_next_one(tmp_path):
-    out = tmp_path / "out"
-    killed = textwrap.dedent(f"""
-        import os
-        from edit3r.io.atomic import atomic_folder
-        with atomic_folder({str(out)!r}) as folder:
-            (folder / "half").write_text("x")
-            os._exit(9)
-    """)
-    assert subprocess.run([sys.executable, "-c", killed], check=False).returncode == 9
-    assert len(list(tmp_path.glob(".out.partial-*"))) == 1
-    with atomic_folder(out) as folder:
-        (folder / "whole").write_text("x")
-    assert [path.name for path in tmp_path.iterdir()] == ["out"] and not (out / LOCK).exists()
-
-
-@needs_locks
-def test_the_folder_of_a_living_run_stays(tmp_path):
-    with atomic_folder(tmp_path / "out") as folder:
-        assert atomic._remove_abandoned((tmp_path / "out").resolve()) == [] and folder.exists()
-    assert left_in(tmp_path / "out") == [MARKER]
-
-
-@needs_locks
-def test_folders_without_a_lock_and_of_other_names_stay(tmp_path):
-    for name in (".out.partial-12345678", ".other.partial-12345678"):
-        (tmp_path / name).mkdir()
-    (tmp_path / ".other.partial-12345678" / LOCK).touch()
-    (tmp_path / ".out.partial-link").symlink_to(tmp_path / ".other.partial-12345678")
-    assert atomic._remove_abandoned(tmp_path / "out") == [] and len(list(tmp_path.iterdir())) == 3

@@ -103,3 +103,55 @@ def test_missing_and_binary_camera_files_are_errors(tmp_path):
     (tmp_path / "c.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not valid JSON"):
         read_cameras(tmp_path / "c.json")
+
+
+POSE = np.eye(4)
+
+
+@pytest.mark.parametrize(
+    ("c2w", "expected"),
+    [
+        (np.diag([1.0, 1, 0, 1]), r"no rotation \(lengths 1, 1, 0\)"),
+        (np.diag([1000.0, 1000, 1000, 1]), r"no rotation \(lengths 1000"),
+        (np.diag([1e200, 1, 1, 1]), "no rotation"),
+        (np.diag([1.0, 1, -1, 1]), "mirrors the world"),
+        (np.diag([1.0, 1, 1, 7]), "last row of c2w is 0, 0, 0, 7"),
+        (POSE + 1e30 * np.eye(4, k=3), "position in c2w is 1e\\+30"),
+        (np.full((4, 4), np.nan), "not finite"),
+        (np.eye(3), r"shape \(3, 3\)"),
+    ],
+)
+def test_poses_that_are_none_name_file_and_camera(tmp_path, c2w, expected):
+    entry = {"file": "a.png", "width": 4, "height": 3, "K": None}
+    (tmp_path / "c.json").write_text(json.dumps([{**entry, "c2w": POSE.tolist()}, {**entry, "c2w": c2w.tolist()}]))
+    with pytest.raises(InputError, match=rf"c\.json: camera 1 cannot be used \(.*{expected}"):
+        read_cameras(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ([[4, 0, 2], [0, 4, 2], [0, 0, 5]], "K has other numbers"),
+        ([[4, 0, 2], [9, 4, 2], [0, 0, 1]], "K has other numbers"),
+        ([[4, 0, 2], [0, 4, 2], [3, 1, 1]], "K has other numbers"),
+        ([[4, 0, 1e9], [0, 4, 2], [0, 0, 1]], "principal point of K is 1e"),
+        ([[4, 0, 2], [0, 1e9, 2], [0, 0, 1]], "focal lengths 4, 1e"),
+        ([[4, 0, 2], [0, 0, 2], [0, 0, 1]], "focal lengths 4, 0, expected above 0"),
+        ([[4, 0, 2], [0, 4], [0, 0, 1]], "cannot be used"),
+    ],
+)
+def test_intrinsics_that_are_none_name_file_and_camera(tmp_path, row, expected):
+    (tmp_path / "c.json").write_text(json.dumps([{"file": "a.png", "width": 4, "height": 3, "K": row}]))
+    with pytest.raises(InputError, match=rf"c\.json: camera 0 .*{expected}"):
+        read_cameras(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"file": name} for name in (".", "", "..", "a\0b", None, 3, "x" * 5000)]
+    + [{"width": size} for size in ("4", 1.5, 0, 10**9, 1e400, None, [4])],
+)
+def test_cameras_without_a_name_or_size_are_refused(tmp_path, changed):
+    (tmp_path / "c.json").write_text(json.dumps([{"file": "a.png", "width": 4, "height": 3, **changed}]))
+    with pytest.raises(InputError, match=r"c\.json: camera 0 cannot be used"):
+        read_cameras(tmp_path / "c.json")

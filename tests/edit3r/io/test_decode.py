@@ -1,6 +1,8 @@
 import io
+import re
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import ExifTags, Image, ImageCms
 
+import edit3r
 from edit3r.errors import InputError, MissingDependencyError
 from edit3r.io.decode import MAX_PIXELS, decode, image_size, read_image
 from edit3r.reporting import Report, collecting
@@ -235,3 +238,15 @@ def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(t
     path = tmp_path / "a.jpg"
     Image.new("RGB", (4, 4)).save(path, "EPS")
     assert "not a picture" in complain(path)
+
+
+def test_pillow_is_always_told_what_a_file_may_be():
+    """For a file that it takes for EPS it would start Ghostscript."""
+    root = Path(edit3r.__file__).parents[1]
+    calls = [
+        (file, call)
+        for folder in ("edit3r", "plugins")
+        for file in (root / folder).rglob("*.py")
+        for call in re.findall(r"Image\.open\(.*", file.read_text(encoding="utf-8"))
+    ]
+    assert calls and not [(file, call) for file, call in calls if "formats=" not in call]

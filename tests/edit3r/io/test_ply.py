@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -240,3 +242,35 @@ def test_a_scene_that_was_saved_and_loaded_keeps_its_bytes_when_it_is_saved_agai
     save_ply(tmp_path / "2.ply", load_ply(tmp_path / "1.ply"))
     save_ply(tmp_path / "3.ply", load_ply(tmp_path / "2.ply"))
     assert (tmp_path / "2.ply").read_bytes() == (tmp_path / "3.ply").read_bytes()
+
+
+def test_a_long_comment_is_cut_so_that_the_file_stays_readable(tmp_path):
+    save_ply(tmp_path / "a.ply", scene(), comment_lines=["prompt: " + "é" * 2_000_000])
+    assert load_ply(tmp_path / "a.ply").count == 50
+    assert (tmp_path / "a.ply").stat().st_size < 50_000
+
+
+@pytest.mark.parametrize(
+    "runs", ["0:1000000000000", "0:-3 0:53", "0:50 1:" + "9" * 5000, "9" * 5000 + ":50", "0 50", "a:b"]
+)
+def test_runs_of_views_that_do_not_fit_are_left_out(tmp_path, runs):
+    save_ply(tmp_path / "a.ply", scene(view_index=torch.zeros(50, dtype=torch.int64)))
+    content = (tmp_path / "a.ply").read_bytes()
+    assert b"(view:count) 0:50\n" in content
+    (tmp_path / "a.ply").write_bytes(content.replace(b"(view:count) 0:50", b"(view:count) " + runs.encode()))
+    assert (load_ply(tmp_path / "a.ply").view_index == -1).all()
+
+
+def test_a_count_of_thousands_of_digits_is_one_sentence(tmp_path):
+    save_ply(tmp_path / "a.ply", scene())
+    content = (tmp_path / "a.ply").read_bytes().replace(b"vertex 50", b"vertex " + b"9" * 5000)
+    (tmp_path / "a.ply").write_bytes(content)
+    assert "expected a number of vertices" in complain(tmp_path / "a.ply")
+
+
+def test_a_scene_that_shows_nothing_is_refused_where_it_is_to_be_seen(tmp_path):
+    hidden = replace(scene(), opacities=torch.full((1, 50), 1e-4))
+    save_ply(tmp_path / "a.ply", hidden)
+    assert load_ply(tmp_path / "a.ply").count == 50
+    with pytest.raises(InputError, match=r"a\.ply: shows nothing"):
+        load_ply(tmp_path / "a.ply", visible=True)

@@ -1,4 +1,5 @@
 import base64
+import html
 import json
 import re
 from html.parser import HTMLParser
@@ -109,6 +110,15 @@ def test_text_cannot_break_out_of_the_page(tmp_path):
     assert 'alert("1")' not in page
     meta, _ = opened(tmp_path / "v.html")
     assert meta["title"] == evil
+
+
+@pytest.mark.parametrize("title", ["__META__", "__DATA__", "__TITLE____META__</script>", "\\1 __DATA__ \udcff"])
+def test_a_title_is_never_taken_for_a_place_to_fill(tmp_path, title):
+    save_viewer(tmp_path / "a.html", scene(), cameras(), title=title)
+    meta, _ = opened(tmp_path / "a.html")
+    assert meta["title"] == title and meta["count"] == 200
+    shown = re.search("<title>(.*?)</title>", (tmp_path / "a.html").read_text(encoding="utf-8"))[1]
+    assert html.unescape(shown) == title.replace("\udcff", "?")
 
 
 def test_colours_are_those_seen_from_the_view_each_came_from(tmp_path):

@@ -100,7 +100,7 @@ def test_files_that_are_not_these_weights_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such weights file"):
         load_network(str(tmp_path / "none.safetensors"))
     (tmp_path / "text.safetensors").write_text("hello")
-    with pytest.raises(InputError, match="not a safetensors file"):
+    with pytest.raises(InputError, match="not a usable safetensors file"):
         load_network(str(tmp_path / "text.safetensors"))
     safetensors.torch.save_file({"a": torch.zeros(1)}, tmp_path / "other.safetensors")
     with pytest.raises(InputError, match="not weights of this network"):

@@ -3,8 +3,10 @@
 import base64
 import io
 import json
+import struct
 import threading
 import time
+import zlib
 from collections import deque
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -108,14 +110,28 @@ def respond(handler, request: dict, behaviour: str) -> None:
         return send(handler, *refusal(request))
     pictures = {
         "garbage": b"this is no picture",
+        "key": f"ab {KEY}".encode(),
+        "gigapixels": gigapixels() if kind == "gigapixels" else b"",
         "wrong-size": inverted(request["image"], (height // 2, width // 2)) if kind == "wrong-size" else b"",
         "wrong-shape": inverted(request["image"], (height, width // 2)) if kind == "wrong-shape" else b"",
     }
     picture = pictures.get(kind) or inverted(request["image"])
     body = success(request, picture)
+    if kind == "usage":
+        body = body.replace(b": 100", b": " + value.encode()).replace(b": 200", b": " + value.encode())
+    if kind == "no-usage":
+        body = body.replace(b'"usage": {', b'"usage": "none", "x": {').replace(b'"usageMetadata": {', b'"x": {')
     if kind == "half-json":
         body = body[: len(body) // 2]
     send(handler, body, announced=2 * len(body) if kind == "truncated" else len(body))
+
+
+def gigapixels() -> bytes:
+    """A PNG whose header says 60000 x 40000."""
+    header = struct.pack(">IIBBBBB", 60000, 40000, 8, 2, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")]
+    parts = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def success(request: dict, picture: bytes) -> bytes:

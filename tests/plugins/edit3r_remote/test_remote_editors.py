@@ -71,6 +71,40 @@ def test_lasting_trouble_is_one_sentence_without_the_key(build, fake, two_views,
     assert caught.value.__cause__ is None and caught.value.__suppress_context__  # nothing for --debug to print either
 
 
+def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(build, fake, two_views, tmp_path):
+    fake.script.extend(["key"] * 4)
+    with pytest.raises(RunError, match=r"no picture .*ab \*\*\*") as caught:
+        build(attempts=1).edit(two_views, ASK)
+    assert "sk-" not in str(caught.value)
+    kept = list((tmp_path / "cache").iterdir())
+    assert kept and not any(b"sk-" in path.read_bytes() for path in kept)
+
+
+def test_a_picture_of_gigapixels_is_named_before_it_is_decoded(build, fake, two_views):
+    fake.script.extend(["gigapixels"] * 4)
+    with pytest.raises(RunError, match=r"the answer for left\.png (has|is).* far too many"):
+        build(attempts=1).edit(two_views, ASK)
+
+
+@pytest.mark.parametrize("trouble", ["usage:null", "usage:-5", "no-usage", "usage:true"])
+def test_a_bill_of_wrong_types_never_costs_the_picture(build, fake, two_views, trouble):
+    fake.script.extend([trouble] * 2)
+    for _ in range(2):  # the second time from the cache
+        with collecting(Report()) as report:
+            edited = build(attempts=1).edit(two_views, ASK)
+        assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
+        assert report.notes["editor.cost_usd"] >= 0
+    assert len(fake.requests) == 2
+
+
+def test_an_answer_that_cannot_be_kept_is_used(build, fake, two_views, tmp_path):
+    (tmp_path / "file").touch()
+    with collecting(Report()) as report:
+        edited = build(cache=str(tmp_path / "file")).edit(two_views, ASK)
+    assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
+    assert any("cannot be kept in editor.cache" in warning for warning in report.warnings)
+
+
 def test_a_service_that_is_not_there_is_one_sentence(build, fake, two_views):
     fake.server.shutdown()
     fake.server.server_close()

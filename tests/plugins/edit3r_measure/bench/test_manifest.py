@@ -108,3 +108,29 @@ def test_a_manifest_is_written_whole_or_not_at_all(manifest, tmp_path):
     with pytest.raises(InputError):
         write_bench_manifest(tmp_path / "bench.json", twice)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"inputs": (0, -1)}, "uses frame -1, which its scene does not have"),
+        ({"held_back": (-2,)}, "uses frame -2"),
+        ({"inputs": (0, 1, 1)}, "uses a frame twice"),
+        ({"inputs": (0, 5), "sample": None}, "uses frame 0, which"),
+        ({"id": "../../escaped"}, "no plain file name"),
+        ({"id": "/tmp/escaped"}, "no plain file name"),
+        ({"id": "."}, "no plain file name"),
+    ],
+)
+def test_items_that_lead_elsewhere_are_refused(manifest, tmp_path, change, expected):
+    wrong = manifest.items[0].model_copy(update=change)
+    content = manifest.model_copy(update={"items": (wrong, *manifest.items[1:])}).model_dump(mode="json")
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=expected):
+        read_bench_manifest(tmp_path / "m.json")
+
+
+def test_a_frame_that_a_generated_scene_does_not_have_is_named(manifest, manifest_file):
+    record = manifest.items[0].model_copy(update={"inputs": (0, 99)})
+    with pytest.raises(InputError, match="uses frame 99"):
+        load_item(manifest, record, manifest_file.parent, default_registry(), verify=False)
