@@ -1,5 +1,8 @@
 """Bundle adjustment finds the poses that the pixels were made with, whatever order or outliers the matches have."""
 
+import signal
+import subprocess
+import sys
 from itertools import combinations
 
 import cv2
@@ -96,3 +99,11 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
     keypoints = [np.zeros((3, 2))] * 3
     matches = {(0, 1): np.array([[0, 0]]), (1, 2): np.array([[0, 0]]), (0, 2): np.array([[1, 0]])}
     assert join_tracks(matches, keypoints) == []
+
+
+def test_a_process_that_is_ended_prints_no_stack_trace():
+    code = "import edit3r_matching.bundle_adjustment as _, sys, time; print(1, flush=True); time.sleep(60)"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.readline()
+    process.terminate()
+    assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
