@@ -7,7 +7,6 @@ from typing import ClassVar
 import pytest
 import safetensors.torch
 import torch
-from edit3r.testing.training import tiny_job
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 
 from edit3r.errors import MatchingError, PluginError
@@ -15,6 +14,7 @@ from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import TrainerContract
+from edit3r.testing.training import tiny_job
 from edit3r.training.checkpoint import LAST
 from edit3r.training.processes import Processes
 
