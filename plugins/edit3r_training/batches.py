@@ -42,7 +42,7 @@ class TrainingBatch:
 
 
 Unit = Literal["matcher", "baseline"]
-"""The length that is 1: any, as that of a simulated matcher, or the distance from the first to the last input camera."""
+"""The length that is 1: any, as a simulated matcher's, or the distance from the first to the last input camera."""
 
 
 def make_batch(
