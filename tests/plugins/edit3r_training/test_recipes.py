@@ -2,11 +2,13 @@
 
 import importlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import yaml
 from edit3r_training.recolor_trainer import RecolorRecipe
 from PIL import Image
 
@@ -85,6 +87,29 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     moved = build("reconstructor", "noposplat", weights=str(stages[1]), engine="eager").network
     gaps = [(a - b).abs().max() for a, b in zip(first.parameters(), moved.parameters())]
     assert 0 < max(gaps) < 0.01  # two small steps from there, not another random start
+
+
+def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
+    """The one that the documentation shows: `--plugin` for the training, its setting `weights` for the result."""
+    page = (Path(__file__).parents[3] / "docs/plugins/reconstructor.md").read_text()
+    plugin = tmp_path / "learned.py"
+    plugin.write_text(re.search(r'```python title="learned.py"\n(.*?)```', page, re.DOTALL).group(1))
+    data = {"name": "procedural", "image_size": 32, "scenes": 2, "textures": 8}
+    config = {
+        "trainer": {"name": "recolor", "steps": 1, "batch": 1, "unit": "baseline", "warmup": 1, "lr": 0.01},
+        "reconstructor": {"name": "learned", "size": 32},
+        "rasterizer": "torch",
+        "train_data": data,
+        "out": str(tmp_path / "out"),
+    }
+    (tmp_path / "learned.yaml").write_text(yaml.safe_dump(config))
+    assert main(["train", str(tmp_path / "learned.yaml"), "--plugin", str(plugin)]) == 0
+    weights, options = str(tmp_path / "out/best"), ["--plugin", str(plugin), "--quiet", "--editor", "none"]
+    command = ["run", *photos, "--recon", "learned", *options, "--out", str(tmp_path / "scene")]
+    assert main([*command, *_options(f"reconstructor.weights={weights}")]) == 0
+    registry = default_registry((str(plugin),))
+    start, trained = (registry.build("reconstructor", "learned", weights=given).network for given in (None, weights))
+    assert not torch.equal(start["head"].out.weight, trained["head"].out.weight)
 
 
 @pytest.mark.parametrize("name", ["noposplat", "edit3r-paper", "noposplat-tiny", "edit3r-paper-tiny"])
