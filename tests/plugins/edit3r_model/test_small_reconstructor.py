@@ -5,8 +5,8 @@ import pytest
 import skimage.data
 import torch
 import torch.nn.functional as F
-from edit3r_model.small_network import SHIPPED, SmallNetwork, load_network, network_grid, read_card
-from edit3r_model.small_reconstructor import Edit3rReconstructor
+from edit3r_model.small_network import SHIPPED, NetworkOutputs, SmallNetwork, load_network, network_grid, read_card
+from edit3r_model.small_reconstructor import Edit3rReconstructor, assemble
 from safetensors.torch import save_file
 
 from edit3r.config import make_settings
@@ -155,6 +155,31 @@ def test_two_colour_maps_are_drawn_to_the_reference_s():
         )
     ]
     assert chroma[0][1].mean() < 0.7 * chroma[1][1].mean()
+
+
+def _opacities(edited: Views, less: float) -> torch.Tensor:
+    """`[view, height, width]` of two views whose network says `less` of view 1's opacity wherever edits conflict."""
+    views, zero = _views(), torch.zeros(1, 2, *SIZE)
+    disagreement, choice = zero.clone(), torch.zeros(1, 2, 3, *SIZE)
+    disagreement[:, 1], choice[:, :, 0] = less, 1
+    outputs = NetworkOutputs(zero, zero, zero, disagreement, torch.zeros(1, 2, 12, *SIZE), choice)
+    settings = Edit3rReconstructor.Settings()
+    made = assemble(edited, views, _TrueGeometry().match(views), outputs, settings)
+    return made.gaussians.opacities.reshape(2, *SIZE)
+
+
+def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
+    agreeing, inside = _recoloured(_views(), (0, 1)), _inside(1)
+    images = agreeing.images.clone()
+    images[:, 1] = torch.where(inside, 1 - images[:, 1], images[:, 1])
+    conflicting = Views(images, agreeing.intrinsics)
+    full, fallen = _opacities(conflicting, 0.0), _opacities(conflicting, -2.0)
+    assert (fallen[1][inside] < 0.5 * full[1][inside]).all()
+    assert torch.equal(fallen[0], full[0])
+    away = F.max_pool2d(SCENE.objects[1, 0, 1][None, None], 31, 1, 15)[0, 0] == 0
+    assert torch.equal(fallen[1][away], full[1][away])
+    core = -F.max_pool2d(-inside.float()[None, None], 9, 1, 4)[0, 0] > 0  # the outlines in two views do not quite meet
+    assert torch.equal(_opacities(agreeing, -2.0)[1][core], _opacities(agreeing, 0.0)[1][core])
 
 
 def test_what_lies_away_from_an_edit_stays_bit_for_bit():
