@@ -298,6 +298,7 @@ class TrainingJob:
     out: Path  # folder for checkpoints, logs and sample sheets
     resume: bool = False
     config: Mapping[str, Any] | None = None  # the whole resolved configuration, saved with every checkpoint
+    reference: Reconstructor | None = None  # frozen: its answer for the unedited photos is what 3D losses hold to
 
 
 class Trainer(Configured, ABC):

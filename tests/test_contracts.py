@@ -30,6 +30,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make it red"},
+    ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
 }
 """What its contract needs to know."""
 

@@ -16,6 +16,7 @@ class RenderCommand(Command):
         add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
         add("--make", nargs="+", choices=MADE, default=list(MADE), help="what to write (default: all three)")
+        add("--only-view", type=int, metavar="I", help="only the Gaussians that come from photo I; the first is 0")
         add("--size", type=int, metavar="PIXELS", help="longer side of the pictures (default: as in the camera file)")
         add("--frames", type=int, default=36, metavar="N", help="frames of the video's camera path (default 36)")
         add("--rasterizer", metavar="NAME", help="rasterizer (default: that of edit3r run)")
@@ -33,7 +34,6 @@ class RenderCommand(Command):
         from edit3r.errors import SettingsError
         from edit3r.io.atomic import atomic_folder
         from edit3r.io.images import save_image
-        from edit3r.io.ply import load_ply
         from edit3r.io.run_folder import RunFolder
         from edit3r.io.video import save_video
         from edit3r.io.viewer import save_viewer
@@ -54,7 +54,7 @@ class RenderCommand(Command):
         rasterizer = default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report, torch.no_grad():
             with report.stage("read scene"):
-                gaussians = load_ply(args.scene, visible=True)
+                gaussians = _gaussians(args)
                 cameras, names = _cameras(args)
             with atomic_folder(args.out, args.overwrite) as root:
                 folder = RunFolder(root)
@@ -75,6 +75,21 @@ class RenderCommand(Command):
         if not args.quiet:
             print(f"wrote {args.out}")
         return 0
+
+
+def _gaussians(args: argparse.Namespace):
+    """The file's Gaussians, those of one view alone where that is asked for."""
+    from edit3r.errors import InputError
+    from edit3r.io.ply import load_ply
+
+    gaussians = load_ply(args.scene, visible=True)
+    if args.only_view is None:
+        return gaussians
+    known = [view for view in gaussians.view_index.unique().tolist() if view >= 0]
+    if args.only_view not in known:
+        listed = ", ".join(map(str, known)) or "none: the file does not say where its Gaussians come from"
+        raise InputError(f"--only-view: {args.scene} has no Gaussians of photo {args.only_view}; it has {listed}.")
+    return gaussians.from_view(args.only_view)
 
 
 def _cameras(args: argparse.Namespace):

@@ -1,7 +1,11 @@
 """Contracts of what makes the scene from images: matcher, reconstructor and refiner."""
 
 import math
+import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -10,10 +14,12 @@ from torch import Tensor, nn
 from edit3r.errors import Edit3rError, MatchingError
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor, Refiner
+from edit3r.interfaces import Backbone, MatchedGeometry, Matcher, Reconstructor, Refiner
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract, require_same_gaussians, require_valid_gaussians
+from edit3r.testing.network import backward, require_finite_gradients
 from edit3r.testing.rasterizer import reference_rasterizer
 from edit3r.testing.scenes import Photographed, photograph
+from edit3r.training.checkpoint import WEIGHTS, save_weights
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 
@@ -78,12 +84,13 @@ def _depth_error(depths: Float[Tensor, "*shape"], true: Float[Tensor, "height wi
 
 
 class ReconstructorContract(Contract):
-    """Valid, finite Gaussians; batch items independent; declared limits true; checkpoints round trip."""
+    """Valid, finite Gaussians; batch items independent; declared limits true; a network can be trained and saved."""
 
     kind = "reconstructor"
     subject: Reconstructor
     image_size: tuple[int, int] = (96, 128)  # (height, width) [pixels]; large enough for features to match
     batch_tolerance: float = 1e-4  # relative; convolutions and matrix products of another size round differently
+    trained_with: ClassVar[Mapping[str, Any]] = {}  # settings that training needs, over `settings`
 
     def reconstruct(self, views: Views, source: Views | None = None, subject: Reconstructor | None = None):
         """One reconstruction without gradients."""
@@ -192,6 +199,53 @@ class ReconstructorContract(Contract):
         require_same_gaussians(
             self, "a checkpoint put into a fresh component differs", after, before, fix, self.tolerance
         )
+
+    def test_a_step_of_training_reaches_the_network(self) -> None:
+        """In training mode gradients arrive, in every backbone too, and what was trained is still valid."""
+        subject = self._trained()
+        if subject is None:
+            return
+        views = self._views()
+        require_valid_gaussians(self, self.reconstruct(views, subject=subject).gaussians, 1, views.count)
+
+    def test_trained_weights_load_by_the_setting_weights(self) -> None:
+        """What `edit3r train` saves of the network, given as `weights`, makes an equal reconstructor."""
+        subject = self._trained()
+        if subject is None or self.offer is None:  # settings are a component's
+            return
+        known = self.registry.settings_class(self.offer).model_fields
+        fix = "give its class a setting `weights` and fill the network by edit3r.training.checkpoint.load_weights"
+        self.require("weights" in known, f"what is trained of it cannot be used; {fix}.")
+        views = self._views()
+        before = self.reconstruct(views, subject=subject).gaussians
+        with tempfile.TemporaryDirectory() as folder:
+            save_weights(Path(folder) / WEIGHTS, subject.network.state_dict())
+            chosen = {**self.settings, **self.trained_with, "weights": folder}
+            loaded = self.call("building it with weights", self._built_with, chosen)
+            after = self.reconstruct(views, subject=loaded).gaussians
+        require_same_gaussians(self, "loaded weights give another result", after, before, fix, self.tolerance)
+
+    def _trained(self) -> Reconstructor | None:
+        """A fresh component after one step of its network; None without a network."""
+        if self.subject.network is None:
+            return None
+        chosen = {**self.settings, **self.trained_with}
+        subject = self._built_with(chosen) if self.trained_with else self.build()
+        network, views = subject.network, self._views()
+        network.train()
+        gaussians = self.call("reconstructing in training mode", subject, views, views).gaussians
+        backward(self, [getattr(gaussians, name) for name in GAUSSIAN_FIELDS])
+        require_finite_gradients(self, dict(network.named_parameters()))
+        for name, part in network.named_modules():
+            if isinstance(part, Backbone):
+                moved = any(p.grad is not None and bool(p.grad.abs().max() > 0) for p in part.parameters())
+                self.require(moved, f"no gradient arrives in the backbone {name!r}; do not detach its features.")
+        torch.optim.SGD(network.parameters(), lr=1e-3).step()
+        network.eval()
+        return subject
+
+    def _built_with(self, settings: Mapping[str, Any]) -> Reconstructor:
+        return self.registry.build(self.kind, self.component, dict(self.parts), **settings)
 
     def _limits(self) -> tuple[int, int | None]:
         return self.subject.min_views, self.subject.max_views

@@ -21,6 +21,8 @@ from edit3r.errors import InputError, RunError
 from edit3r.io.atomic import atomic_write
 
 LAST = "last.pt"
+WEIGHTS = "weights.safetensors"
+"""The best weights of a training, in its folder `best`."""
 _PARTS = {"network", "optimizer", "average", "step", "skipped", "best", "config", "random"}
 
 
@@ -89,6 +91,21 @@ def save_weights(path: Path, weights: Mapping[str, Tensor], metadata: Mapping[st
     content = {name: tensor.detach().contiguous() for name, tensor in weights.items()}
     with whole_file(path, "the weights") as partial:
         safetensors.torch.save_file(content, partial, metadata=None if metadata is None else dict(metadata))
+
+
+def load_weights(network: nn.Module, path: str | Path) -> None:
+    """Fill `network` with trained weights: a safetensors file, or the folder `best` of `edit3r train`.
+
+    For the setting `weights` of any reconstructor. Raises InputError when there are none or they do not fit.
+    """
+    file = Path(path) / WEIGHTS if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise InputError(f"{path}: no such weights; give a .safetensors file, or the folder best of a training.")
+    try:
+        network.load_state_dict(safetensors.torch.load_file(file))
+    except (safetensors.SafetensorError, RuntimeError, OSError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise InputError(f"{file}: not weights of this network ({reason}).") from None
 
 
 @contextmanager

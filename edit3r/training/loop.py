@@ -24,9 +24,9 @@ from torch import Tensor, nn
 
 from edit3r import reporting
 from edit3r.config import Settings
-from edit3r.errors import MatchingError, PluginError, RunError
+from edit3r.errors import MatchingError, PluginError, RunError, SettingsError
 from edit3r.interfaces import TrainingJob
-from edit3r.training.checkpoint import LAST, TrainingState, copied_weights, save_weights
+from edit3r.training.checkpoint import LAST, WEIGHTS, TrainingState, copied_weights, save_weights
 from edit3r.training.processes import Processes, joined_processes, own_device
 from edit3r.training.schedule import warmup_cosine
 
@@ -37,6 +37,12 @@ class LoopSettings(Settings):
     steps: int = Field(1000, ge=1, description="optimiser steps")
     lr: float = Field(1e-3, gt=0, le=1, description="highest learning rate")
     warmup: int = Field(100, ge=1, description="steps of linear warm-up")
+    floor: float = Field(0.05, ge=0, le=1, description="learning rate at the last step, as a share of the highest")
+    pretrained: tuple[str, ...] = Field(
+        (), description="beginnings of the names of weights that learn more slowly, such as backbone.encoder"
+    )
+    pretrained_rate: float = Field(0.1, gt=0, le=1, description="their share of the highest learning rate")
+    accumulate: int = Field(1, ge=1, description="batches a step, one after the other; their gradients are averaged")
     weight_decay: float = Field(0.02, ge=0, le=1, description="AdamW's")
     clip: float = Field(1.0, gt=0, description="largest gradient norm")
     average: float = Field(0.999, ge=0, lt=1, description="decay of the averaged weights that are evaluated and kept")
@@ -74,7 +80,7 @@ class Recipe(ABC):
 
     @abstractmethod
     def loss(self, step: int, processes: Processes) -> StepLoss:
-        """The loss of this process's share of a step's data; steps count from 0.
+        """The loss of this process's share of a batch; `step` counts batches from 0, `accumulate` of them a step.
 
         Raises MatchingError when nothing can be learnt from the data; the step is then skipped.
         """
@@ -88,7 +94,7 @@ class Recipe(ABC):
 
     def save_best(self, folder: Path, weights: Mapping[str, Tensor]) -> None:
         """Write the best weights so far to `folder`."""
-        save_weights(folder / "weights.safetensors", weights)
+        save_weights(folder / WEIGHTS, weights)
 
 
 def train(recipe: Recipe, settings: LoopSettings, job: TrainingJob) -> Path:
@@ -118,8 +124,10 @@ class _Loop:
         network.train()
         self.processes.share_weights(network)
         self.recipe.begin()  # before a resumed run's weights are read
+        groups = parameter_groups(network, self.settings)
+        self.rates = [rate for rate, _ in groups]
         optimizer = torch.optim.AdamW(
-            [parameter for parameter in network.parameters() if parameter.requires_grad],
+            [{"params": parameters} for _, parameters in groups],
             lr=self.settings.lr,
             betas=self.recipe.betas,
             weight_decay=self.settings.weight_decay,
@@ -150,8 +158,9 @@ class _Loop:
         """One optimiser step; one that is not finite is counted and left out."""
         chosen, state = self.settings, self.state
         parameters = list(state.network.parameters())
-        for group in state.optimizer.param_groups:
-            group["lr"] = chosen.lr * warmup_cosine(state.step, chosen.steps, chosen.warmup)
+        for group, rate in zip(state.optimizer.param_groups, self.rates):
+            floor = min(1.0, chosen.floor / rate)  # one lowest learning rate for all groups
+            group["lr"] = chosen.lr * rate * warmup_cosine(state.step, chosen.steps, chosen.warmup, floor)
         state.optimizer.zero_grad(set_to_none=True)
         loss = self._backward()
         total = self.processes.average_gradients(parameters, loss.total)
@@ -170,9 +179,18 @@ class _Loop:
             self._log(total, loss.terms, norm)
 
     def _backward(self) -> StepLoss:
-        """The step's loss, gradients computed; zero and no gradients for photos that cannot be matched."""
+        """The mean loss of the step's batches, gradients computed."""
+        count = self.settings.accumulate
+        losses = [self._backward_of(self.state.step * count + part) for part in range(count)]
+        terms: dict[str, Tensor] = {}
+        for loss in losses:
+            terms |= {name: terms.get(name, 0) + term.detach() / count for name, term in loss.terms.items()}
+        return StepLoss(sum(loss.total.detach() / count for loss in losses), terms)
+
+    def _backward_of(self, batch: int) -> StepLoss:
+        """One batch's loss, gradients added; zero and no gradients for photos that cannot be matched."""
         try:
-            loss = self.recipe.loss(self.state.step, self.processes)
+            loss = self.recipe.loss(batch, self.processes)
         except MatchingError as error:
             reporting.warn(f"scenes left out of training: {error}")
             return StepLoss(torch.zeros((), device=self.recipe.device), {})
@@ -181,7 +199,7 @@ class _Loop:
                 f"training: the loss of step {self.state.step + 1} does not depend on the network's weights; give a "
                 "term a weight, and let the reconstructor compute with gradients (no torch.no_grad)."
             )
-        loss.total.backward()
+        (loss.total / self.settings.accumulate).backward()
         return loss
 
     def _log(self, total: Float[Tensor, ""], terms: Mapping[str, Tensor], norm: Float[Tensor, ""]) -> None:
@@ -203,6 +221,22 @@ class _Loop:
                 self.journal.write(state.step, values, kind="validation")
         if improved and self.processes.writes:
             self.recipe.save_best(self.job.out / "best", state.average)
+
+
+def parameter_groups(network: nn.Module, settings: LoopSettings) -> list[tuple[float, list[nn.Parameter]]]:
+    """Return (share of the learning rate, weights) of what learns at full rate, then of what was trained before.
+
+    Raises SettingsError for a beginning in `settings.pretrained` that no weight's name has.
+    """
+    named = {name: value for name, value in network.named_parameters() if value.requires_grad}
+    for beginning in settings.pretrained:
+        if not any(name.startswith(beginning) for name in named):
+            parts = ", ".join(sorted({name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named})[:12])
+            raise SettingsError(f"trainer.pretrained: no weight's name begins with {beginning!r}; there are {parts}.")
+    slow = {name for name in named if name.startswith(settings.pretrained)}
+    full = [value for name, value in named.items() if name not in slow]
+    groups = [(1.0, full), (settings.pretrained_rate, [named[name] for name in named if name in slow])]
+    return [(rate, values) for rate, values in groups if values]
 
 
 @contextmanager

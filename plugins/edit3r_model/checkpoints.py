@@ -19,12 +19,12 @@ from torch import Tensor, nn
 
 from edit3r.errors import InputError, MissingDependencyError
 from edit3r.io.atomic import atomic_write
+from edit3r.training.checkpoint import WEIGHTS as TRAINED
 from edit3r_model.full_network import NetworkConfig, empty_network
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages
 from edit3r_model.official_checkpoints import LICENCES, read_official, read_torch_file
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
-TRAINED = "weights.safetensors"  # as `edit3r train` names it
 EXTRA_STATE = "_extra_state"  # torch's key for what `GaussianNetwork.get_extra_state` gives
 FORMAT = 1
 SHOWN = 4

@@ -5,6 +5,8 @@ r = edited - source on the source's colours s in a Gaussian window, D = Cov(r, s
 d = mean r - D mean s. An unedited place gives exactly D = 0, d = 0.
 """
 
+from itertools import combinations_with_replacement
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
@@ -24,6 +26,17 @@ _SAME_SURFACE = 0.05
 
 _ALIKE = 0.1
 """Mean difference of colours [sRGB] above which two images do not show one surface, whatever the depths say."""
+
+_EXPLAINED = 3 / 255
+"""What one function of colour may leave of an edit [sRGB]: images of 8 bits round before and after."""
+
+_FITTED = 8_000
+"""Pixels that the function is fitted to, at least."""
+
+_FITS = 6
+"""Rounds of the robust fit."""
+
+_PRODUCTS = tuple(combinations_with_replacement(range(4), 3))
 
 _SPREAD = 0.02
 """How far around a change an edit may be carried [long sides]: outlines and matches are off by some pixels."""
@@ -103,6 +116,76 @@ def near_an_edit(
     found = torch.maximum(change, of_reference).clamp(max=_CHANGE) / _CHANGE
     found = _spread(dilate(found, reach), reach / 4)
     return torch.maximum(found, unknown.to(found.dtype))
+
+
+@torch.no_grad()
+def edits_disagree(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    matches: Correspondences,
+) -> Float[Tensor, "batch view height width"]:
+    """Return where a view's edit is not the reference's: 1, falling to exactly 0 where one function of colour is both.
+
+    The function is fitted to the changed pixels of view and reference together. A view agrees where the function
+    explains its colours, in full or in part as behind a soft mask, and where the reference, seen at the same place, is
+    not left as it was while the view is edited or the other way round. A function that explains less than half of the
+    changed pixels of either is not shared, and the view disagrees everywhere. The reference agrees with itself.
+    """
+    reach = max(1, round(_SPREAD * max(source.shape[-2:])))
+    gaps = [torch.zeros_like(source[:, 0, 0])]
+    for view in range(1, source.shape[1]):
+        before, change = (x[:, [0, view]] for x in (source, edited - source))
+        wished = _change_by_function(before, _shared_function(before, change))
+        share = (wished * change).sum(2) / wished.square().sum(2).clamp(min=1e-9)  # of the wished change that was made
+        left = (change - share.clamp(0, 1)[:, :, None] * wished).abs().amax(2)  # what the function does not explain
+        changed = change.abs().amax(2) > _CHANGE
+        shared = (changed & (left <= _EXPLAINED)).sum((2, 3)) >= 0.5 * changed.sum((2, 3)).clamp(min=1)
+        telling = wished.abs().amax(2) > 2 * _EXPLAINED  # elsewhere, edited and unedited look alike
+        made, kept = telling & (share > 0.5), telling & (share <= 0.5)
+        there = warp(torch.stack((made[:, 0], kept[:, 0]), 1).to(source.dtype), matches.coordinates[:, view]) > 0.5
+        opposed = ((there[:, 0] & kept[:, 1]) | (there[:, 1] & made[:, 1])) * matches.inside[:, view]
+        gap = torch.maximum((left[:, 1] / _EXPLAINED - 1).clamp(0, 1), opposed)
+        gaps.append(torch.where(shared.all(1)[:, None, None], dilate(gap, reach), 1.0))
+    return torch.stack(gaps, 1)
+
+
+def _shared_function(
+    source: Float[Tensor, "batch view 3 height width"], change: Float[Tensor, "batch view 3 height width"]
+) -> Float[Tensor, "batch 23 3"]:
+    """Coefficients of the change as a cubic polynomial and roots of the colour, over the changed pixels of all views.
+
+    Robust least squares (Cauchy weights). A channel that an edit drove to 0 or 1 says nothing about the function.
+    """
+    every = max(1, source[0, :, 0].numel() // _FITTED)
+    s, r = (x.double().movedim(2, -1).flatten(1, 3)[:, ::every] for x in (source, change))
+    features, after = _monomials(s), s + r
+    inside = (after > 1.5 / 255) & (after < 253.5 / 255)
+    fixed = inside * (r.abs().amax(-1, keepdim=True) > _CHANGE)
+    coefficients = r.new_zeros(len(r), features.shape[-1], 3)
+    weights = fixed.to(r.dtype)
+    ridge = 1e-6 * torch.eye(features.shape[-1], dtype=r.dtype, device=r.device)
+    for _ in range(_FITS):
+        weighted = features.mT[:, None] * weights.mT[:, :, None]  # [batch, channel, feature, pixel]
+        moments, target = weighted @ features[:, None] + ridge, weighted @ r.mT[..., None]
+        coefficients = torch.linalg.solve(moments, target)[..., 0].mT
+        left = (r - features @ coefficients).abs().amax(-1, keepdim=True)
+        weights = fixed / (1 + (left / _EXPLAINED).square())
+    return coefficients.to(source.dtype)
+
+
+def _change_by_function(
+    source: Float[Tensor, "batch view 3 height width"], coefficients: Float[Tensor, "batch 23 3"]
+) -> Float[Tensor, "batch view 3 height width"]:
+    """The change that the function makes to each pixel, which stays within [0, 1]."""
+    change = torch.einsum("bvhwf,bfc->bvchw", _monomials(source.movedim(2, -1)), coefficients)
+    return (source + change).clamp(0, 1) - source
+
+
+def _monomials(colours: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 23"]:
+    """All products of at most three channels, the empty one first, and the root of each channel."""
+    padded = torch.cat((torch.ones_like(colours[..., :1]), colours), -1)
+    products = [padded[..., i] * padded[..., j] * padded[..., k] for i, j, k in _PRODUCTS]
+    return torch.cat((torch.stack(products, -1), colours.clamp(min=0).sqrt()), -1)
 
 
 def _spread(maps: Float[Tensor, "batch view height width"], sigma: float) -> Float[Tensor, "batch view height width"]:

@@ -22,6 +22,7 @@ from edit3r import reporting
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences, find_correspondences, warp
+from edit3r.training.checkpoint import WEIGHTS
 from edit3r_model.edit_colour import CHANNELS, change_of, fit_colour_maps
 from edit3r_model.small_encoder import (
     STRIDE,
@@ -280,6 +281,7 @@ def load_network(weights: str) -> SmallNetwork:
         reporting.warn("edit3r: the network is untrained; repairs and fused edits are those of a random start.")
         return SmallNetwork().eval()
     path = SHIPPED if weights == "shipped" else Path(weights)
+    path = path / WEIGHTS if path.is_dir() else path
     card, state = read_card(path), _read(path)
     network = SmallNetwork(width=int(card.get("width", 32)))
     missing = set(network.state_dict()) ^ set(state)

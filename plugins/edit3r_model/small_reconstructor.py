@@ -21,7 +21,7 @@ from edit3r.geometry.surroundings import apron, backdrop
 from edit3r.geometry.warping import Correspondences, find_correspondences, in_front_of_others, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_model.edit_colour import blur, change_of, near_an_edit
+from edit3r_model.edit_colour import blur, change_of, edits_disagree, near_an_edit
 from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
 
 VISIBLE_CHANGE = 0.05
@@ -35,7 +35,8 @@ FLOATING_OPACITY = 0.02
 class Edit3rReconstructor(Reconstructor):
     """Matched poses and depths, repaired by a network that also draws disagreeing edits to the reference's.
 
-    View 0 is the reference: its edit is kept as it is. Without any edit the colours are exactly the source images'.
+    View 0 is the reference: its edit is kept as it is. Where another view's edit is the same function of colour, that
+    view keeps its own edited colours exactly, as it does without any edit.
     """
 
     takes_geometry = True
@@ -50,7 +51,7 @@ class Edit3rReconstructor(Reconstructor):
         geometry: Literal["matching", "network"] = Field(
             "matching", description="where pose and depth come from; 'network' is short for matcher=network"
         )
-        weights: str = Field("shipped", description="'shipped', 'untrained' or a file of `edit3r train`")
+        weights: str = Field("shipped", description="'shipped', 'untrained', or the folder best of `edit3r train`")
         network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
         fuse_edits: bool = Field(
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
@@ -167,6 +168,7 @@ def assemble(
     colours = edited.images
     if settings.fuse_edits:
         near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
+        near = near * edits_disagree(edited.images, images, matches)
         colours = fuse_colours(edited.images, images, fine, matches, near)
         logits = logits + near * fine.disagreement
     opacities = torch.sigmoid(logits)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from edit3r_training.simulated_matching import simulate_match
 
 @dataclass(frozen=True)
 class TrainingBatch:
-    """B scenes of V context and T target views; all lengths in the unit of `geometry` where there is one."""
+    """B scenes of V context and T target views; lengths are in the unit of `geometry` where there is one."""
 
     source: Views  # unedited context
     edited: Views  # what the reconstructor is given
@@ -27,7 +27,7 @@ class TrainingBatch:
     context_cameras: Cameras
     target_cameras: Cameras
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
-    geometry: MatchedGeometry | None  # as a matcher would give it; None when the data has no depths
+    geometry: MatchedGeometry | None  # as a matcher would give it, where the data has depths
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
@@ -41,18 +41,29 @@ class TrainingBatch:
         return points.reshape(len(points), -1, 3)
 
 
+Unit = Literal["matcher", "baseline"]
+"""The length that is 1: any, as a simulated matcher's, or the distance from the first to the last input camera."""
+
+
 def make_batch(
-    samples: Sequence[SceneSample], shares: RegimeShares, generators: Sequence[np.random.Generator]
+    samples: Sequence[SceneSample],
+    shares: RegimeShares,
+    generators: Sequence[np.random.Generator],
+    unit: Unit = "matcher",
 ) -> TrainingBatch:
-    """Edit every sample and corrupt its geometry, each with its own random numbers."""
-    batches = [_batch_of_one(sample, shares, rng) for sample, rng in zip(samples, generators)]
+    """Edit every sample, each with its own random numbers; for unit `matcher`, simulate what a matcher would say."""
+    batches = [_batch_of_one(sample, shares, rng, unit) for sample, rng in zip(samples, generators)]
     return _with_tensors(lambda *tensors: torch.cat(tensors), *batches)
 
 
-def _batch_of_one(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> TrainingBatch:
-    """The batch of one scene; with depths, all lengths are in the unit of the simulated matching."""
+def _batch_of_one(
+    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator, wished_unit: Unit
+) -> TrainingBatch:
+    """The batch of one scene."""
     edit, match, unit = edit_sample(sample, shares, rng), None, 1.0
-    if sample.context_depths is not None:
+    if wished_unit == "baseline":
+        unit = 1 / max(float(sample.context_cameras.c2w[0, -1, :3, 3].norm()), 1e-9)
+    elif sample.context_depths is not None:
         match = simulate_match(sample, rng)
         unit = match.unit  # the matcher cannot know the scene's own
     intrinsics = sample.context_cameras.intrinsics
@@ -63,7 +74,7 @@ def _batch_of_one(sample: SceneSample, shares: RegimeShares, rng: np.random.Gene
         target=edit.target[None],
         context_cameras=_scaled(sample.context_cameras, unit),
         target_cameras=_scaled(sample.target_cameras, unit),
-        depths=None if match is None else sample.context_depths[None] * unit,
+        depths=None if sample.context_depths is None else sample.context_depths[None] * unit,
         geometry=None if match is None else match.geometry,
     )
 

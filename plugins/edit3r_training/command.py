@@ -19,6 +19,9 @@ class TrainCommand(Command):
         )
         parser.add_argument("--out", help="output folder, instead of the configuration's")
         parser.add_argument(
+            "--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file"
+        )
+        parser.add_argument(
             "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting, e.g. trainer.steps=100"
         )
 
@@ -37,7 +40,8 @@ class TrainCommand(Command):
         with StageConsole(quiet=not first) as console:
             report = Report(on_event=console)
             with collecting(report), report.stage("train"):
-                trainer, job = prepare(values, default_registry(), resume=args.resume, overwrite=args.overwrite)
+                registry = default_registry(tuple(args.plugin))
+                trainer, job = prepare(values, registry, resume=args.resume, overwrite=args.overwrite)
                 best = trainer.train(job)
         if first:
             print(f"best checkpoint: {best}")

@@ -2,6 +2,7 @@
 
 trainer: {name: recolor, steps: 1000}
 reconstructor: {name: edit3r, weights: untrained}
+reference: {name: noposplat, weights: runs/first/best}     # or absent
 rasterizer: numba
 train_data: {name: procedural, seed: 1}
 validation_data: {name: procedural, seed: 2, scenes: 64}   # or absent
@@ -28,6 +29,11 @@ class TrainingConfig(Settings):
 
     trainer: PartChoice = Field(PartChoice(name=DEFAULTS["trainer"]), description="the recipe")
     reconstructor: PartChoice = Field(description="what is trained")
+    reference: PartChoice | None = Field(
+        None,
+        description="frozen reconstructor, whose centres of the unedited photos the 3D losses hold to; default: the "
+        "true surface where the data has depths, else what is trained as it is at the start",
+    )
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["training_rasterizer"]), description="renders during training"
     )
@@ -50,7 +56,7 @@ def prepare(
     def build(kind: str, choice: PartChoice) -> Any:
         return registry.build(kind, choice.name, **choice.settings)
 
-    validation = config.validation_data
+    validation, reference = config.validation_data, config.reference
     job = TrainingJob(
         reconstructor=build("reconstructor", config.reconstructor),
         rasterizer=build("rasterizer", config.rasterizer),
@@ -59,6 +65,7 @@ def prepare(
         losses={name: _loss(registry, name, given) for name, given in config.losses.items()},
         out=Path(config.out),
         resume=resume,
+        reference=None if reference is None else build("reconstructor", reference),
         config=config.model_dump(mode="json"),
     )
     return build("trainer", config.trainer), job

@@ -11,7 +11,7 @@ from edit3r.changes import change_error, change_uptake, mean_change
 from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import invert_rigid, transform_points
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.types import Reconstruction
+from edit3r.types import Cameras, Reconstruction
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
@@ -27,9 +27,13 @@ class PixelMaps:
     opacities: Float[Tensor, "batch view height width"]
 
 
-def pixel_maps(reconstruction: Reconstruction, views: int, image_size: tuple[int, int]) -> PixelMaps:
-    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a rim) are left out."""
-    gaussians, pixels = reconstruction.gaussians, views * image_size[0] * image_size[1]
+def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
+    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a rim) are left out.
+
+    Depths are those in the predicted cameras, or in the true `cameras` of the views where none were predicted.
+    """
+    gaussians, views, image_size = reconstruction.gaussians, cameras.count, cameras.image_size
+    pixels = views * image_size[0] * image_size[1]
     if gaussians.count < pixels:
         raise SettingsError(
             f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the recolor trainer needs "
@@ -39,9 +43,8 @@ def pixel_maps(reconstruction: Reconstruction, views: int, image_size: tuple[int
         gaussians = gaussians.select(torch.arange(pixels))
     shape = (gaussians.means.shape[0], views, *image_size)
     colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3).permute(0, 1, 4, 2, 3)
-    points = gaussians.means.reshape(*shape, 3)
-    if reconstruction.cameras is not None:
-        points = transform_points(invert_rigid(reconstruction.cameras.c2w), points)
+    seen_from = cameras if reconstruction.cameras is None else reconstruction.cameras
+    points = transform_points(invert_rigid(seen_from.c2w), gaussians.means.reshape(*shape, 3))
     return PixelMaps(colours, points[..., 2], gaussians.opacities.reshape(shape))
 
 
@@ -87,7 +90,7 @@ def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
         "uptake": change_uptake(shown, wished, inside),
         "error": change_error(shown, wished, inside),
         "leak": mean_change(shown, (1 - inside).expand_as(shown)),
-        "depth": float(torch.log(maps.depths / batch.depths).abs().mean()) if known else 0.0,
+        "depth": float(torch.log(maps.depths.clamp(min=1e-4) / batch.depths).abs().mean()) if known else 0.0,
     }
 
 

@@ -2,11 +2,14 @@
 
 A step draws a batch, edits it (`asymmetric_inputs`), simulates what a matcher would say of it (`simulated_matching`),
 reconstructs, and compares: pixel by pixel at every step (`pixel_losses`), rendered at every `render_every`-th.
+
+With nothing edited, novel views alone rendered and `unit: baseline` it is the first stage too, NoPoSplat's training.
 """
 
 import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -18,15 +21,15 @@ from edit3r.interfaces import LossInputs, Reconstructor, Trainer, TrainingJob
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import batch_indices, step_generator
-from edit3r.types import Cameras, Gaussians
+from edit3r.types import Cameras, Gaussians, Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
-from edit3r_training.batches import TrainingBatch, make_batch
+from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import colour_error, depth_error, opacity_error, pixel_maps
-from edit3r_training.validation import held_out_measures, reconstruct
+from edit3r_training.validation import held_out_batches, held_out_measures, reconstruct
 
 
 class RecolorTrainer(Trainer):
-    """The paper's second stage, for any pixel-aligned reconstructor with a network."""
+    """The paper's training, for any reconstructor with a network that gives every pixel its own Gaussian."""
 
     class Settings(LoopSettings):
         batch: int = Field(8, ge=1, le=256, description="scenes a step and process")
@@ -37,6 +40,17 @@ class RecolorTrainer(Trainer):
         render_every: int = Field(1, ge=0, description="every n-th step also renders, for the job's losses; 0: never")
         render_context: bool = Field(True, description="also render the input views; false: novel views alone")
         drop_first: float = Field(0.5, ge=0, le=1, description="how often the reference's Gaussians are left out")
+        unit: Unit = Field(
+            "matcher",
+            description="unit of length: any, as in a simulated matching; baseline: first to last input camera, which "
+            "a network that sees images alone can tell",
+        )
+        precision: Literal["float32", "bfloat16"] = Field(
+            "float32", description="of the network's products; weights, renderings and losses stay float32"
+        )
+        score: Literal["pixels", "renderings"] = Field(
+            "pixels", description="what makes the best weights: errors pixel by pixel, or of rendered novel views"
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -68,30 +82,38 @@ class RecolorRecipe(Recipe):
     def validate(self, step: int, processes: Processes) -> dict[str, float]:
         """Measures of the held-out scenes, and a sheet of images of the first ones."""
         sheet = self.job.out / "sheets" / f"{step:07d}.png" if processes.writes else None
-        return held_out_measures(self.job, processes, self.settings.regimes, self.settings.batch, sheet)
+        chosen = self.settings
+        batches = held_out_batches(self.job.validation_data, chosen.regimes, chosen.batch, chosen.unit)
+        return held_out_measures(self.job, processes, batches, chosen.score == "renderings", sheet)
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who draws them."""
         data, size, seed = self.job.train_data, self.settings.batch, self.settings.seed
         indices = batch_indices(step, size, len(data), seed, processes.rank, processes.count)
         generators = [step_generator(seed, step, processes.rank * size + slot) for slot in range(size)]
-        batch = make_batch([data[index] for index in indices], self.settings.regimes, generators)
-        return batch.to(self.device)
+        samples = [data[index] for index in indices]
+        return make_batch(samples, self.settings.regimes, generators, self.settings.unit).to(self.device)
 
     def _terms(self, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""
         chosen = self.settings
-        reconstruction = reconstruct(self.job, batch)
-        maps = pixel_maps(reconstruction, batch.source.count, batch.source.image_size)
-        terms = {}
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=chosen.precision == "bfloat16"):
+            reconstruction = reconstruct(self.job, batch)
+        terms = self._pixel_terms(batch, reconstruction) if chosen.colour or chosen.depth or chosen.opacity else {}
+        if chosen.render_every and step % chosen.render_every == 0:
+            terms |= self._rendered_terms(batch, reconstruction.gaussians, step)
+        return terms
+
+    def _pixel_terms(self, batch: TrainingBatch, reconstruction: Reconstruction) -> dict[str, Tensor]:
+        """The weighted errors of every pixel's own Gaussian."""
+        chosen, terms = self.settings, {}
+        maps = pixel_maps(reconstruction, batch.context_cameras)
         if chosen.colour:
             terms["colour"] = chosen.colour * colour_error(maps, batch)
         if batch.depths is not None and chosen.depth:
             terms["depth"] = chosen.depth * depth_error(maps, batch)
         if batch.depths is not None and chosen.opacity:
             terms["opacity"] = chosen.opacity * opacity_error(maps, batch)
-        if chosen.render_every and step % chosen.render_every == 0:
-            terms |= self._rendered_terms(batch, reconstruction.gaussians, step)
         return terms
 
     def _rendered_terms(self, batch: TrainingBatch, gaussians: Gaussians, step: int) -> dict[str, Tensor]:
@@ -123,7 +145,8 @@ def _supervised_views(batch: TrainingBatch, first: int) -> tuple[Cameras, Float[
 class GeometricReference:
     """What the 3D losses hold the edited Gaussians to (section 3.3): G_ref, the geometry of the unedited photos.
 
-    It is the true surface where the data has depths, else what the frozen first-stage model makes of the photos.
+    It is what a frozen model makes of the photos: the job's reference, else the network as it is at the start. Without
+    a reference it is the true surface where the data has depths.
     """
 
     def __init__(self, frozen: Reconstructor | None = None) -> None:
@@ -131,19 +154,22 @@ class GeometricReference:
 
     @staticmethod
     def of_start(job: TrainingJob) -> "GeometricReference":
-        """Freeze a copy of the job's network as it is now, if its data has no depths and a loss may ask for it."""
-        if not job.losses or job.train_data[0].context_depths is not None:
+        """Freeze the job's reference, or a copy of its network where a loss may ask for it and there are no depths."""
+        frozen = job.reference
+        if frozen is None and (not job.losses or job.train_data[0].context_depths is not None):
             return GeometricReference()
-        frozen = copy.deepcopy(job.reconstructor)
-        frozen.network.eval().requires_grad_(False)
+        if frozen is None:
+            frozen = copy.deepcopy(job.reconstructor)
+        if frozen.network is not None:
+            device = next(job.reconstructor.network.parameters()).device
+            frozen.network.eval().requires_grad_(False).to(device)
         return GeometricReference(frozen)
 
     @torch.no_grad()
     def __call__(self, batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
         """Reference Gaussians, one for each predicted; None when there are none."""
-        centres = batch.true_centres()
-        if centres is None and self.frozen is not None:
-            centres = self.frozen(batch.source, batch.source).gaussians.means
+        frozen = self.frozen
+        centres = batch.true_centres() if frozen is None else frozen(batch.source, batch.source).gaussians.means
         if centres is None or centres.shape != gaussians.means.shape:
             return None
         return replace(gaussians, means=centres)

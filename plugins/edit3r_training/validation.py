@@ -9,14 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.errors import MatchingError
+from edit3r.errors import MatchingError, SettingsError
 from edit3r.interfaces import Dataset, TrainingJob
 from edit3r.io.images import save_image
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
 from edit3r.types import Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
-from edit3r_training.batches import TrainingBatch, make_batch
+from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
 
 MOST_SCENES = 64
@@ -33,16 +33,20 @@ def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
 
 @torch.no_grad()
 def held_out_measures(
-    job: TrainingJob, processes: Processes, shares: RegimeShares, batch_size: int, sheet: Path | None
+    job: TrainingJob, processes: Processes, batches: Sequence[TrainingBatch], rendered: bool, sheet: Path | None
 ) -> dict[str, float]:
     """Measure the network on held-out scenes, each process on its share of them; empty when none could be matched.
 
+    `rendered` makes the error of rendered novel views the score, instead of errors pixel by pixel.
     `sheet` is where to write images of the first scenes; None on processes that do not write.
     """
-    batches = _batches(job.validation_data, shares, batch_size)[processes.rank :: processes.count]
     device = next(job.reconstructor.network.parameters()).device
-    maps = _maps(job, [batch.to(device) for batch in batches])
-    values = processes.means([_measured(m, b) for m, b in maps])
+    made = _reconstructions(job, [batch.to(device) for batch in batches[processes.rank :: processes.count]])
+    maps = [(pixel_maps(reconstruction, batch.context_cameras), batch) for reconstruction, batch in made]
+    rows = [_measured(m, b) for m, b in maps]
+    if rendered:
+        rows = [row | _novel(job, *one) for row, one in zip(rows, made)]
+    values = processes.means(rows)
     if not values:
         reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
     if sheet is not None and maps:
@@ -50,24 +54,32 @@ def held_out_measures(
     return values
 
 
-def _maps(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[PixelMaps, TrainingBatch]]:
+def _reconstructions(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[Reconstruction, TrainingBatch]]:
     """What the network makes of each batch; those that cannot be matched are left out."""
     found = []
     for batch in batches:
         with contextlib.suppress(MatchingError):
-            reconstruction = reconstruct(job, batch)
-            found.append((pixel_maps(reconstruction, batch.source.count, batch.source.image_size), batch))
+            found.append((reconstruct(job, batch), batch))
     return found
 
 
-def _batches(data: Dataset, shares: RegimeShares, batch_size: int) -> list[TrainingBatch]:
-    """The first scenes, with the same edits and errors every time."""
+def _novel(job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatch) -> dict[str, float]:
+    """Mean squared error of the rendered target views, which is the score too."""
+    if batch.target_cameras.count == 0:
+        raise SettingsError("trainer.score: renderings need held-out scenes with novel views; give them targets.")
+    rendered = job.rasterizer.render(reconstruction.gaussians, batch.target_cameras).images
+    error = float((rendered - batch.target).square().mean())
+    return {"novel": error, "score": error}
+
+
+def held_out_batches(data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit) -> list[TrainingBatch]:
+    """Return the first scenes, with the same edits and errors every time."""
     size = min(batch_size, len(data))
     batches = []
     for start in range(0, min(len(data), MOST_SCENES) // size * size, size):
         generators = [step_generator(SEED, 0, start + slot) for slot in range(size)]
         samples = [data[start + slot] for slot in range(size)]
-        batches.append(make_batch(samples, shares, generators))
+        batches.append(make_batch(samples, shares, generators, unit))
     return batches
 
 

@@ -9,7 +9,8 @@ from torch import nn
 from edit3r.geometry.cameras import unproject
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Reconstructor
-from edit3r.testing import ReconstructorContract
+from edit3r.testing import ContractViolation, ReconstructorContract
+from edit3r.testing.network import TinyBackbone
 from edit3r.types import Cameras, Gaussians, Reconstruction
 
 
@@ -124,6 +125,11 @@ CASES = {
     "batch statistics": ({"spoil": scaled_by_the_batch}, "test_batch_items_are_independent", "LayerNorm"),
     "a state": ({"spoil": counted}, "test_same_photos_give_the_same_result", "seed what is random"),
     "writes into the photos": ({"before": brighten}, "test_leaves_its_inputs_alone", "work on a copy"),
+    "no gradients": (
+        {"spoil": lambda m, v, a: changed(a, harmonics=a.gaussians.harmonics.detach())},
+        "test_a_step_of_training_reaches_the_network",
+        "no gradient arrives",
+    ),
     "falls over grey photos": (
         {"before": divide_by_contrast},
         "test_photos_without_texture_end_in_a_result_or_a_sentence",
@@ -143,6 +149,95 @@ def test_a_network_that_is_not_all_of_it_is_found(complaint):
     assert "register everything the result depends on" in said
 
 
+class Detached(Flat):
+    """Its backbone is in the network, but no gradient gets that far."""
+
+    def __init__(self):
+        super().__init__(
+            lambda me, views, answer: changed(answer, opacities=answer.gaussians.opacities * me.seen(views))
+        )
+        self.gain.backbone = TinyBackbone()
+
+    def seen(self, views):
+        images = views.images[..., :16, :32]
+        return self.gain.backbone(images, views.intrinsics).levels[0].mean().detach().sigmoid()
+
+
+def test_a_backbone_that_learns_nothing_is_found(complaint):
+    claim = "test_a_step_of_training_reaches_the_network"
+    said = complaint(ReconstructorContract, Detached, claim, image_size=(24, 32))
+    assert "no gradient arrives in the backbone 'backbone'" in said
+
+
+WEIGHTS = "test_trained_weights_load_by_the_setting_weights"
+PLUGIN = """
+from pydantic import Field
+from torch import nn
+
+from edit3r import Component, Settings, hookimpl
+from edit3r.geometry.unproject import pixels_to_gaussians
+from edit3r.interfaces import Reconstructor
+from edit3r.training.checkpoint import load_weights
+from edit3r.types import Cameras, Reconstruction
+
+EDIT3R_API = 1
+
+
+class Gain(Reconstructor):
+    class Settings(Settings):
+        {setting}
+
+    def __init__(self, settings):
+        self.settings, self._network = settings, nn.Conv2d(3, 3, 1)
+        {load}
+
+    @property
+    def network(self):
+        return self._network
+
+    def __call__(self, views, source=None):
+        images = self._network(views.images.flatten(0, 1)).sigmoid().unflatten(0, views.images.shape[:2])
+        depths = images.new_full(images[:, :, 0].shape, 3.0)
+        poses = images.new_zeros(*images.shape[:2], 4, 4) + images.new_ones(4).diag()
+        cameras = Cameras(poses, views.intrinsics, views.image_size)
+        return Reconstruction(pixels_to_gaussians(images, depths, cameras, depths / 32, depths / 4), cameras)
+
+
+@hookimpl
+def register_reconstructors():
+    return [Component("{name}", "{module}:Gain", "a gain", min_views=2)]
+"""
+
+
+def _own(folder, name, setting, load):
+    """The attributes of a contract that tries the reconstructor of a plugin file of one's own."""
+    file = folder / f"{name}_plugin.py"
+    file.write_text(PLUGIN.format(name=name, module=file.stem, setting=setting, load=load))
+    return {"component": name, "plugin_files": (file,), "image_size": (24, 32)}
+
+
+SETTING = "weights: str | None = Field(None, description='folder of a training')"
+
+
+def test_weights_that_load_keep_the_contract(tmp_path):
+    load = "None if settings.weights is None else load_weights(self._network, settings.weights)"
+    attributes = _own(tmp_path, "loading", SETTING, load)
+    getattr(type("Bound", (ReconstructorContract,), attributes)(), WEIGHTS)()
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "advice"),
+    [
+        ("without", "pass", "give its class a setting `weights`"),
+        ("ignoring", SETTING, "loaded weights give another result"),
+    ],
+)
+def test_trained_weights_that_cannot_be_used_are_found(tmp_path, name, setting, advice):
+    attributes = _own(tmp_path, name, setting, "pass")
+    with pytest.raises(ContractViolation, match=advice):
+        getattr(type("Bound", (ReconstructorContract,), attributes)(), WEIGHTS)()
+
+
 def test_every_claim_about_reconstructors_can_fail():
     own = {name for name in vars(ReconstructorContract) if name.startswith("test_")}
-    assert own == {claim for _, claim, _ in CASES.values()} | {"test_checkpoint_round_trip"}
+    assert own == {claim for _, claim, _ in CASES.values()} | {"test_checkpoint_round_trip", WEIGHTS}

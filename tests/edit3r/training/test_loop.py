@@ -1,12 +1,17 @@
-"""Signals and the log; what the loop does with a training is tested with the trainers that use it."""
+"""Signals, the log, and a step of the optimiser; the rest is tested with the trainers that use the loop."""
 
 import json
 import os
 import signal
 
 import pytest
+import torch
+from torch import nn
 
-from edit3r.training.loop import Journal, StopRequest
+from edit3r.errors import SettingsError
+from edit3r.interfaces import TrainingJob
+from edit3r.testing.training import tiny_job
+from edit3r.training.loop import Journal, LoopSettings, Recipe, StepLoss, StopRequest, train
 
 
 def _steps(path):
@@ -56,3 +61,67 @@ def test_a_second_interrupt_stops_at_once():
             signal.sigtimedwait([], 1)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+class _Line(Recipe):
+    """Two parts of one weight each, pulled towards the numbers 0, 1, 2, ... of the batches."""
+
+    def __init__(self) -> None:
+        super().__init__(nn.ModuleDict({"old": nn.Linear(1, 1, bias=False), "new": nn.Linear(1, 1, bias=False)}))
+        for parameter in self.network.parameters():
+            nn.init.zeros_(parameter)
+        self.asked: list[int] = []
+
+    def loss(self, step, processes) -> StepLoss:
+        self.asked.append(step)
+        total = sum(-(step + 1) * parameter.sum() for parameter in self.network.parameters())
+        return StepLoss(total, {"pull": total})
+
+    def validate(self, step, processes) -> dict[str, float]:
+        return {}
+
+
+def _trained(tmp_path, monkeypatch, **settings) -> tuple[_Line, list[list[float]], list[list[float]]]:
+    """(recipe, learning rates of the groups by step, gradients of the weights by step)."""
+    recipe, rates, gradients = _Line(), [], []
+    step = torch.optim.AdamW.step
+
+    def spy(optimizer, *args):
+        rates.append([group["lr"] for group in optimizer.param_groups])
+        gradients.append([float(p.grad) for p in recipe.network.parameters()])
+        return step(optimizer, *args)
+
+    monkeypatch.setattr(torch.optim.AdamW, "step", spy)
+    job: TrainingJob = tiny_job(tmp_path)
+    train(recipe, LoopSettings(**{"warmup": 1, "clip": 100, "log_every": 1, **settings}), job)
+    return recipe, rates, gradients
+
+
+def test_a_step_averages_the_gradients_of_its_batches_and_takes_new_ones(tmp_path, monkeypatch):
+    recipe, _, gradients = _trained(tmp_path, monkeypatch, steps=2, accumulate=3)
+    assert recipe.asked == [0, 1, 2, 3, 4, 5]
+    assert gradients == [[-2, -2], [-5, -5]]
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert next(line["pull"] for line in lines if line["kind"] == "train") == 0  # the weights began at 0
+
+
+def test_pretrained_weights_learn_at_their_share_of_the_rate(tmp_path, monkeypatch):
+    _, rates, _ = _trained(tmp_path, monkeypatch, steps=2, lr=0.01, pretrained=["old"], pretrained_rate=0.1)
+    assert rates[0] == pytest.approx([0.01, 0.001])
+    recipe, _, _ = _trained(tmp_path, monkeypatch, steps=1, lr=0.01, pretrained=["old"], pretrained_rate=0.1)
+    assert recipe.network["new"].weight.item() == pytest.approx(10 * recipe.network["old"].weight.item(), rel=1e-3)
+
+
+def test_the_rate_falls_to_the_floor_which_all_weights_share(tmp_path, monkeypatch):
+    """As in NoPoSplat: a tenth of the highest rate, where weights at a tenth of it already are and stay."""
+    chosen = {"lr": 0.01, "pretrained": ["old"], "pretrained_rate": 0.1, "floor": 0.1}
+    _, rates, _ = _trained(tmp_path, monkeypatch, steps=50, **chosen)
+    full, slow = zip(*rates)
+    assert full[0] == pytest.approx(0.01) and full[-1] == pytest.approx(0.001, rel=0.02)
+    assert list(full[1:]) == sorted(full[1:], reverse=True)
+    assert slow == pytest.approx([0.001] * 50)
+
+
+def test_pretrained_weights_that_do_not_exist_are_an_error_that_lists_those_that_do(tmp_path, monkeypatch):
+    with pytest.raises(SettingsError, match=r"no weight's name begins with 'trunk'; there are new, old"):
+        _trained(tmp_path, monkeypatch, steps=1, pretrained=["trunk"])

@@ -1,5 +1,8 @@
 import torch
-from edit3r_model.edit_colour import change_of, fit_colour_maps
+from edit3r_model.edit_colour import change_of, edits_disagree, fit_colour_maps
+
+from edit3r.geometry.cameras import pixel_grid
+from edit3r.geometry.warping import Correspondences
 
 torch.manual_seed(0)
 PHOTOS = torch.rand(2, 3, 16, 16)
@@ -25,3 +28,66 @@ def test_a_plain_surface_gets_the_offset_and_no_slope():
 
 def test_stride_gives_one_map_a_cell():
     assert fit_colour_maps(PHOTOS, 1 - PHOTOS, stride=4).shape == (2, 12, 4, 4)
+
+
+SIZE = (40, 48)
+PAIR = torch.nn.functional.interpolate(torch.rand(1, 6, 10, 12), SIZE, mode="bicubic").clamp(0, 1).unflatten(1, (2, 3))
+PAIR[:, 1] = PAIR[:, 0]  # one scene, seen twice from the same place
+SAME_PLACE = Correspondences(
+    pixel_grid(SIZE, PAIR).expand(1, 2, *SIZE, 2), torch.ones(1, 2, *SIZE), torch.zeros(1, 2, *SIZE)
+)
+OBJECT = torch.zeros(1, 1, *SIZE)
+OBJECT[..., 10:30, 12:36] = 1
+
+
+def _warmer(images):
+    gain, offset = torch.tensor([[1.0, 0.8, 0.5], [0.1, 0.0, 0.0]])[..., None, None]
+    return (images * gain + offset).clamp(0, 1)
+
+
+def _edited(reference, other):
+    """What each view shows when `reference` and `other` are made of the object in them."""
+    views = [OBJECT * change(image) + (1 - OBJECT) * image for change, image in zip((reference, other), PAIR[0])]
+    return torch.stack([view[0] for view in views])[None]
+
+
+def test_one_function_of_colour_in_both_views_is_no_disagreement_anywhere():
+    assert (edits_disagree(_warmer(PAIR), PAIR, SAME_PLACE) == 0).all()
+    assert (edits_disagree(_edited(_warmer, _warmer), PAIR, SAME_PLACE) == 0).all()
+
+
+def test_no_edit_at_all_is_no_disagreement_where_anything_could_be_carried():
+    assert not edits_disagree(PAIR, PAIR, SAME_PLACE)[:, 0].any()
+
+
+def test_another_colour_disagrees_all_over_the_object():
+    gap = edits_disagree(_edited(_warmer, lambda image: 1 - image), PAIR, SAME_PLACE)
+    assert (gap[:, 1][OBJECT[:, 0] > 0] == 1).all() and not gap[:, 0].any()
+
+
+def test_an_edit_of_one_view_alone_disagrees():
+    unedited = lambda image: image  # noqa: E731
+    for pair in ((_warmer, unedited), (unedited, _warmer)):
+        assert (edits_disagree(_edited(*pair), PAIR, SAME_PLACE)[:, 1] == 1).all()
+
+
+def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_the_same():
+    edited = _edited(_warmer, _warmer)
+    edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[..., 38:]  # a stripe that is edited in view 1 alone
+    gap = edits_disagree(edited, PAIR, SAME_PLACE)[:, 1]
+    assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
+    elsewhere = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
+    assert not edits_disagree(edited, PAIR, elsewhere)[:, 1].any()  # the reference does not show the place
+
+
+def test_scenes_of_a_batch_do_not_mix():
+    edits = [_edited(_warmer, _warmer), _edited(_warmer, lambda image: 1 - image)]
+    matches = Correspondences(
+        *(
+            getattr(SAME_PLACE, n).expand(2, *[-1] * (getattr(SAME_PLACE, n).ndim - 1))
+            for n in ("coordinates", "inside", "depth_ratio")
+        )
+    )
+    together = edits_disagree(torch.cat(edits), PAIR.expand(2, -1, -1, -1, -1), matches)
+    alone = torch.cat([edits_disagree(edit, PAIR, SAME_PLACE) for edit in edits])
+    assert torch.allclose(together, alone, atol=1e-5)

@@ -2,10 +2,11 @@ import hashlib
 from typing import ClassVar
 
 import pytest
+import skimage.data
 import torch
 import torch.nn.functional as F
-from edit3r_model.small_network import SHIPPED, SmallNetwork, load_network, network_grid, read_card
-from edit3r_model.small_reconstructor import Edit3rReconstructor
+from edit3r_model.small_network import SHIPPED, NetworkOutputs, SmallNetwork, load_network, network_grid, read_card
+from edit3r_model.small_reconstructor import Edit3rReconstructor, assemble
 from safetensors.torch import save_file
 
 from edit3r.config import make_settings
@@ -92,6 +93,93 @@ def test_views_that_agree_stay_as_they_are():
     edited = _recoloured(_views(), (0, 1))
     gap = (_colours(_reconstructor()(edited, _views())) - edited.images[0]).abs()
     assert gap.mean() < 0.02
+
+
+LUMA = torch.tensor([0.299, 0.587, 0.114])
+SEPIA = torch.tensor([[0.393, 0.769, 0.189], [0.349, 0.686, 0.168], [0.272, 0.534, 0.131]])
+COLOUR_MAPS = {
+    "greyscale": lambda images: torch.einsum("c,bvchw->bvhw", LUMA, images)[:, :, None].expand_as(images),
+    "sepia": lambda images: torch.einsum("dc,bvchw->bvdhw", SEPIA, images),
+    "brighter": lambda images: 1.5 * images + 0.05,
+    "gamma": lambda images: images.clamp(min=0) ** 0.6,
+}
+
+
+class _WrongGeometry(_TrueGeometry):
+    """Takes the scene for a wall, so that what matches is mostly wrong."""
+
+    def match(self, views: Views) -> MatchedGeometry:
+        geometry = super().match(views)
+        flat = torch.full_like(geometry.depths, geometry.depths.median())
+        return MatchedGeometry(geometry.c2w, flat, geometry.confidence, geometry.registered)
+
+
+def _photos() -> Views:
+    """Three views of SCENE with the colours of a photograph, in 8 bits as files have them."""
+    texture = torch.from_numpy(skimage.data.astronaut()).float().movedim(-1, 0)[None, :, 60:380, 50:450] / 255
+    photo = F.interpolate(texture, SIZE, mode="area")
+    images = 0.5 * SCENE.views.images + 0.5 * torch.stack([photo.roll(3 * view, -1) for view in range(3)], 1)
+    return Views((images * 255).round() / 255, SCENE.views.intrinsics)
+
+
+@pytest.mark.parametrize("matcher", [_TrueGeometry, _WrongGeometry])
+@pytest.mark.parametrize("name", COLOUR_MAPS)
+def test_one_colour_map_in_every_view_gives_the_edited_photos_own_colours_exactly(name, matcher):
+    views = _photos()
+    edited = Views((COLOUR_MAPS[name](views.images).clamp(0, 1) * 255).round() / 255, views.intrinsics)
+    result = build("reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64)(edited, views)
+    colours = _colours(result, 3)
+    assert torch.allclose(colours, edited.images[0], atol=1e-6)
+    unfused = build("reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64, fuse_edits=False)
+    pixels = 3 * SIZE[0] * SIZE[1]
+    same = unfused(edited, views).gaussians.opacities[:, :pixels]
+    assert torch.equal(result.gaussians.opacities[:, :pixels], same)
+
+
+def test_an_object_recoloured_alike_in_every_view_keeps_each_view_s_own_colours():
+    edited = _recoloured(_views(), (0, 1))
+    gap = (_colours(_reconstructor()(edited, _views()))[1] - edited.images[0, 1]).abs().amax(0)
+    assert (gap[_inside(1)] < 1e-6).float().mean() > 0.5  # all but where the outlines in the views do not meet
+
+
+def test_two_colour_maps_are_drawn_to_the_reference_s():
+    views = _photos()
+    grey, sepia = (COLOUR_MAPS[name](views.images).clamp(0, 1) for name in ("greyscale", "sepia"))
+    images = grey.clone()
+    images[:, 1] = sepia[:, 1]
+    chroma = [
+        value.amax(1) - value.amin(1)
+        for value in (
+            _colours(_reconstructor()(Views(images, views.intrinsics).select(range(2)), views.select(range(2)))),
+            images[0, :2],
+        )
+    ]
+    assert chroma[0][1].mean() < 0.7 * chroma[1][1].mean()
+
+
+def _opacities(edited: Views, less: float) -> torch.Tensor:
+    """`[view, height, width]` of two views whose network says `less` of view 1's opacity wherever edits conflict."""
+    views, zero = _views(), torch.zeros(1, 2, *SIZE)
+    disagreement, choice = zero.clone(), torch.zeros(1, 2, 3, *SIZE)
+    disagreement[:, 1], choice[:, :, 0] = less, 1
+    outputs = NetworkOutputs(zero, zero, zero, disagreement, torch.zeros(1, 2, 12, *SIZE), choice)
+    settings = Edit3rReconstructor.Settings()
+    made = assemble(edited, views, _TrueGeometry().match(views), outputs, settings)
+    return made.gaussians.opacities.reshape(2, *SIZE)
+
+
+def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
+    agreeing, inside = _recoloured(_views(), (0, 1)), _inside(1)
+    images = agreeing.images.clone()
+    images[:, 1] = torch.where(inside, 1 - images[:, 1], images[:, 1])
+    conflicting = Views(images, agreeing.intrinsics)
+    full, fallen = _opacities(conflicting, 0.0), _opacities(conflicting, -2.0)
+    assert (fallen[1][inside] < 0.5 * full[1][inside]).all()
+    assert torch.equal(fallen[0], full[0])
+    away = F.max_pool2d(SCENE.objects[1, 0, 1][None, None], 31, 1, 15)[0, 0] == 0
+    assert torch.equal(fallen[1][away], full[1][away])
+    core = -F.max_pool2d(-inside.float()[None, None], 9, 1, 4)[0, 0] > 0  # the outlines in two views do not quite meet
+    assert torch.equal(_opacities(agreeing, -2.0)[1][core], _opacities(agreeing, 0.0)[1][core])
 
 
 def test_what_lies_away_from_an_edit_stays_bit_for_bit():

@@ -69,6 +69,19 @@ def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(
     assert not torch.allclose(held, moved.means)
 
 
+def test_a_named_reference_wins_over_the_true_surface_and_stays_frozen(tmp_path):
+    job = _job(tmp_path, depths=True)
+    named = MovingReconstructor(job.reconstructor.inner)
+    job = replace(job, reference=named)
+    reference, batch = GeometricReference.of_start(job), _batch(job)
+    held = reference(batch, job.reconstructor(batch.edited).gaussians).means
+    assert torch.equal(held, named(batch.source).gaussians.means.detach())
+    assert not torch.allclose(held, batch.true_centres(), atol=1e-3)
+    before = named.network.weight.detach().clone()
+    RecolorTrainer(RecolorTrainer.Settings(steps=2, batch=1, colour=0, depth=0, opacity=0)).train(job)
+    assert torch.equal(named.network.weight, before) and not named.network.weight.requires_grad
+
+
 def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
     class ByColour(MovingReconstructor):
         """Its centres lie the farther off the brighter the reference is."""

@@ -1,13 +1,16 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from edit3r_training.pixel_losses import pixel_maps
 
 from edit3r.errors import SettingsError
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.types import Gaussians, Reconstruction
+from edit3r.types import Cameras, Gaussians, Reconstruction
 
 VIEWS, HEIGHT, WIDTH = 2, 3, 4
 PIXELS = VIEWS * HEIGHT * WIDTH
+CAMERAS = Cameras(torch.eye(4).repeat(1, VIEWS, 1, 1), torch.eye(3).repeat(1, VIEWS, 1, 1), (HEIGHT, WIDTH))
 
 
 def _reconstruction(count: int) -> Reconstruction:
@@ -23,7 +26,7 @@ def _reconstruction(count: int) -> Reconstruction:
 
 @pytest.mark.parametrize("rim", [0, 5])
 def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_out(rim):
-    maps = pixel_maps(_reconstruction(PIXELS + rim), VIEWS, (HEIGHT, WIDTH))
+    maps = pixel_maps(_reconstruction(PIXELS + rim), CAMERAS)
     expected = torch.arange(PIXELS, dtype=torch.float32).reshape(1, VIEWS, HEIGHT, WIDTH)
     assert torch.allclose(maps.colours[:, :, 0], expected / 100, atol=1e-6)
     assert torch.equal(maps.depths, expected + 1)
@@ -31,4 +34,19 @@ def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_
 
 def test_fewer_gaussians_than_pixels_are_refused():
     with pytest.raises(SettingsError, match=f"{PIXELS - 1} Gaussians for {PIXELS} pixels"):
-        pixel_maps(_reconstruction(PIXELS - 1), VIEWS, (HEIGHT, WIDTH))
+        pixel_maps(_reconstruction(PIXELS - 1), CAMERAS)
+
+
+def test_depths_are_those_in_the_predicted_cameras_or_else_in_the_true_ones():
+    answer = _reconstruction(PIXELS)
+
+    def moved(back: float) -> Cameras:
+        c2w = torch.eye(4).repeat(1, VIEWS, 1, 1)
+        c2w[:, 1, 2, 3] = -back  # view 1 stands that far behind view 0
+        return Cameras(c2w, CAMERAS.intrinsics, CAMERAS.image_size)
+
+    own = answer.gaussians.means[..., 2].reshape(1, VIEWS, HEIGHT, WIDTH)
+    alone = pixel_maps(answer, moved(10)).depths
+    assert torch.equal(alone[:, 0], own[:, 0]) and torch.equal(alone[:, 1], own[:, 1] + 10)
+    placed = pixel_maps(replace(answer, cameras=moved(3)), moved(10)).depths
+    assert torch.equal(placed[:, 1], own[:, 1] + 3)

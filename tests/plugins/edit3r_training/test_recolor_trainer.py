@@ -7,9 +7,11 @@ from typing import ClassVar
 import pytest
 import safetensors.torch
 import torch
+from edit3r_training.asymmetric_inputs import RegimeShares
+from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 
-from edit3r.errors import MatchingError, PluginError
+from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
@@ -17,6 +19,7 @@ from edit3r.testing import TrainerContract
 from edit3r.testing.training import tiny_job
 from edit3r.training.checkpoint import LAST
 from edit3r.training.processes import Processes
+from edit3r.training.schedule import step_generator
 
 
 class TestRecolorTrainer(TrainerContract):
@@ -213,3 +216,66 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     assert (tmp_path / "sheets" / "0000002.png").is_file()
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
+
+
+def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
+    job = tiny_job(tmp_path)
+    given = [job.train_data[index] for index in range(2)]
+    shares, numbers = RegimeShares(unedited=1), [step_generator(0, 0, slot) for slot in range(2)]
+    batch = make_batch(given, shares, numbers, unit="baseline")
+    assert batch.geometry is None  # nobody matched anything
+    assert torch.allclose(batch.context_cameras.c2w[:, -1, :3, 3].norm(dim=-1), torch.ones(2))
+    for item, sample in enumerate(given):
+        unit = sample.context_cameras.c2w[0, -1, :3, 3].norm()
+        assert torch.allclose(batch.depths[item] * unit, sample.context_depths)
+        moved = batch.target_cameras.c2w[item, :, :3, 3] * unit
+        assert torch.allclose(moved, sample.target_cameras.c2w[0, :, :3, 3], atol=1e-6)
+
+
+def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
+    job = tiny_job(tmp_path)
+    _trainer(steps=2, score="renderings", regimes=ONLY_REFERENCE).train(job)
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    (measured,) = [line for line in lines if line["kind"] == "validation"]
+    assert measured["score"] == measured["novel"] > 0 and "uptake" in measured
+    _trainer(steps=2, regimes=ONLY_REFERENCE).train(replace(job, out=tmp_path / "pixels"))
+    lines = [json.loads(line) for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()]
+    assert all("novel" not in line for line in lines)
+
+
+def test_a_score_of_renderings_without_novel_views_is_a_sentence(tmp_path):
+    class ContextAlone:
+        def __init__(self, data) -> None:
+            self.data = data
+
+        def __len__(self) -> int:
+            return len(self.data)
+
+        def __getitem__(self, index: int):
+            sample = self.data[index]
+            fields = {"target": sample.target[:0], "target_masks": sample.target_masks[:, :0]}
+            return replace(sample, **fields, target_cameras=sample.target_cameras.select([]))
+
+    job = tiny_job(tmp_path)
+    job = replace(job, validation_data=ContextAlone(job.validation_data))
+    with pytest.raises(SettingsError, match=r"trainer\.score: renderings need held-out scenes with novel views"):
+        _trainer(steps=1, score="renderings").train(job)
+
+
+def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_path):
+    job = tiny_job(tmp_path)
+    inner = job.reconstructor
+
+    class Half:
+        """Every second pixel alone has a Gaussian."""
+
+        network = inner.network
+
+        def __call__(self, views, source=None):
+            answer = inner(views, source)
+            return replace(answer, gaussians=answer.gaussians.select(torch.arange(0, answer.gaussians.count, 2)))
+
+    job = replace(job, reconstructor=Half(), validation_data=None)
+    before = inner.network.weight.detach().clone()
+    _trainer(steps=1, colour=0, depth=0, opacity=0, render_every=1, drop_first=0).train(job)
+    assert not torch.equal(inner.network.weight, before)
