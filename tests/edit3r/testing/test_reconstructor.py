@@ -175,7 +175,7 @@ from pydantic import Field
 from torch import nn
 
 from edit3r import Component, Settings, hookimpl
-from edit3r.geometry.unproject import pixels_to_gaussians
+from edit3r.geometry.cameras import pixels_to_gaussians
 from edit3r.interfaces import Reconstructor
 from edit3r.training.checkpoint import load_weights
 from edit3r.types import Cameras, Reconstruction
@@ -195,7 +195,7 @@ class Gain(Reconstructor):
     def network(self):
         return self._network
 
-    def __call__(self, views, source=None):
+    def __call__(self, views, source=None, request=None):
         images = self._network(views.images.flatten(0, 1)).sigmoid().unflatten(0, views.images.shape[:2])
         depths = images.new_full(images[:, :, 0].shape, 3.0)
         poses = images.new_zeros(*images.shape[:2], 4, 4) + images.new_ones(4).diag()

@@ -26,6 +26,8 @@ class WithoutDepths:
 class MovingReconstructor:
     """Puts the tiny job's Gaussians at a depth that is learned."""
 
+    takes_geometry = False
+
     def __init__(self, inner) -> None:
         self.inner, self.network = inner, torch.nn.Linear(1, 1)
 

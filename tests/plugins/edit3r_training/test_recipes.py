@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from edit3r.training.job import TrainingConfig, prepare
+from edit3r_training.job import TrainingConfig, prepare
 from edit3r_training.recolor_trainer import RecolorRecipe
 from PIL import Image
 
@@ -144,13 +144,13 @@ def test_a_full_recipe_trains_a_small_network(name, tmp_path):
     network = {"weights": "random", **SMALL}
     small = {"trainer": {"steps": 1, "batch": 1, "device": "cpu"}, "reconstructor": network}
     values = merge(values, small | ({"reference": network} if "reference" in values else {}))
-    prepared = prepare(values, default_registry())
-    best = prepared.trainer.train(prepared.job)
+    trainer, job = prepare(values, default_registry())
+    best = trainer.train(job)
     assert (best / "weights.safetensors").is_file()
-    groups = parameter_groups(prepared.job.reconstructor.network, prepared.trainer.settings)
+    groups = parameter_groups(job.reconstructor.network, trainer.settings)
     assert [rate for rate, _ in groups] == [1.0, 0.1]
     fresh = {id(p) for p in groups[0][1]}
-    named = dict(prepared.job.reconstructor.network.named_parameters())
+    named = dict(job.reconstructor.network.named_parameters())
     begins = {key.split(".")[0] + "." + key.split(".")[1] for key, p in named.items() if id(p) in fresh}
     assert begins == {"backbone.intrinsics_embed", "head.attributes"}  # what MASt3R does not have
 
@@ -162,8 +162,8 @@ def test_half_precision_leaves_weights_and_losses_in_float32(tmp_path):
     totals = {}
     for precision in ("float32", "bfloat16"):
         given = merge(values, {"trainer": {"batch": 1, "precision": precision}, "rasterizer": "torch"})
-        prepared = prepare(given, default_registry(), overwrite=True)
-        recipe = RecolorRecipe(prepared.trainer.settings, prepared.job)
+        trainer, job = prepare(given, default_registry(), overwrite=True)
+        recipe = RecolorRecipe(trainer.settings, job)
         recipe.network.train()
         recipe.begin()
         totals[precision] = recipe.loss(0, Processes()).total

@@ -269,9 +269,11 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
     class Half:
         """Every second pixel alone has a Gaussian."""
 
+        takes_geometry = False
+
         network = inner.network
 
-        def __call__(self, views, source=None):
+        def __call__(self, views, source=None, request=None):
             answer = inner(views, source)
             return replace(answer, gaussians=answer.gaussians.select(torch.arange(0, answer.gaussians.count, 2)))
 
