@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.errors import MissingDependencyError
+from edit3r.layers import GroupNorm, pointwise
 
 FINE_STRIDE = 2
 TOKEN_STRIDE = 4
@@ -43,7 +44,7 @@ class PyramidEncoder(nn.Module):
         half, quarter, eighth = FRONT_CHANNELS
         self.front = Front()
         self.fine = _conv(half + 3 * FINE_STRIDE**2, fine_width)
-        self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), nn.Conv2d(width, width, 1))
+        self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), pointwise(width, width))
 
     def forward(self, images: Float[Tensor, "image 3 height width"]) -> Pyramid:
         images = standardised(images)
@@ -61,7 +62,7 @@ def standardised(images: Float[Tensor, "image 3 height width"]) -> Float[Tensor,
 
 def _conv(inputs: int, outputs: int) -> nn.Sequential:
     """A 3x3 convolution with normalisation and activation."""
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, padding=1), nn.GroupNorm(8, outputs), nn.SiLU())
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, padding=1), GroupNorm(8, outputs), nn.SiLU())
 
 
 class Front(nn.Module):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.geometry.warping import Correspondences, partner_views, warp
+from edit3r.layers import GroupNorm, pointwise
 
 STRIDE = 2
 """Network pixels per token side."""
@@ -41,9 +42,9 @@ class SourceEncoder(nn.Module):
         self.blocks8 = nn.Sequential(
             ResidualBlock(3 * width), GlobalBlock(3 * width), ResidualBlock(3 * width), GlobalBlock(3 * width)
         )
-        self.up4 = nn.Conv2d(3 * width, 2 * width, 1)
+        self.up4 = pointwise(3 * width, 2 * width)
         self.out4 = nn.Sequential(ResidualBlock(2 * width))
-        self.up2 = nn.Conv2d(2 * width, width, 1)
+        self.up2 = pointwise(2 * width, width)
         self.out2 = nn.Sequential(ResidualBlock(width))
         self.corrections = zero_conv(width, 3 * STRIDE**2)
 
@@ -91,7 +92,7 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.norm = nn.GroupNorm(8, width)
+        self.norm = GroupNorm(8, width)
         self.first = nn.Conv2d(width, width, 3, padding=1)
         self.second = nn.Conv2d(width, width, 3, padding=1)
         nn.init.zeros_(self.second.weight)
@@ -107,9 +108,9 @@ class GlobalBlock(nn.Module):
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
         self.heads = heads
-        self.norm = nn.GroupNorm(8, width)
-        self.qkv = nn.Conv2d(width, 3 * width, 1)
-        self.out = nn.Conv2d(width, width, 1)
+        self.norm = GroupNorm(8, width)
+        self.qkv = pointwise(width, 3 * width)
+        self.out = pointwise(width, width)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
@@ -123,7 +124,7 @@ class GlobalBlock(nn.Module):
 
 def zero_conv(inputs: int, outputs: int) -> nn.Conv2d:
     """Return a 1x1 convolution that starts at 0: it adds nothing until it is trained."""
-    conv = nn.Conv2d(inputs, outputs, 1)
+    conv = pointwise(inputs, outputs)
     nn.init.zeros_(conv.weight)
     nn.init.zeros_(conv.bias)
     return conv
