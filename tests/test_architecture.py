@@ -32,7 +32,7 @@ LONG_FUNCTIONS: set[str] = set()
 MANY_PARAMETERS: set[str] = set()
 """Functions that may have more parameters, as 'module.function', each with a reason beside it."""
 
-COMPILED_BY = {"njit", "kernel", "inlined"}
+COMPILED_BY = {"njit", "compiled", "kernel", "inlined"}
 """Decorators of functions that numba compiles: a kernel is one loop, and takes its arrays one by one."""
 
 ORDINARY_WORDS = {

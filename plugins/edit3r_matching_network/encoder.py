@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.errors import MissingDependencyError
+from edit3r.layers import Conv2d, GroupNorm
 
 FINE_STRIDE = 2
 TOKEN_STRIDE = 4
@@ -33,7 +34,7 @@ class PyramidEncoder(nn.Module):
         half, quarter, eighth = FRONT_CHANNELS
         self.front = Front()
         self.fine = _conv(half + 3 * FINE_STRIDE**2, fine_width)
-        self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), nn.Conv2d(width, width, 1))
+        self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), Conv2d(width, width, 1))
 
     def forward(
         self, images: Float[Tensor, "image 3 height width"]
@@ -54,7 +55,7 @@ def standardised(images: Float[Tensor, "image 3 height width"]) -> Float[Tensor,
 
 def _conv(inputs: int, outputs: int) -> nn.Sequential:
     """A 3x3 convolution with normalisation and activation."""
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, padding=1), nn.GroupNorm(8, outputs), nn.SiLU())
+    return nn.Sequential(Conv2d(inputs, outputs, 3, padding=1), GroupNorm(8, outputs), nn.SiLU())
 
 
 class Front(nn.Module):
@@ -94,7 +95,7 @@ class _InvertedBottleneck(nn.Module):
         return narrow + x if self.adds else narrow
 
 
-class _SameConv(nn.Conv2d):
+class _SameConv(Conv2d):
     """Padded as TensorFlow does: an odd pixel goes to the right and below."""
 
     def forward(self, x: Float[Tensor, "image channel height width"]) -> Float[Tensor, "image c h w"]:
@@ -123,7 +124,7 @@ def imagenet_front() -> Front:
 
 
 @torch.no_grad()
-def _fold(conv: nn.Conv2d, state: dict[str, Tensor], name: str, norm: str) -> None:
+def _fold(conv: Conv2d, state: dict[str, Tensor], name: str, norm: str) -> None:
     """A convolution and the batch normalisation after it as one convolution."""
     scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + 1e-3).sqrt()
     conv.weight.copy_(state[f"{name}.weight"] * scale[:, None, None, None])

@@ -132,6 +132,7 @@ def read_bench_manifest(path: str | Path) -> Manifest:
 
 def _check_consistent(manifest: Manifest, path: Path) -> None:
     scenes = [scene.id for scene in manifest.scenes]
+    frames_of = {scene.id: len(scene.frames) for scene in manifest.scenes}
     items = [item.id for item in manifest.items]
     for what, names in (("scene", scenes), ("item", items)):
         for name in names:
@@ -144,8 +145,8 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
             raise InputError(f"{path}: item {item.id!r} names the scene {item.scene!r}, which is not in the manifest.")
         if len(item.inputs) < 1 or len(item.masks) not in (0, len(item.inputs)):
             raise InputError(f"{path}: item {item.id!r} needs input frames, and a mask for each of them or none.")
-        used, frames = (*item.inputs, *item.held_back), len(manifest.scene(item.scene).frames)
-        wrong = [index for index in used if index < 0 or (item.sample is None and index >= frames)]
+        used = (*item.inputs, *item.held_back)
+        wrong = [index for index in used if index < 0 or (item.sample is None and index >= frames_of[item.scene])]
         if wrong:
             raise InputError(f"{path}: item {item.id!r} uses frame {wrong[0]}, which its scene does not have.")
         if len(set(used)) < len(used):

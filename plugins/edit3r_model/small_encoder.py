@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.geometry.warping import Correspondences, partner_views, warp
+from edit3r.layers import Conv2d, GroupNorm
 
 STRIDE = 2
 """Network pixels per token side."""
@@ -33,17 +34,17 @@ class SourceEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.stem = nn.Conv2d(self.INPUTS * STRIDE**2, width, 3, padding=1)
+        self.stem = Conv2d(self.INPUTS * STRIDE**2, width, 3, padding=1)
         self.blocks2 = nn.Sequential(ResidualBlock(width))
-        self.down4 = nn.Conv2d(width, 2 * width, 4, stride=2, padding=1)
+        self.down4 = Conv2d(width, 2 * width, 4, stride=2, padding=1)
         self.blocks4 = nn.Sequential(ResidualBlock(2 * width), ResidualBlock(2 * width))
-        self.down8 = nn.Conv2d(2 * width, 3 * width, 4, stride=2, padding=1)
+        self.down8 = Conv2d(2 * width, 3 * width, 4, stride=2, padding=1)
         self.blocks8 = nn.Sequential(
             ResidualBlock(3 * width), GlobalBlock(3 * width), ResidualBlock(3 * width), GlobalBlock(3 * width)
         )
-        self.up4 = nn.Conv2d(3 * width, 2 * width, 1)
+        self.up4 = Conv2d(3 * width, 2 * width, 1)
         self.out4 = nn.Sequential(ResidualBlock(2 * width))
-        self.up2 = nn.Conv2d(2 * width, width, 1)
+        self.up2 = Conv2d(2 * width, width, 1)
         self.out2 = nn.Sequential(ResidualBlock(width))
         self.corrections = zero_conv(width, 3 * STRIDE**2)
 
@@ -91,9 +92,9 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.norm = nn.GroupNorm(8, width)
-        self.first = nn.Conv2d(width, width, 3, padding=1)
-        self.second = nn.Conv2d(width, width, 3, padding=1)
+        self.norm = GroupNorm(8, width)
+        self.first = Conv2d(width, width, 3, padding=1)
+        self.second = Conv2d(width, width, 3, padding=1)
         nn.init.zeros_(self.second.weight)
         nn.init.zeros_(self.second.bias)
 
@@ -107,9 +108,9 @@ class GlobalBlock(nn.Module):
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
         self.heads = heads
-        self.norm = nn.GroupNorm(8, width)
-        self.qkv = nn.Conv2d(width, 3 * width, 1)
-        self.out = nn.Conv2d(width, width, 1)
+        self.norm = GroupNorm(8, width)
+        self.qkv = Conv2d(width, 3 * width, 1)
+        self.out = Conv2d(width, width, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
@@ -123,7 +124,7 @@ class GlobalBlock(nn.Module):
 
 def zero_conv(inputs: int, outputs: int) -> nn.Conv2d:
     """Return a 1x1 convolution that starts at 0: it adds nothing until it is trained."""
-    conv = nn.Conv2d(inputs, outputs, 1)
+    conv = Conv2d(inputs, outputs, 1)
     nn.init.zeros_(conv.weight)
     nn.init.zeros_(conv.bias)
     return conv
@@ -148,7 +149,7 @@ def convex_upsample(
     return F.pixel_shuffle(mixed.reshape(batch, channels * 4, rows, columns), 2)
 
 
-def convex_upsample_start(conv: nn.Conv2d, first: int) -> None:
+def convex_upsample_start(conv: Conv2d, first: int) -> None:
     """Bias the 36 outputs from `first` on towards the coarse pixel each fine pixel lies in."""
     with torch.no_grad():
         conv.bias[first + 16 : first + 20] = 3.0  # neighbour 4 (the centre) of all four fine pixels

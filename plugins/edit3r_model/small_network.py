@@ -22,7 +22,11 @@ from edit3r import reporting
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences, find_correspondences, warp
+<<<<<<< HEAD
 from edit3r.training.checkpoint import WEIGHTS
+=======
+from edit3r.layers import Conv2d
+>>>>>>> hard
 from edit3r_model.edit_colour import CHANNELS, change_of, fit_colour_maps
 from edit3r_model.small_encoder import (
     STRIDE,
@@ -159,9 +163,9 @@ class EditTransport(nn.Module):
 
     def __init__(self, width: int, head_width: int = 19) -> None:
         super().__init__()
-        self.query = nn.Sequential(nn.Conv2d(width, width, 1), nn.SiLU(), nn.Conv2d(width, HEADS * head_width, 1))
-        self.reach = nn.Conv2d(width, HEADS, 1)
-        self.head_mix = nn.Conv2d(width, HEADS, 1)
+        self.query = nn.Sequential(Conv2d(width, width, 1), nn.SiLU(), Conv2d(width, HEADS * head_width, 1))
+        self.reach = Conv2d(width, HEADS, 1)
+        self.head_mix = Conv2d(width, HEADS, 1)
         self.null = nn.Parameter(torch.zeros(HEADS))
         self.temperature = nn.Parameter(torch.full((HEADS,), 1.5))
         nn.init.zeros_(self.reach.weight)
@@ -242,11 +246,11 @@ class EditFusion(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         inputs = width + 9 + 2 * CHANNELS + HEADS + 9 + 3 + 3 + 7
-        self.enter = nn.Conv2d(inputs, width, 1)
+        self.enter = Conv2d(inputs, width, 1)
         self.fine = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
-        self.down = nn.Conv2d(width, 2 * width, 4, stride=2, padding=1)
+        self.down = Conv2d(width, 2 * width, 4, stride=2, padding=1)
         self.coarse = nn.Sequential(ResidualBlock(2 * width), GlobalBlock(2 * width), ResidualBlock(2 * width))
-        self.up = nn.Conv2d(2 * width, width, 1)
+        self.up = Conv2d(2 * width, width, 1)
         self.out = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
         self.heads = zero_conv(width, 36 + STRIDE**2 * (CANDIDATES + 1))
         convex_upsample_start(self.heads, first=0)
