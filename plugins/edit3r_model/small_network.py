@@ -22,11 +22,8 @@ from edit3r import reporting
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences, find_correspondences, warp
-<<<<<<< HEAD
-from edit3r.training.checkpoint import WEIGHTS
-=======
 from edit3r.layers import Conv2d
->>>>>>> hard
+from edit3r.training.checkpoint import WEIGHTS
 from edit3r_model.edit_colour import CHANNELS, change_of, fit_colour_maps
 from edit3r_model.small_encoder import (
     STRIDE,
