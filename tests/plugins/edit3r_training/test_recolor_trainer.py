@@ -10,6 +10,7 @@ import torch
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
+from edit3r_training.validation import held_out_batches, held_out_measures
 
 from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.interfaces import TrainingJob
@@ -237,6 +238,28 @@ def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
     _trainer(steps=2, regimes=ONLY_REFERENCE).train(replace(job, out=tmp_path / "pixels"))
     lines = [json.loads(line) for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()]
     assert all("novel" not in line for line in lines)
+
+
+def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_path):
+    job, shares = tiny_job(tmp_path), RegimeShares(**ONLY_REFERENCE)
+    batches = held_out_batches(job.validation_data, shares, 4, "baseline")
+    (batch,) = batches
+
+    class Answer:
+        def __init__(self, images) -> None:
+            self.images = images
+
+        def render(self, gaussians, cameras):
+            assert torch.equal(cameras.c2w, batch.target_cameras.c2w)
+            return self
+
+    def score(images) -> float:
+        drawn = replace(job, rasterizer=Answer(images))
+        return held_out_measures(drawn, Processes(), batches, True, None)["score"]
+
+    unedited = torch.stack([sample.target for sample in job.validation_data])
+    assert score(batch.target) == 0 and score(batch.target + 0.1) == pytest.approx(0.01, rel=1e-3)
+    assert score(unedited) > 1e-3
 
 
 def test_a_score_of_renderings_without_novel_views_is_a_sentence(tmp_path):
