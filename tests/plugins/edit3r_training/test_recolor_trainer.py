@@ -1,6 +1,7 @@
 import json
 import os
 import signal
+import threading
 from dataclasses import replace
 from typing import ClassVar
 
@@ -15,7 +16,7 @@ from edit3r_training.validation import held_out_batches, held_out_measures
 from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.reporting import Report, collecting, warn
 from edit3r.testing import TrainerContract
 from edit3r.testing.training import tiny_job
 from edit3r.training.checkpoint import LAST
@@ -213,6 +214,33 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     assert (tmp_path / "sheets" / "0000002.png").is_file()
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
+
+
+def test_workers_load_ahead_and_change_nothing(tmp_path):
+    class Noted:
+        def __init__(self, data) -> None:
+            self.data, self.threads = data, set()
+
+        def __len__(self) -> int:
+            return len(self.data)
+
+        def __getitem__(self, index: int):
+            self.threads.add(threading.get_ident())
+            warn(f"sample {index}")
+            return self.data[index]
+
+    weights, own = [], threading.get_ident()
+    for workers in (0, 2):
+        job = tiny_job(tmp_path / str(workers))
+        data, report = Noted(job.train_data), Report()
+        recipe = RecolorRecipe(RecolorTrainer.Settings(batch=2, workers=workers), replace(job, train_data=data))
+        recipe.begin()
+        data.threads.clear()
+        with collecting(report):
+            total = sum(recipe.loss(step, Processes()).total for step in range(3))
+        assert (own in data.threads) == (workers == 0) and report.warnings
+        weights.append(float(total.detach()))
+    assert weights[0] == weights[1]
 
 
 def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
