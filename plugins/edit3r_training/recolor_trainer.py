@@ -7,6 +7,8 @@ With nothing edited, novel views alone rendered and `unit: baseline` it is the f
 """
 
 import copy
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -17,7 +19,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.errors import SettingsError
-from edit3r.interfaces import LossInputs, Reconstructor, Trainer, TrainingJob
+from edit3r.interfaces import LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r.training.processes import Processes
 from edit3r.training.schedule import batch_indices, step_generator
@@ -48,6 +50,9 @@ class RecolorTrainer(Trainer):
         precision: Literal["float32", "bfloat16"] = Field(
             "float32", description="of the network's products; weights, renderings and losses stay float32"
         )
+        workers: int = Field(
+            0, ge=0, le=64, description="threads that load the next batch's samples meanwhile; 0: when they are needed"
+        )
         score: Literal["pixels", "renderings"] = Field(
             "pixels", description="what makes the best weights: errors pixel by pixel, or of rendered novel views"
         )
@@ -69,6 +74,8 @@ class RecolorRecipe(Recipe):
         super().__init__(job.reconstructor.network)
         self.settings, self.job = settings, job
         self._reference = GeometricReference()
+        self._loader = ThreadPoolExecutor(settings.workers) if settings.workers else None
+        self._ahead: dict[int, list[Future[SceneSample]]] = {}  # samples being loaded, by step
 
     def begin(self) -> None:
         """Freeze the geometric reference while the network has its start weights."""
@@ -88,11 +95,27 @@ class RecolorRecipe(Recipe):
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who draws them."""
-        data, size, seed = self.job.train_data, self.settings.batch, self.settings.seed
-        indices = batch_indices(step, size, len(data), seed, processes.rank, processes.count)
+        size, seed = self.settings.batch, self.settings.seed
         generators = [step_generator(seed, step, processes.rank * size + slot) for slot in range(size)]
-        samples = [data[index] for index in indices]
+        samples = self._samples(step, processes)
         return make_batch(samples, self.settings.regimes, generators, self.settings.unit).to(self.device)
+
+    def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
+        """The samples of a step; with workers, those of the next are begun."""
+        if self._loader is None:
+            return [self.job.train_data[index] for index in self._indices(step, processes)]
+        for wanted in (step, step + 1):
+            if wanted not in self._ahead:
+                self._ahead[wanted] = [self._begun(index) for index in self._indices(wanted, processes)]
+        return [future.result() for future in self._ahead.pop(step)]
+
+    def _begun(self, index: int) -> "Future[SceneSample]":
+        """A sample that a worker loads; what it warns of is collected as if it were loaded here."""
+        return self._loader.submit(copy_context().run, self.job.train_data.__getitem__, index)
+
+    def _indices(self, step: int, processes: Processes) -> list[int]:
+        chosen, length = self.settings, len(self.job.train_data)
+        return batch_indices(step, chosen.batch, length, chosen.seed, processes.rank, processes.count)
 
     def _terms(self, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from edit3r.errors import InputError, RunError
-from edit3r.training.checkpoint import TrainingState, copied_weights
+from edit3r.training.checkpoint import WEIGHTS, TrainingState, copied_weights, load_weights, save_weights
 
 
 def _state(width: int = 3) -> TrainingState:
@@ -129,3 +129,19 @@ def test_a_failed_write_leaves_the_last_checkpoint_whole(tmp_path, monkeypatch):
         state.save(tmp_path / "last.pt")
     assert (tmp_path / "last.pt").read_bytes() == whole
     assert [p.name for p in tmp_path.iterdir()] == ["last.pt"]
+
+
+def test_trained_weights_are_read_from_the_file_or_its_folder(tmp_path):
+    network = torch.nn.Linear(2, 3)
+    save_weights(tmp_path / "best" / WEIGHTS, network.state_dict())
+    for path in (tmp_path / "best", tmp_path / "best" / WEIGHTS):
+        other = torch.nn.Linear(2, 3)
+        load_weights(other, path)
+        assert torch.equal(other.weight, network.weight)
+
+
+@pytest.mark.parametrize(("name", "reason"), [("none", "no such weights"), ("best", "not weights of this network")])
+def test_weights_that_are_missing_or_another_network_s_are_an_input_error(tmp_path, name, reason):
+    save_weights(tmp_path / "best" / WEIGHTS, torch.nn.Linear(2, 3).state_dict())
+    with pytest.raises(InputError, match=reason):
+        load_weights(torch.nn.Linear(2, 4), tmp_path / name)

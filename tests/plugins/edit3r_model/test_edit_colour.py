@@ -1,3 +1,4 @@
+import pytest
 import torch
 from edit3r_model.edit_colour import change_of, edits_disagree, fit_colour_maps
 
@@ -78,6 +79,32 @@ def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_th
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
     elsewhere = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
     assert not edits_disagree(edited, PAIR, elsewhere)[:, 1].any()  # the reference does not show the place
+
+
+def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too():
+    edited = _edited(_warmer, _warmer)
+    edited[:, 0, :, :, 38:] = _warmer(PAIR[:, 0])[..., 38:]
+    gap = edits_disagree(edited, PAIR, SAME_PLACE)[:, 1]
+    assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
+
+
+@pytest.mark.parametrize(
+    "other", [lambda s: 1 - s, lambda s: s + 2 * (_warmer(s) - s)], ids=["another", "twice as much"]
+)
+def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing_else_does(other):
+    edited = _edited(_warmer, _warmer)
+    patch = (slice(None), 1, slice(None), slice(14, 20), slice(16, 22))
+    edited[patch] = other(PAIR[patch]).clamp(0, 1)
+    gap = edits_disagree(edited, PAIR, SAME_PLACE)[0, 1]
+    assert (gap[14:20, 16:22] > 0.9).float().mean() > 0.9
+    assert (gap[14:20, 15] > 0.9).all() or (gap[13, 16:22] > 0.9).all()  # one pixel around it, the reach at this size
+    away = torch.ones(SIZE, dtype=torch.bool)
+    away[13:21, 15:23] = False
+    assert not gap[away].any()
+
+
+def test_a_steep_curve_is_one_function_of_colour_too():
+    assert not edits_disagree(PAIR**0.55, PAIR, SAME_PLACE).any()
 
 
 def test_scenes_of_a_batch_do_not_mix():

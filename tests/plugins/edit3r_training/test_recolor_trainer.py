@@ -1,6 +1,7 @@
 import json
 import os
 import signal
+import threading
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,11 +11,12 @@ import torch
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
+from edit3r_training.validation import held_out_batches, held_out_measures
 
 from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.interfaces import TrainingJob
 from edit3r.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.reporting import Report, collecting, warn
 from edit3r.testing import TrainerContract
 from edit3r.testing.training import tiny_job
 from edit3r.training.checkpoint import LAST
@@ -218,6 +220,33 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
 
 
+def test_workers_load_ahead_and_change_nothing(tmp_path):
+    class Noted:
+        def __init__(self, data) -> None:
+            self.data, self.threads = data, set()
+
+        def __len__(self) -> int:
+            return len(self.data)
+
+        def __getitem__(self, index: int):
+            self.threads.add(threading.get_ident())
+            warn(f"sample {index}")
+            return self.data[index]
+
+    weights, own = [], threading.get_ident()
+    for workers in (0, 2):
+        job = tiny_job(tmp_path / str(workers))
+        data, report = Noted(job.train_data), Report()
+        recipe = RecolorRecipe(RecolorTrainer.Settings(batch=2, workers=workers), replace(job, train_data=data))
+        recipe.begin()
+        data.threads.clear()
+        with collecting(report):
+            total = sum(recipe.loss(step, Processes()).total for step in range(3))
+        assert (own in data.threads) == (workers == 0) and report.warnings
+        weights.append(float(total.detach()))
+    assert weights[0] == weights[1]
+
+
 def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
     job = tiny_job(tmp_path)
     given = [job.train_data[index] for index in range(2)]
@@ -241,6 +270,28 @@ def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
     _trainer(steps=2, regimes=ONLY_REFERENCE).train(replace(job, out=tmp_path / "pixels"))
     lines = [json.loads(line) for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()]
     assert all("novel" not in line for line in lines)
+
+
+def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_path):
+    job, shares = tiny_job(tmp_path), RegimeShares(**ONLY_REFERENCE)
+    batches = held_out_batches(job.validation_data, shares, 4, "baseline")
+    (batch,) = batches
+
+    class Answer:
+        def __init__(self, images) -> None:
+            self.images = images
+
+        def render(self, gaussians, cameras):
+            assert torch.equal(cameras.c2w, batch.target_cameras.c2w)
+            return self
+
+    def score(images) -> float:
+        drawn = replace(job, rasterizer=Answer(images))
+        return held_out_measures(drawn, Processes(), batches, True, None)["score"]
+
+    unedited = torch.stack([sample.target for sample in job.validation_data])
+    assert score(batch.target) == 0 and score(batch.target + 0.1) == pytest.approx(0.01, rel=1e-3)
+    assert score(unedited) > 1e-3
 
 
 def test_a_score_of_renderings_without_novel_views_is_a_sentence(tmp_path):
