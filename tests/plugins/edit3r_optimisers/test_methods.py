@@ -30,6 +30,8 @@ CLAIMS = (
     "test_leaves_its_inputs_alone",
     "test_photos_without_texture_end_in_a_result_or_a_sentence",
     "test_checkpoint_round_trip",
+    "test_a_step_of_training_reaches_the_network",
+    "test_trained_weights_load_by_the_setting_weights",
 )
 
 

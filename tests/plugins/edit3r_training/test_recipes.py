@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,11 +90,12 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     assert 0 < max(gaps) < 0.01  # two small steps from there, not another random start
 
 
-def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
+def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path, request):
     """The one that the documentation shows: `--plugin` for the training, its setting `weights` for the result."""
     page = (Path(__file__).parents[3] / "docs/plugins/reconstructor.md").read_text()
     plugin = tmp_path / "learned.py"
     plugin.write_text(re.search(r'```python title="learned.py"\n(.*?)```', page, re.DOTALL).group(1))
+    request.addfinalizer(lambda: sys.modules.pop("learned", None))  # other tests load a file of this name too
     data = {"name": "procedural", "image_size": 32, "scenes": 2, "textures": 8}
     config = {
         "trainer": {"name": "recolor", "steps": 1, "batch": 1, "unit": "baseline", "warmup": 1, "lr": 0.01},
