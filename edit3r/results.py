@@ -41,9 +41,11 @@ def write(
     folder = RunFolder(root)
     report = result.report
     with collecting(report), torch.no_grad():
-        with report.stage("render"):
+        with report.stage("render"), ThreadPoolExecutor(1) as pool:
+            saving = pool.submit(result.cache.save, root / CACHE)  # compresses while the frames are drawn
             path = path_around(result.cameras, result.rendered, config.frames)
             frames = _frames(result.rasterizer, result.gaussians, path)
+            saving.result()
         with report.stage("write files"):
             _write_images(folder, result, frames)
             _write_scene(folder, result)
@@ -52,7 +54,6 @@ def write(
             save_video(folder.video, frames, VIDEO_FPS)
             title = config.prompt or "edit3r scene"
             save_viewer(folder.viewer, result.gaussians, result.cameras, title=title, names=result.photos.names)
-            result.cache.save(root / CACHE)
             note_views(result.photos)
             note("edits", list(result.prompts))
     write_manifest(folder.manifest, _manifest(result, photos, masks, config))

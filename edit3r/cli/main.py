@@ -9,14 +9,14 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import edit3r
 from edit3r.cli import COMMANDS
-from edit3r.command import Command
-from edit3r.config import Settings
 from edit3r.errors import Edit3rError, RunError, is_out_of_memory, suggest
-from edit3r.registry import default_registry
-from edit3r.run_config import DEFAULTS
+
+if TYPE_CHECKING:
+    from edit3r.command import Command
 
 
 class UsageError(Edit3rError):
@@ -87,8 +87,11 @@ def _dispatch(argv: list[str]) -> int:
     return command.main(parse(parser, rest)) or 0
 
 
-def find_command(name: str) -> Command:
+def find_command(name: str) -> "Command":
     """Build the command called `name`; plugins are loaded only for one that the core does not have."""
+    from edit3r.config import Settings
+    from edit3r.registry import default_registry
+
     own = {component.name: component for component in COMMANDS}
     if name in own:
         module, _, attribute = own[name].target.partition(":")
@@ -109,7 +112,9 @@ def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Nam
 
 def _overview() -> str:
     """The text of `edit3r --help`: every command with its summary."""
-    offers = default_registry().offers("command")
+    from edit3r.plugins import load_plugins  # not the registry, whose settings take a tenth of a second to load
+
+    offers = [offer for offer in load_plugins().offers if offer.kind == "command"]
     rows = sorted({(c.name, c.summary) for c in (*COMMANDS, *(offer.component for offer in offers))})
     width = max(len(name) for name, _ in rows)
     listed = "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
@@ -117,7 +122,7 @@ def _overview() -> str:
         f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
         "usage: edit3r COMMAND [options]\n\n"
         f"{listed}\n\n"
-        f"Start with: edit3r run --editor {DEFAULTS['editor']} --recon {DEFAULTS['reconstructor']}\n"
+        "Start with: edit3r run\n"
         "Each command explains itself: edit3r run --help"
     )
 
