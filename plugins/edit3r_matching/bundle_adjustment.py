@@ -14,6 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, project, rays_through, triangulate
+from edit3r_matching.registration import MIN_PARALLAX
 
 _AT_TERM = signal.getsignal(signal.SIGTERM)
 import pycolmap  # noqa: E402
@@ -30,8 +31,6 @@ LOOSE = 4.0
 """How many times the threshold a point may be off its pixel in the first round."""
 LEAST_POINTS = 20
 """Points below which nothing is adjusted."""
-LEAST_PARALLAX = 0.4
-"""Angle between two rays below which they make no point [degrees]."""
 
 Tracks = list[dict[int, int]]  # view: keypoint, of each track
 
@@ -112,11 +111,16 @@ def _scene(
     return scene
 
 
-def _point(track: dict[int, int], images, keypoints, poses: dict[int, Pose]) -> Float[np.ndarray, "3"] | None:
+def _point(
+    track: dict[int, int],
+    images: Sequence[CalibratedImage],
+    keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
+    poses: dict[int, Pose],
+) -> Float[np.ndarray, "3"] | None:
     """The point of a track, from its two views that see it from the most different sides; None where there is none."""
     views = sorted(track)
     rays = {view: rays_through(keypoints[view][track[view]][None], images[view].intrinsics) for view in views}
-    best, found = LEAST_PARALLAX, None
+    best, found = MIN_PARALLAX, None
     for i, a in enumerate(views):
         for b in views[i + 1 :]:
             pose = poses[b].after(poses[a].inverse())

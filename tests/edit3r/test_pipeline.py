@@ -1,13 +1,14 @@
 """The pipeline's promises, with small editors and reconstructors made here."""
 
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
 
 from edit3r.api import run
 from edit3r.errors import InputError, PluginError, SettingsError
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.interfaces import Editor, Reconstructor
 from edit3r.pipeline import composite
 from edit3r.reporting import Report
@@ -168,6 +169,27 @@ def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(vie
     counting = recon()
     run(views, "x", editor=Invert(), recon=counting, masks=masks, rasterizer="torch")
     assert counting.calls == asked
+
+
+class LeavingOut(Flat):
+    """Could not place view 1 of three."""
+
+    def __call__(self, views, source=None, request=None):
+        placed = torch.tensor([[True, False, True]])
+        return replace(super().__call__(views), placed=placed, measured=torch.tensor([[1.0, 0.0, 0.5]]))
+
+
+def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
+    three = Views(torch.rand(1, 3, 3, 6, 8), views.intrinsics[:, [0, 0, 0]], ("a", "b", "c"))
+    masks = torch.ones(1, 3, 6, 8)
+    result = run(three, "x", editor=Invert(), recon=LeavingOut(), masks=masks, rasterizer="torch")
+    assert result.photos.names == result.edited.names == ("a", "c") and result.left_out.names == ("b",)
+    assert result.cameras.count == 2 and result.request.masks.shape[1] == 2
+    assert result.gaussians.view_index.unique().tolist() == [0, 1] and result.gaussians.count == 2 * 6 * 8
+    colours = dc_to_colour(result.gaussians.from_view(1).harmonics[0, :, 0])
+    assert torch.allclose(colours, (1 - three.images[0, 2]).flatten(1).T, atol=1e-6)
+    assert result.verdict.placed == (True, False, True) and result.verdict.input_psnr[1] is None
+    assert result.verdict.filled == (0.0, None, 0.5)
 
 
 def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_last(views):
