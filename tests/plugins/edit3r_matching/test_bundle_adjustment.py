@@ -8,8 +8,11 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
+from edit3r_matching import registration
 from edit3r_matching.bundle_adjustment import adjust_poses, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project
+from edit3r_matching.features import Keypoints
+from edit3r_matching.registration import FoundFeatures
 
 VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
 
@@ -107,3 +110,18 @@ def test_a_process_that_is_ended_prints_no_stack_trace():
     process.stdout.readline()
     process.terminate()
     assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
+
+
+def test_registration_settles_its_poses_so(scene, monkeypatch):
+    """What `register` returns is what `adjust_poses` makes of the views placed one after the other."""
+    images, keypoints, matches, _ = scene
+    rng = np.random.default_rng(3)
+    noisy = tuple(Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32)) for p in keypoints)
+    found = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
+    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self: None)
+    raw = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
+    agreeing = {pair: view.indices for pair, view in raw.pairs.items()}
+    limit = 2 * max(SIZE) / 256
+    settled = adjust_poses(images, [keys.points for keys in noisy], agreeing, dict(enumerate(raw.poses)), limit)
+    assert all(np.allclose(found.poses[v].matrix, settled[v].matrix) for v in range(VIEWS))
+    assert not all(np.allclose(found.poses[v].matrix, raw.poses[v].matrix, atol=1e-4) for v in range(VIEWS))
