@@ -48,6 +48,8 @@ class Editor(Configured, ABC):
     gives_attention: bool = False  # True: it has `attention`
     references: int = 0  # how many views, from the first, its other views look at; 0: each is edited by itself
     takes_depth: bool = False  # True: it reads depth from its part `matcher`, which another may take the place of
+    needs_masks: bool = False  # True: what it changes is told by masks alone
+    changes_shape: bool = False  # True: things come or go, so the edited views are matched, not the photos
 
     @abstractmethod
     def edit(self, views: Views, request: EditRequest) -> Views:

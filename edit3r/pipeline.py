@@ -18,7 +18,7 @@ from torch import Tensor
 from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError
+from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
@@ -89,7 +89,7 @@ def run(
             edited = _edit(parts.editor, views, request, config.edit_views)
         with report.stage(f"reconstruct ({component_name(parts.reconstructor)})"), torch.no_grad():
             reconstruct = partial(_reconstruct, parts.reconstructor, source, request)
-            scene = reconstruct(edited)
+            scene = _reconstruct(parts.reconstructor, edited if parts.editor.changes_shape else source, request, edited)
             request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
             before = _scene_before(request, parts, reconstruct, source, earlier)
         scene = scene if before is None else replace(scene, cameras=before.cameras)
@@ -181,6 +181,11 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     request = EditRequest(config.prompt, config.seed, masks)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
+        if masks is None and parts.editor.needs_masks:
+            raise PromptError(
+                f"editor {component_name(parts.editor)!r} changes what is masked, and nothing is: give --mask FILE for "
+                "each photo, or --segmenter NAME with a prompt that names the thing."
+            )
         return request
     with torch.no_grad():
         return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter))
@@ -277,7 +282,7 @@ def _scene_before(
     earlier: EarlierRun | None,
 ) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and the edit may not change everything."""
-    needed = any(refiner.needs_before for refiner in parts.refiners)
+    needed = any(refiner.needs_before for refiner in parts.refiners) and not parts.editor.changes_shape
     if not needed or request.masks is None or bool((request.masks > 0).all()):
         return None
     if earlier is not None:
