@@ -9,7 +9,7 @@ from pydantic import Field
 from edit3r.config import Settings
 from edit3r.errors import SettingsError
 from edit3r.io import pretrained
-from edit3r.io.pretrained import Weights
+from edit3r.io.pretrained import ChosenWeights
 from edit3r.reporting import note
 
 NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
@@ -49,7 +49,9 @@ def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, ha
     """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its own."""
     device = pretrained.pick_device(settings.device, photos_on, "editor.device")
     dtype = pick_dtype(settings.dtype, device, half)
-    weights = Weights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
+    weights = ChosenWeights(
+        settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only
+    )
     loaded = pretrained.load_pretrained(pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts)
     loaded.set_progress_bar_config(disable=True)
     _place(loaded, settings, device)
@@ -57,9 +59,9 @@ def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, ha
     return loaded
 
 
-def part_weights(model: str, key: str, settings: DiffusionSettings) -> Weights:
+def part_weights(model: str, key: str, settings: DiffusionSettings) -> ChosenWeights:
     """Name the weights of a part beside the main model; `key` is the setting that says which."""
-    return Weights(model, f"editor.{key}", local_files_only=settings.local_files_only)
+    return ChosenWeights(model, f"editor.{key}", local_files_only=settings.local_files_only)
 
 
 def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> None:
