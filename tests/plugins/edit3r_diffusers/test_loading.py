@@ -16,7 +16,7 @@ def edit_with(views, **settings):
 
 
 def test_a_model_that_was_never_downloaded_is_one_sentence_with_the_command(two_views):
-    with pytest.raises(MissingDependencyError, match=r"hf download timbrooks/instruct-pix2pix"):
+    with pytest.raises(MissingDependencyError, match=r"edit3r weights get instruct-pix2pix"):
         edit_with(two_views, local_files_only=True)
 
 
