@@ -11,8 +11,30 @@ Written from a description of the published network; no code of that family is u
 """
 
 from edit3r import Component, hookimpl
+from edit3r.weights import Weights
 
 EDIT3R_API = 1
+
+_OFFICIAL = (
+    Weights(
+        "edit3r-official",
+        "the authors' Edit3r network, for two views of 512x512",
+        2_500_000_000,
+        "not known before the file is read; NoPoSplat's, from which it descends, are non-commercial",
+        "unclear",
+        "hub:jiagengliu02/edit3r",
+        files=(("edit3r.ckpt", ""),),
+    ),
+    Weights(
+        "noposplat",
+        "NoPoSplat trained on RealEstate10K, for two views of 256x256",
+        2_500_000_000,
+        "not stated; starts from MASt3R's weights, which are CC BY-NC-SA 4.0",
+        "no",
+        "hub:botaoye/NoPoSplat",
+        files=(("re10k.ckpt", ""),),
+    ),
+)
 
 _CITATION = (
     "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
@@ -58,6 +80,7 @@ def register_reconstructors():
         "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,
+        weights=_OFFICIAL,
         citation=_CITATION,
     )
     return (edit3r, noposplat)
