@@ -21,7 +21,7 @@ from edit3r.geometry.surroundings import apron, backdrop
 from edit3r.geometry.warping import Correspondences, find_correspondences, in_front_of_others, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_model.edit_colour import blur, change_of, edits_disagree, near_an_edit
+from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, near_an_edit
 from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
 
 VISIBLE_CHANGE = 0.05
@@ -62,6 +62,12 @@ class Edit3rReconstructor(Reconstructor):
         filled_opacity: float = Field(0.45, gt=0, lt=1, description="before correction, where the depth was filled in")
         lone_opacity: float = Field(
             0.8, gt=0, lt=1, description="before correction, where it was filled in and no other photo shows the place"
+        )
+        conflict_opacity: float = Field(
+            0.35,
+            gt=0,
+            le=1,
+            description="share of its opacity that a view keeps where its edit contradicts the reference's; 1: all",
         )
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
@@ -165,13 +171,15 @@ def assemble(
     depths = geometry.depths * fine.depth_correction.exp()
     matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
     logits = _opacity_logits(geometry, source.intrinsics, matches, settings) + fine.opacity_correction
-    colours = edited.images
+    colours, yielding = edited.images, 1.0
     if settings.fuse_edits:
         near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
         near = near * edits_disagree(edited.images, images, matches)
         colours = fuse_colours(edited.images, images, fine, matches, near)
         logits = logits + near * fine.disagreement
-    opacities = torch.sigmoid(logits)
+        conflict = edits_conflict(edited.images, images, colours.detach(), matches, near)
+        yielding = 1 - (1 - settings.conflict_opacity) * conflict
+    opacities = torch.sigmoid(logits) * yielding
     scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
     cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
     return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
