@@ -49,8 +49,8 @@ FIGURES = {
         "leak": "of the same [sRGB]",
         "disagreement": "opposite edits: |change of view 0's Gaussians - of view 1's| over that of the two edits",
         "kept": "opposite edits: uptake of the first photo's edit by all Gaussians, in the novel view",
-        "conflict_error": "opposite edits: mean |novel view - truth of the first photo's edit| where the edit is [sRGB]",
-        "conflict_opacity": "opposite edits: of view 1's Gaussians where view 0 shows the place, as a share of unedited",
+        "conflict_error": "opposite edits: mean |novel view - truth of the first photo's edit| where it is [sRGB]",
+        "conflict_opacity": "opposite edits: of view 1's Gaussians where view 0 shows the place, over that unedited",
         "edited_psnr": "novel view of the edited scene against its truth [dB], first photo edited alone",
         "unedited_psnr": "the same without an edit [dB]",
     },
@@ -80,6 +80,7 @@ class RenderedView:
     image: Float[np.ndarray, "height width 3"]  # sRGB in [0, 1]
     covered: Bool[np.ndarray, "height width"]
     depth: Float[np.ndarray, "height width"] | None = None  # camera z
+
 
 def views_of(photos: Sequence[Photo]) -> Views:
     """Return one scene (batch 1) of photos that share a size, without their poses."""

@@ -137,7 +137,7 @@ def edits_conflict(
     elsewhere = (after - before).abs().amax(2) > _CHANGE
     own = (edited - source).abs().amax(2)
     left = (fused - after).abs().mean(2) * elsewhere
-    contrary = torch.maximum((own / _CHANGE - 1).clamp(0, 1), (left / _ALIKE - 1).clamp(0, 1))
+    contrary = torch.maximum((own / _CHANGE - 1).clamp(0, 1), (left / (2 * _ALIKE) - 1).clamp(0, 1))
     shown = (matches.depth_ratio < _SAME_SURFACE) | (elsewhere & ((source - before).abs().mean(2) < _ALIKE))
     conflict = disagree * contrary * matches.inside * shown
     conflict[:, 0] = 0
