@@ -132,7 +132,7 @@ class Segmenter(Configured, ABC):
         A segmenter that does not implement this reads positive points and the box only: a prior alone is the answer.
         """
         if not marks.positive and marks.box is None:
-            return _as_proposal(marks.prior)
+            return as_proposal(marks.prior)
         if marks.negative:
             warn(f"segmenter {type(self).__name__} reads no negative points; brush them out of the mask instead.")
         return self.segment(image, marks.positive, marks.box)
@@ -142,7 +142,7 @@ class Segmenter(Configured, ABC):
         return None
 
 
-def _as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
+def as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
     """A mask that somebody gave, as a proposal that is sure of itself."""
     inside = mask > 0.5
     rows, columns = inside.any(1).nonzero()[:, 0], inside.any(0).nonzero()[:, 0]

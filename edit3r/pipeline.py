@@ -18,12 +18,13 @@ from torch import Tensor
 from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError, PromptError
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
+from edit3r.errors import InputError, MatchingError, PromptError
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
-from edit3r.run_config import RunConfig
+from edit3r.run_config import DEFAULTS, RunConfig
+from edit3r.selection import Selection, select_masks
 from edit3r.stage_checks import (
     check_edit,
     check_reconstruction,
@@ -62,7 +63,7 @@ def run(
     views: Views,
     config: RunConfig,
     *,
-    masks: Float[Tensor, "batch view height width"] | None = None,
+    masks: Float[Tensor, "batch view height width"] | Selection | None = None,
     components: Mapping[str, Any] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
@@ -71,7 +72,8 @@ def run(
 ) -> RunResult:
     """Edit `views` as `config` says and reconstruct them in 3D. The same inputs and seed give the same result.
 
-    `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does.
+    `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does. A
+    Selection (clicks, boxes, masks of some views) is turned into them by the segmenter.
     `components` are built objects by kind; they are used instead of those that `config` names. `earlier` is a run whose
     edited views are `views`: the new edit goes into its scene. Raises InputError for views or masks that do not fit the
     reconstructor, and PluginError for a component that breaks its contract.
@@ -81,6 +83,7 @@ def run(
         require_device(config.device)
         with report.stage("load components"):
             parts = _Components(config, registry or default_registry(), components or {})
+            masks = _masks_of(masks, parts, views.to(config.device)) if isinstance(masks, Selection) else masks
             views, masks = _views_for(parts.reconstructor, views, masks, config.device)
         earlier = earlier.to(views.images.device) if earlier is not None else None
         source = views if earlier is None else earlier.photos
@@ -137,6 +140,14 @@ class _Components:
         return self._built("rasterizer")
 
     @property
+    def any_segmenter(self) -> Segmenter:
+        """The segmenter asked for, else the editor's own, else the usual one."""
+        if self._config.segmenter is not None or "segmenter" in self._given:
+            return self._segmenter
+        own = getattr(self.editor, "parts", {}).get("segmenter")
+        return own or self._registry.build_choice("segmenter", PartChoice(name=DEFAULTS["segmenter"]), {})
+
+    @property
     def own_segmenter(self) -> Any | None:
         """The segmenter asked for, where the editor has no use for one; None otherwise."""
         offer = getattr(self.editor, "offer", None)
@@ -152,6 +163,19 @@ class _Components:
             return self._given[kind]
         choice: PartChoice = getattr(self._config, kind)
         return self._registry.build_choice(kind, choice, parts)
+
+
+def _masks_of(selection: Selection, parts: _Components, views: Views) -> Float[Tensor, "1 view height width"]:
+    """Masks of what a user selected, carried between views by the reconstructor's own matcher where it has one."""
+    matcher, geometry = getattr(parts.reconstructor, "parts", {}).get("matcher"), None
+    if matcher is not None and views.count > 1 and len(set(selection.masks)) < views.count:
+        try:
+            geometry = matcher.match(views)
+        except MatchingError as error:
+            warn(f"masks are carried by what the photos show, not by geometry: {error}")
+    with torch.no_grad():
+        selected = select_masks(views.images[0], selection, parts.any_segmenter, geometry, views.intrinsics)
+    return selected.masks.transpose(0, 1)
 
 
 def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None, device: str) -> tuple[Views, Tensor | None]:
@@ -178,7 +202,7 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
     from edit3r.mask_from_prompt import masks_from_prompt
 
-    request = EditRequest(config.prompt, config.seed, masks)
+    request = EditRequest(config.prompt, config.seed, masks, config.guess)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
         if masks is None and parts.editor.needs_masks:
@@ -188,7 +212,7 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
             )
         return request
     with torch.no_grad():
-        return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter))
+        return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter, config.guess))
 
 
 def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:

@@ -26,6 +26,9 @@ class RunConfig(Settings):
     segmenter: PartChoice | None = Field(
         None, description="finds what the prompt is about, if it reads words; default: the editor's own"
     )
+    guess: bool = Field(
+        False, description="take what stands out most where the segmenter does not know the words for the object"
+    )
     refiners: tuple[PartChoice, ...] = Field(
         tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
         description="steps after reconstruction, in order; --gaussians and --refine add theirs at the end",

@@ -5,7 +5,7 @@ from edit3r.weights import Weights
 
 EDIT3R_API = 1
 
-_U2NETP = Weights(
+U2NETP = Weights(
     "u2netp",
     "what stands out in a photo (U²-Net, small)",
     4_574_861,
@@ -51,7 +51,7 @@ def register_segmenters():
         name="classical",
         target="edit3r_segmenters.classical:ClassicalSegmenter",
         summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
-        weights=(_U2NETP,),
+        weights=(U2NETP,),
     )
     sam2 = Component(
         name="sam2",
