@@ -32,6 +32,7 @@ __all__ = ["colours_before", "save_viewer", "viewer_page"]
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; beyond it browsers get slow to sort
 LEAST_STEP = 0.01  # of a harmonic: one of this size changes a colour by less than a step of 8 bits
 SAME_DEPTH = 1.05  # what lies farther than so many times the depth seen is hidden
+SAME_COLOUR = 0.1  # largest difference to the edited photo of what was made from that pixel
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 
 
@@ -91,20 +92,22 @@ def colours_before(
     """Return the colours that the Gaussians of an edited scene would have without the edit (sRGB, one scene).
 
     To a Gaussian's colour comes the difference, photo less edited photo, at the pixel where the view it came from shows
-    it, or the first view that does for those of no view. What no view shows keeps the colour it has: a stand-in, not
-    the scene before the edit, whose shapes may have been others.
+    it, or the first view that does for those of no view. One counts as shown where nothing lies before it, or where it
+    has the pixel's colour. What no view shows keeps the colour it has: a stand-in, not the scene before the edit, whose
+    shapes may have been others.
     """
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     left = torch.ones_like(gaussians.view_index, dtype=torch.bool)
     for view in range(cameras.count):
         pixels, depths = project(gaussians.means[0], cameras.intrinsics[0, view], cameras.c2w[0, view])
         grid = (2 * pixels - 1)[None, None].to(colours)
-        change = (photos.images[:, view] - edited.images[:, view]).to(colours)
-        values = torch.cat((change, rendered.depths[:, view].to(colours)), 1)
+        values = torch.cat((photos.images[:, view], edited.images[:, view], rendered.depths[:, view]), 1).to(colours)
         found = torch.nn.functional.grid_sample(values, grid, padding_mode="border", align_corners=False)[0, :, 0].T
-        inside = (pixels > 0).all(-1) & (pixels < 1).all(-1) & (depths > 0) & (depths < SAME_DEPTH * found[:, 3])
-        mine = inside & left & ((gaussians.view_index == view) | (gaussians.view_index < 0))
-        colours = torch.where(mine[:, None], colours + found[:, :3], colours)
+        photo, edit, depth = found.split((3, 3, 1), 1)
+        alike = (depths < SAME_DEPTH * depth[:, 0]) | ((colours - edit).abs().amax(-1) < SAME_COLOUR)
+        inside = (pixels > 0).all(-1) & (pixels < 1).all(-1) & (depths > 0)
+        mine = alike & inside & left & ((gaussians.view_index == view) | (gaussians.view_index < 0))
+        colours = torch.where(mine[:, None], colours + photo - edit, colours)
         left = left & ~mine
     return colours
 
