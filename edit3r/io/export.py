@@ -86,7 +86,7 @@ def _convert(source: Path, target: Path, *forms: str) -> None:
     except subprocess.TimeoutExpired:
         raise RunError(f"gaussforge gave no answer within {LONGEST} seconds.") from None
     reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with code {done.returncode}"]
-    if "No module named 'gaussforge'" in reason[0]:
+    if "gaussforge" in reason[0] and "ModuleNotFoundError" in reason[0]:
         raise MissingDependencyError(f"{' to '.join(forms)} needs gaussforge; pip install 'edit3r[export]'.")
     if done.returncode or not target.is_file():
         raise RunError(f"gaussforge: {reason[0][:200]}.")
