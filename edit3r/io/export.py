@@ -8,9 +8,11 @@ import struct
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.geometry.harmonics import dc_to_colour
@@ -54,7 +56,7 @@ def export_scene(path: str | Path, gaussians: Gaussians, form: str) -> None:
             return
         with tempfile.TemporaryDirectory() as scratch:
             plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
-            save_ply(plain, gaussians, degree=VIEWER_DEGREE)
+            save_ply(plain, _for_gaussforge(gaussians, form), degree=VIEWER_DEGREE)
             _convert(plain, made, "ply", form.replace("-", "."))
             partial.write_bytes(made.read_bytes())
 
@@ -76,6 +78,18 @@ def load_scene(path: str | Path) -> Gaussians:
             return load_ply(plain, visible=True)
         except (RunError, InputError) as error:
             raise InputError(f"{path}: cannot be read as {found[0]}; {error}".replace(str(plain), "it")) from None
+
+
+def _for_gaussforge(gaussians: Gaussians, form: str) -> Gaussians:
+    """The scene in the order that makes gaussforge 0.6 write it right.
+
+    It writes the harmonics of a compressed PLY by coefficient, where the format (and its own reader) has them by colour.
+    """
+    if form != "compressed-ply":
+        return gaussians
+    kept = gaussians.harmonics[:, :, : (VIEWER_DEGREE + 1) ** 2]
+    by_colour = kept[:, :, 1:].transpose(2, 3).reshape(kept[:, :, 1:].shape)
+    return replace(gaussians, harmonics=torch.cat((kept[:, :, :1], by_colour), 2))
 
 
 def _convert(source: Path, target: Path, *forms: str) -> None:
