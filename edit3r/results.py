@@ -144,7 +144,10 @@ def _manifest(result: "RunResult") -> RunManifest:
     report, config = result.report, result.config
     components = {"editor": result.editor, "reconstructor": result.reconstructor, "rasterizer": result.rasterizer}
     weights = [WeightsRecord(**value) for key, value in report.notes.items() if key.startswith("weights.")]
-    settings: dict[str, Any] = {"run": config.model_dump(), **{k: c.settings for k, c in components.items()}}
+    settings: dict[str, Any] = {
+        "run": config.model_dump(),
+        **{k: getattr(c, "settings", None) for k, c in components.items()},
+    }
     used = set(result.photos.names)
     return RunManifest(
         prompt=config.prompt,

@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 
 from edit3r.errors import InputError
 from edit3r.io.decode import MAX_PIXELS, read_image
-from edit3r.reporting import note, track, warn
+from edit3r.reporting import track, warn
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
 USUAL_FRAMES = 8  # of a video, where no number is asked for
@@ -37,7 +37,7 @@ class Look:
     """What a small copy of a picture shows."""
 
     points: Float[np.ndarray, "feature 2"]  # [picture widths]
-    descriptors: UInt8[np.ndarray, "feature 32"]
+    descriptors: UInt8[np.ndarray, "feature 32"] | None
     sharpness: float  # variance of the Laplacian
 
 
@@ -46,9 +46,7 @@ def choose_photos(files: Sequence[Path], most: int | None) -> list[Path]:
     if most is None or len(files) <= most:
         return list(files)
     looks = [look(np.asarray(read_image(file))) for file in track(list(files), "compare photos")]
-    chosen = [files[index] for index in covering(shared(looks), most)]
-    note("photos.chosen", [file.name for file in chosen])
-    return chosen
+    return [files[index] for index in covering(shared(looks), most)]
 
 
 def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
@@ -57,25 +55,24 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
     The sharpest of each stretch, without those in which nothing has moved, and of these the ones that cover the scene.
     Raises InputError for a file that is no video, or has fewer than two frames that differ.
     """
-    looks, frames, numbers = _sharpest(video, 3 * most)
-    moved = [0] if looks else []
-    for index in range(1, len(looks)):
-        if motion(looks[moved[-1]], looks[index]) >= LEAST_MOTION:
-            moved.append(index)
+    rows = _sharpest(video, 3 * most)
+    moved = rows[:1]
+    for row in rows[1:]:
+        if motion(moved[-1][0], row[0]) >= LEAST_MOTION:
+            moved.append(row)
     if len(moved) < 2:
         raise InputError(f"{video}: shows the scene from one place only; move the camera sideways while filming.")
-    if len(moved) < min(most, len(looks)):
-        warn(f"{video}: {len(looks) - len(moved)} of {len(looks)} frames are left out, nothing has moved in them.")
+    if len(moved) < min(most, len(rows)):
+        warn(f"{video}: {len(rows) - len(moved)} of {len(rows)} frames are left out, nothing has moved in them.")
     folder = Path(tempfile.mkdtemp(prefix="edit3r-video-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     taken = []
-    for index in covering(shared([looks[i] for i in moved]), most):
-        file = folder / f"{video.stem}_{numbers[moved[index]]:05d}.png"
-        if not cv2.imwrite(str(file), frames[moved[index]]):
+    for _, frame, number in (moved[index] for index in covering(shared([row[0] for row in moved]), most)):
+        file = folder / f"{video.stem}_{number:05d}.png"
+        if not cv2.imwrite(str(file), frame):
             raise InputError(f"{video}: a frame of it could not be written to {folder}.")
-        frame_origins[file] = f"{video}, frame {numbers[moved[index]]}"
+        frame_origins[file] = f"{video}, frame {number}"
         taken.append(file)
-    note("video.frames", [frame_origins[file] for file in taken])
     return taken
 
 
@@ -83,10 +80,9 @@ def look(pixels: UInt8[np.ndarray, "height width 3"]) -> Look:
     """Features and sharpness of a picture, measured on a copy of `SIDE` pixels."""
     scale = SIDE / max(pixels.shape[:2])
     grey = cv2.cvtColor(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-    points, descriptors = cv2.ORB_create(FEATURES, fastThreshold=7).detectAndCompute(grey, None)
+    points, descriptors = cv2.ORB_create(FEATURES, fastThreshold=7).detectAndCompute(grey, None)  # None: no feature
     places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) / grey.shape[1]
-    empty = np.zeros((0, 32), np.uint8)
-    return Look(places, empty if descriptors is None else descriptors, float(cv2.Laplacian(grey, cv2.CV_64F).var()))
+    return Look(places, descriptors, float(cv2.Laplacian(grey, cv2.CV_64F).var()))
 
 
 def motion(first: Look, second: Look) -> float:
@@ -123,34 +119,28 @@ def covering(common: Float[np.ndarray, "photo photo"], most: int) -> list[int]:
 
 def _matches(first: Look, second: Look) -> np.ndarray:
     """Index pairs of features that are each other's nearest and alike."""
-    if not len(first.points) or not len(second.points):
+    if first.descriptors is None or second.descriptors is None:
         return np.zeros((0, 2), int)
     found = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(first.descriptors, second.descriptors)
     pairs = [(match.queryIdx, match.trainIdx) for match in found if match.distance < ALIKE]
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
-def _sharpest(video: Path, stretches: int) -> tuple[list[Look], list[np.ndarray], list[int]]:
-    """Looks, pixels (BGR) and numbers of the sharpest frame of each stretch, of the frames that are looked at."""
-    count, step = _frame_count(video), 1
+def _sharpest(video: Path, stretches: int) -> list[tuple[Look, np.ndarray, int]]:
+    """Look, pixels (BGR) and number of the sharpest frame of each stretch, of the frames that are looked at."""
+    count = _frame_count(video)
     stretches = min(stretches, count)
     step = max(1, count // max(MOST_LOOKED_AT, stretches))
     best: dict[int, tuple[Look, np.ndarray, int]] = {}
     capture = cv2.VideoCapture(str(video))
     for number in track(range(count), "read video"):
-        if not capture.grab():
-            break
-        if number % step:
-            continue
-        good, frame = capture.retrieve()
-        if not good:
-            continue
-        seen, stretch = look(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)), number * stretches // count
-        if stretch not in best or seen.sharpness > best[stretch][0].sharpness:
-            best[stretch] = (seen, frame, number)
+        good, frame = capture.retrieve() if capture.grab() and number % step == 0 else (False, None)
+        if good:
+            seen, stretch = look(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)), number * stretches // count
+            if stretch not in best or seen.sharpness > best[stretch][0].sharpness:
+                best[stretch] = (seen, frame, number)
     capture.release()
-    rows = [best[stretch] for stretch in sorted(best)]
-    return [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
+    return [best[stretch] for stretch in sorted(best)]
 
 
 def _frame_count(video: Path) -> int:

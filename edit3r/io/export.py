@@ -83,7 +83,7 @@ def load_scene(path: str | Path) -> Gaussians:
 def _for_gaussforge(gaussians: Gaussians, form: str) -> Gaussians:
     """The scene in the order that makes gaussforge 0.6 write it right.
 
-    It writes the harmonics of a compressed PLY by coefficient, where the format (and its own reader) has them by colour.
+    It writes the harmonics of a compressed PLY by coefficient; the format (and its own reader) has them by colour.
     """
     if form != "compressed-ply":
         return gaussians

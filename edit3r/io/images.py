@@ -90,9 +90,10 @@ def load_views(
     cameras: str | Path | None = None,
     size: int | None = 512,
     names: Sequence[str] | None = None,
+    most: int | None = None,
 ) -> Views:
     """The views of `load_photos`, without the record."""
-    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names).views
+    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names, most=most).views
 
 
 def load_photos(
