@@ -9,6 +9,7 @@ Writing the results to disk is `edit3r.results`. The easy call from Python is `e
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -20,6 +21,7 @@ from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
 from edit3r.errors import InputError, MatchingError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
+from edit3r.io.images import Photo
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
@@ -39,9 +41,9 @@ from edit3r.verdict import Verdict, judge
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
-    """What a run made, in memory."""
+    """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
 
     photos: Views  # the views that were used and placed, unedited
     edited: Views  # after the 2D editor and the mask composite
@@ -51,12 +53,39 @@ class RunResult:
     editor: Editor
     reconstructor: Reconstructor
     rasterizer: Rasterizer
-    rendered: Rendering = field(repr=False)  # the scene from the input views
+    rendered: Rendering  # the scene from the input views
     verdict: Verdict  # how well that shows the edited images
-    report: Report = field(repr=False)
-    cache: Cache = field(repr=False)  # answers that a further run on the same photos need not compute again
+    report: Report
+    cache: Cache  # answers that a further run on the same photos need not compute again
+    config: RunConfig
     prompts: tuple[str, ...] = ()  # the edits so far, those of an earlier run first
-    left_out: Views | None = field(default=None, repr=False)  # photos that could not be placed
+    left_out: Views | None = None  # photos that could not be placed
+    records: tuple[Photo, ...] = ()  # how files became the views; () where none did
+    mask_files: Mapping[str, str] = field(default_factory=dict)  # file: sha256
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write what `edit3r run` leaves into `folder`, which appears whole or not at all, and return it."""
+        from edit3r import results
+        from edit3r.io.atomic import atomic_folder
+
+        with atomic_folder(folder, overwrite) as root:
+            results.write(root, self)
+        return Path(folder)
+
+    def view(self) -> Path:
+        """Open the scene in the browser; returns the page, a temporary file."""
+        from edit3r import results
+
+        return results.open_viewer(self)
+
+    def __repr__(self) -> str:
+        made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
+        return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
+
+    def _repr_html_(self) -> str:
+        from edit3r import results
+
+        return results.as_html(self)
 
 
 def run(
@@ -116,6 +145,7 @@ def run(
         verdict=verdict,
         report=report,
         cache=cache,
+        config=config,
         prompts=(*(earlier.prompts if earlier is not None else ()), config.prompt),
         left_out=source.select(lost) if lost else None,
     )

@@ -4,6 +4,7 @@ import argparse
 import hashlib
 import types
 import typing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,8 +31,8 @@ class RunCommand(Command):
         add(
             "images",
             nargs="*",
-            metavar="IMAGE|FOLDER",
-            help="two or more photos of one scene; default: a packaged pair",
+            metavar="IMAGE|FOLDER|VIDEO",
+            help="two or more photos of one scene, or a video of it; default: a packaged pair",
         )
         add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
         add_setting_flags(parser)
@@ -60,27 +61,36 @@ class RunCommand(Command):
         from edit3r.console import StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
-        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_photos, packaged_pair
+        from edit3r.io.coverage import USUAL_FRAMES, choose_photos
+        from edit3r.io.images import LoadedPhotos, find_photos, load_photos, packaged_pair
         from edit3r.io.masks import load_masks
         from edit3r.quality import note_quality
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
 
-        earlier = read_earlier_run(args.earlier) if args.earlier else None
-        continued = earlier if not args.images else None  # photos that are given are edited from the start
-        images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
-        paths = [Path(record.file) for record in continued.records] if continued else find_photos(images)
+        report = Report()
+        with collecting(report):
+            earlier = read_earlier_run(args.earlier) if args.earlier else None
+            continued = earlier if not args.images else None  # photos that are given are edited from the start
+            images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
+            found = None if continued else find_photos(images, max(USUAL_FRAMES, args.views or 0))
+            paths = found or [Path(record.file) for record in continued.records]
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
         _check_names(registry, config)
         with StageConsole(quiet=args.quiet) as console:
-            report = Report(on_event=console)
+            report.on_event = console
+            for text in report.warnings:
+                report.emit("warn", text)
             with collecting(report), report.stage("read photos"):
-                given = args.mask if len(args.mask) != len(paths) else evenly(args.mask, config.views)
+                used = paths if continued else choose_photos(paths, config.views)
+                given = args.mask
+                if len(given) == len(paths):  # one for each photo, used or not
+                    given = [mask for mask, path in zip(given, paths) if path in used]
                 if continued:
                     photos = LoadedPhotos(continued.edited, continued.records)
                 else:
-                    photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
+                    photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
                 masks = load_masks(given, photos) if given else None
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
@@ -94,7 +104,8 @@ class RunCommand(Command):
                     cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
                     earlier=continued,
                 )
-                results.write(folder, result, photos, hashes, config)
+                result = replace(result, records=photos.photos, mask_files=hashes)
+                results.write(folder, result)
         if not args.quiet:
             print(results.summary(Path(args.out), result))
         if args.strict and result.verdict.label == "failed":
