@@ -125,13 +125,21 @@ def run(
             request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
             before = _scene_before(request, parts, reconstruct, source, earlier)
         scene = scene if before is None else replace(scene, cameras=before.cameras)
-        request = replace(request, before=None if before is None else before.gaussians)
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
-        gaussians = _refine(scene, parts, edited, request, config, report)
+        if before is not None:
+            found = earlier is not None  # the earlier run's scene has been refined
+            kept = before.gaussians if found else _refine(before, parts, source.select(used), request, report)
+            request = replace(request, before=kept)
+        # Views that were not edited would pull the edit back out.
+        shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
+        gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
-            rendered = render_each(parts.rasterizer, gaussians, scene.cameras, "render input views")
-            verdict = judge(edited, rendered, [i in used for i in range(views.count)], scene.measured)
+            first, rendered = (
+                render_each(parts.rasterizer, of, scene.cameras, "render input views")
+                for of in (scene.gaussians, gaussians)
+            )
+            verdict = judge(edited, first, rendered, [i in used for i in range(views.count)], scene.measured)
     return RunResult(
         photos=source.select(used),
         edited=edited,
@@ -346,19 +354,13 @@ def _scene_before(
     return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
 
 
-def _refine(
-    scene: Reconstruction, parts: _Components, edited: Views, request: EditRequest, config: RunConfig, report: Report
-) -> Gaussians:
+def _refine(scene: Reconstruction, parts: _Components, shown: Views, request: EditRequest, report: Report) -> Gaussians:
     """Apply the refiners in order; one that needs the scene before the edit is left out where there is none."""
     gaussians = scene.gaussians
-    refiners = [refiner for refiner in parts.refiners if request.before is not None or not refiner.needs_before]
-    if not refiners:
-        return gaussians
-    # Views that were not edited would pull the edit back out.
-    shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
-    rasterizer = parts.rasterizer
-    for refiner in refiners:
+    for refiner in parts.refiners:
+        if refiner.needs_before and request.before is None:
+            continue
         with report.stage(component_name(refiner)), errors_named_after(refiner):
-            gaussians = refiner(gaussians, scene.cameras, shown, request, rasterizer)
+            gaussians = refiner(gaussians, scene.cameras, shown, request, parts.rasterizer)
         check_refinement(refiner, scene.gaussians, gaussians)
     return gaussians
