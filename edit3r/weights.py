@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from edit3r.errors import InputError, MissingDependencyError, suggest
 
@@ -122,7 +123,10 @@ def at_hand(weights: Weights, chosen: str | Path | None = None) -> Path | None:
     """
     for place in (folder(chosen) / weights.name, _in_hub_cache(weights)):
         stored = [weights.stored(path) for path, _ in weights.files]
-        if place is None or recorded(place) not in ("", weights.revision or recorded(place)):
+        if place is None:
+            continue
+        fetched = record_of(place).get("revision", weights.revision)
+        if weights.revision not in ("", fetched):
             continue
         if all(any(place.glob(path)) for path in stored):
             single = len(stored) == 1 and not set("*?[") & set(stored[0])
@@ -140,11 +144,12 @@ def of_hub(repository: str) -> Weights | None:
     return next((weights for weights in declared().values() if weights.source == f"hub:{repository}"), None)
 
 
-def recorded(place: Path) -> str:
-    """The revision noted beside fetched weights; '' for files that were put there by other means."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        return str(json.loads((place / RECORD).read_text(encoding="utf-8"))["revision"])
-    return ""
+def record_of(place: Path) -> dict[str, Any]:
+    """What was noted beside fetched weights (see RECORD); nothing for files that were put there by other means."""
+    with suppress(OSError, ValueError):
+        record = json.loads((place / RECORD).read_text(encoding="utf-8"))
+        return record if isinstance(record, dict) else {}
+    return {}
 
 
 def _in_hub_cache(weights: Weights) -> Path | None:

