@@ -320,6 +320,13 @@ class Dataset(Configured, torch.utils.data.Dataset, ABC):
     @abstractmethod
     def __getitem__(self, index: int) -> SceneSample: ...
 
+    def at_progress(self, index: int, progress: float) -> SceneSample:
+        """The sample as a training that is `progress` in [0, 1] of its way should see it; by default always the same.
+
+        For data that begins easy and gets harder; `data[index]` is the sample at the end.
+        """
+        return self[index]
+
 
 @dataclass(frozen=True)
 class TrainingJob:

@@ -127,19 +127,12 @@ def run(
         scene = scene if before is None else replace(scene, cameras=before.cameras)
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
-        if before is not None:
-            found = earlier is not None  # the earlier run's scene has been refined
-            kept = before.gaussians if found else _refine(before, parts, source.select(used), request, report)
-            request = replace(request, before=kept)
+        request = _with_before(request, before, parts, source.select(used), report, earlier)
         # Views that were not edited would pull the edit back out.
         shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
         gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
-            first, rendered = (
-                render_each(parts.rasterizer, of, scene.cameras, "render input views")
-                for of in (scene.gaussians, gaussians)
-            )
-            verdict = judge(edited, first, rendered, [i in used for i in range(views.count)], scene.measured)
+            verdict, rendered = _judged(scene, gaussians, edited, [i in used for i in range(views.count)], parts)
     return RunResult(
         photos=source.select(used),
         edited=edited,
@@ -157,6 +150,31 @@ def run(
         prompts=(*(earlier.prompts if earlier is not None else ()), config.prompt),
         left_out=source.select(lost) if lost else None,
     )
+
+
+def _with_before(
+    request: EditRequest,
+    before: Reconstruction | None,
+    parts: "_Components",
+    source: Views,
+    report: Report,
+    earlier: EarlierRun | None,
+) -> EditRequest:
+    """The request with the scene as it was before the edit, refined as the edited one is; an earlier run's has been."""
+    if before is None:
+        return request
+    kept = before.gaussians if earlier is not None else _refine(before, parts, source, request, report)
+    return replace(request, before=kept)
+
+
+def _judged(
+    scene: Reconstruction, gaussians: Gaussians, edited: Views, placed: list[bool], parts: "_Components"
+) -> tuple[Verdict, Rendering]:
+    """The verdict, and the refined scene as the input views show it."""
+    first, rendered = (
+        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+    )
+    return judge(edited, first, rendered, placed, scene.measured), rendered
 
 
 class _Components:

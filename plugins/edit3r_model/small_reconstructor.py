@@ -25,6 +25,7 @@ from edit3r.registry import build
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, near_an_edit
 from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
+from edit3r_model.surface import discs
 
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
@@ -83,6 +84,9 @@ class Edit3rReconstructor(Reconstructor):
         )
         backdrop: float = Field(
             0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+        thickness: float = Field(
+            0.3, gt=0, le=1, description="of a Gaussian across the surface, over its size along it; 1: round"
         )
         footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
@@ -203,12 +207,13 @@ def assemble(
         near = near * edits_disagree(edited.images, images, matches)
         colours = fuse_colours(edited.images, images, fine, matches, near)
         logits = logits + near * fine.disagreement
-        conflict = edits_conflict(edited.images, images, colours.detach(), matches, near)
+        conflict = edits_conflict(edited.images, images, matches, near)
         yielding = 1 - (1 - settings.conflict_opacity) * conflict
     opacities = torch.sigmoid(logits) * yielding
     scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
     cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
-    return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
+    gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacities)
+    return Reconstruction(discs(gaussians, tuple(depths.shape[1:]), settings.thickness), cameras)
 
 
 def fuse_colours(

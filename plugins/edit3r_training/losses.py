@@ -56,6 +56,28 @@ class CenterLoss(Loss):
         return F.smooth_l1_loss(inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta)
 
 
+class PointsLoss(Loss):
+    """Mean distance of every centre to its reference, each cloud in the unit of its own mean distance from view 0.
+
+    Point distillation of NoPoSplat's first stage from another model's points; the nearest and farthest are left out.
+    """
+
+    class Settings(Settings):
+        outliers: float = Field(0.002, ge=0, lt=0.5, description="share of the reference's points left out at each end")
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+        _require(inputs, "points", "gaussians", "reference")
+        ours, theirs = (
+            c.means / c.means.norm(dim=-1).mean(1)[:, None, None] for c in (inputs.gaussians, inputs.reference)
+        )
+        far = theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]  # rank by distance, in [0, 1)
+        kept = (far >= self.settings.outliers) & (far < 1 - self.settings.outliers)
+        return (ours - theirs)[kept].norm(dim=-1).mean()
+
+
 class GeometryLoss(Loss):
     """Mean pairwise Chamfer-L1 distance of at most `samples` random centres a view (L_geom).
 
