@@ -153,14 +153,20 @@ def contact_sheet(tiles: list, width: int = 260, columns: int = 8) -> Image.Imag
     pictures = []
     for text, image, truth, mask, clicks in tiles:
         shown = image * 0.55
-        for colour, region in (((0, 200, 0), mask & truth), ((255, 0, 0), truth & ~mask), ((0, 80, 255), mask & ~truth)):
+        for colour, region in (
+            ((0, 200, 0), mask & truth),
+            ((255, 0, 0), truth & ~mask),
+            ((0, 80, 255), mask & ~truth),
+        ):
             shown[region] += 0.45 * np.array(colour)
         picture = Image.fromarray(shown.clip(0, 255).astype(np.uint8)).resize((width, 190))
         draw = ImageDraw.Draw(picture)
         for kind, places in clicks.items():
             for _, x, y in places:
                 left, top = x * width - 3, y * 190 - 3
-                draw.ellipse((left, top, left + 6, top + 6), fill="white" if kind == "positive" else "black", outline="red")
+                draw.ellipse(
+                    (left, top, left + 6, top + 6), fill="white" if kind == "positive" else "black", outline="red"
+                )
         draw.text((3, 2), text, fill="yellow")
         pictures.append(picture)
     sheet = Image.new("RGB", (columns * width, -(-len(pictures) // columns) * 190))

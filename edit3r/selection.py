@@ -79,7 +79,7 @@ def select_masks(
         if view not in work.masks:
             work.carry(view)
     how = tuple(work.how[view] for view in range(len(images)))
-    note("selection.how", list(how))
+    note("selection", {"points": selection.positive, "not": selection.negative, "boxes": selection.boxes, "how": how})
     for text in work.warnings:
         warn(text)
     return Selected(torch.stack([work.masks[view] for view in range(len(images))])[:, None], how, tuple(work.warnings))

@@ -69,6 +69,15 @@ def register_segmenters():
 
 
 @hookimpl
+def register_commands():
+    return Component(
+        name="mask",
+        target="edit3r_segmenters.command:MaskCommand",
+        summary="masks of the object that clicks, a box or words mean, before anything is reconstructed",
+    )
+
+
+@hookimpl
 def register_detectors():
     return Component(
         name="grounding-dino",
