@@ -1,15 +1,16 @@
 """The jobs folder: everything the app knows is a file in it, so that a reload or a restart loses nothing.
 
-    NAME/                 a set of photos (`NAME/images`, as `edit3r run NAME` takes it) or the folder of a run
-    .edit3r-app/NAME.json what was asked for in run NAME, and what came of it; without one, a run of the command line
-    .edit3r-app/NAME.log  the child process's progress, one line of JSON an event
-    .edit3r-app/NAME/     its masks, or the marks on a set of photos
+NAME/                 a set of photos (`NAME/images`, as `edit3r run NAME` takes it) or the folder of a run
+.edit3r-app/NAME.json what was asked for in run NAME, and what came of it; without one, a run of the command line
+.edit3r-app/NAME.log  the child process's progress, one line of JSON an event
+.edit3r-app/NAME/     its masks, or the marks on a set of photos
 """
 
 import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +19,6 @@ from pydantic import TypeAdapter
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
 from edit3r.io.images import SUFFIXES, find_photos, is_plain_name, unique_names
-from edit3r.io.run_folder import RunFolder
 
 PRIVATE = ".edit3r-app"
 State = Literal["queued", "running", "done", "failed", "cancelled"]
@@ -67,7 +67,9 @@ class JobsFolder:
         try:
             self.private.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{self.root}: cannot be the jobs folder ({error.strerror}); give --jobs another.") from None
+            raise InputError(
+                f"{self.root}: cannot be the jobs folder ({error.strerror}); give --jobs another."
+            ) from None
 
     def path(self, name: str) -> Path:
         """Folder of a set of photos or a run. Raises InputError for anything that is no name of one."""
@@ -182,9 +184,14 @@ class JobsFolder:
 def manifest_of(run: Path) -> dict[str, Any]:
     """Content of a run's run.json; empty where it cannot be read, since the folder may come from a stranger."""
     try:
-        content = json.loads(RunFolder(run).manifest.read_text(encoding="utf-8"))
+        return _read_manifest(run / "run.json", (run / "run.json").stat().st_mtime_ns)
     except (OSError, ValueError, RecursionError):
         return {}
+
+
+@lru_cache(maxsize=1024)
+def _read_manifest(path: Path, changed: int) -> dict[str, Any]:
+    content = json.loads(path.read_text(encoding="utf-8"))
     return content if isinstance(content, dict) else {}
 
 
@@ -198,7 +205,9 @@ def undo(history: list[Job], at: str) -> str | None:
 
 def redo(history: list[Job], at: str) -> str | None:
     """The newest finished edit made from `at`; None where there is none."""
-    after = [job.name for job in history if job.parent == at and job.state == "done" and job.name not in (at, job.scene)]
+    after = [
+        job.name for job in history if job.parent == at and job.state == "done" and job.name not in (at, job.scene)
+    ]
     return after[-1] if after else None
 
 

@@ -114,7 +114,9 @@ def command_of(folder: JobsFolder, job: Job) -> list[str]:
 class Runner:
     """Works off the queued jobs of a folder, in the order of asking, one at a time."""
 
-    def __init__(self, folder: JobsFolder, program: tuple[str, ...] = (sys.executable, "-m", "edit3r.cli.main")) -> None:
+    def __init__(
+        self, folder: JobsFolder, program: tuple[str, ...] = (sys.executable, "-m", "edit3r.cli.main")
+    ) -> None:
         self.folder, self.program = folder, program
         self._child: subprocess.Popen | None = None
         self._stopping = threading.Event()
@@ -124,7 +126,9 @@ class Runner:
             try:
                 fcntl.flock(self._server, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                raise InputError(f"{folder.root}: another `edit3r app` works in this folder; give --jobs another.") from None
+                raise InputError(
+                    f"{folder.root}: another `edit3r app` works in this folder; give --jobs another."
+                ) from None
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def start(self) -> None:
@@ -141,6 +145,11 @@ class Runner:
                 self._end(job)
                 self.folder.write(replace(job, state="queued", pid=0))
         self._server.close()
+
+    def submit(self, job: Job, masks: int) -> None:
+        """Queue a job whose masks have been written."""
+        with self._changing:
+            self.folder.write(replace(job, state="queued", masks=masks))
 
     def cancel(self, name: str) -> None:
         """End a running job or take a queued one out of the queue; its record stays."""

@@ -6,10 +6,12 @@ The name that the browser tells is a label: what is made of it is never a path. 
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from pathlib import Path
 
-from edit3r.errors import InputError
+from edit3r.errors import Edit3rError, InputError
 from edit3r.io.decode import READABLE, decode
 from edit3r.io.images import SUFFIXES, unique_names
 from edit3r_app.jobs import JobsFolder
@@ -52,7 +54,7 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     """Keep the file `draft` as a photo of the scene, under a name made from `name`; the same picture only once."""
     try:
         decode(draft)
-    except InputError as error:
+    except Edit3rError as error:
         raise InputError(str(error).replace(str(draft), _label(name))) from None
     photos, digest = folder.photos(scene), _digest(draft)
     refuse_unwanted(folder, scene, name, draft.stat().st_size)
@@ -74,9 +76,30 @@ def remove(folder: JobsFolder, scene: str, index: int) -> None:
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return hashlib.sha256(file.read()).hexdigest()
 
 
 def _label(name: str) -> str:
-    """The last part of whatever path the browser told, for messages."""
-    return unique_names([name.replace("\\", "/").rpartition("/")[2] or "photo"])[0]
+    """The last part of whatever path the browser told, as a file name, for messages."""
+    stem, dot, suffix = (name.replace("\\", "/").rpartition("/")[2] or "photo").rpartition(".")
+    return ".".join(unique_names([part])[0] for part in (stem[:200], suffix[:12]) if part) if dot else suffix[:200]
+
+
+def discard(folder: JobsFolder, scene: str) -> None:
+    """Take away a set of photos that holds none."""
+    with suppress(OSError):
+        (folder.path(scene) / "images").rmdir()
+        folder.path(scene).rmdir()
+
+
+def copied(folder: JobsFolder, name: str, photos: list[Path]) -> str:
+    """Make a new set of photos from files of this machine, and return its name."""
+    scene = folder.new_scene(name)
+    for photo in photos:
+        draft = folder.private / f"upload-{secrets.token_hex(8)}"
+        try:
+            shutil.copyfile(photo, draft)
+            accept(folder, scene, photo.name, draft)
+        finally:
+            draft.unlink(missing_ok=True)
+    return scene
