@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from edit3r_app.jobs import Job, JobsFolder
@@ -13,7 +14,12 @@ from edit3r_app.runner import Progress, Runner, command_of, read_progress, time_
 
 from edit3r.errors import InputError
 
-QUICK = "import sys, pathlib; out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1]); out.mkdir(); (out / 'run.json').write_text('{}')"
+QUICK = """
+import pathlib, sys
+out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])
+out.mkdir()
+(out / 'run.json').write_text('{}')
+"""
 SLOW = """
 import pathlib, sys, time
 out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])
@@ -146,7 +152,7 @@ def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
     assert str(photo) in command and "--from" not in command
     assert [path.rpartition("/")[2] for path in command[command.index("--mask") + 1 :]] == ["000.png", "001.png"]
     settings = command[command.index("--config") + 1]
-    assert open(settings).read() == "prompt: gold\nsize: 96\n"
+    assert Path(settings).read_text() == "prompt: gold\nsize: 96\n"
     command = command_of(folder, queued(folder, scene, parent=scene))
     assert command[command.index("--from") + 1] == str(folder.path(scene)) and str(photo) not in command
 

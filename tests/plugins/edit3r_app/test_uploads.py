@@ -149,7 +149,7 @@ def test_three_hundred_files_end_at_the_limit(folder, scene):
 def test_photos_keep_their_bytes_and_equal_names_are_numbered(folder, scene):
     first, second = picture("JPEG", seed=1), picture("JPEG", seed=2)
     kept = [send(folder, scene, "a.JPG", content) for content in (first, second, first)]
-    assert [path.name for path in kept] == ["a.jpg", "a-1.jpg", "a.jpg"]
+    assert [path.name for path in kept] == ["a.jpg", "a-2.jpg", "a.jpg"]
     assert kept[0].read_bytes() == first and kept[1].read_bytes() == second
 
 
