@@ -52,11 +52,12 @@ class RunCommand(Command):
         )
         add("--strict", action="store_true", help="end with exit code 1 when the verdict on the result is 'failed'")
         add("--quiet", action="store_true", help="print errors only")
+        add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import pipeline, results
         from edit3r.cache import Cache
-        from edit3r.console import StageConsole
+        from edit3r.console import JsonLines, StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
         from edit3r.io.coverage import USUAL_FRAMES, choose_photos
@@ -75,7 +76,7 @@ class RunCommand(Command):
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
         _check_names(registry, config)
-        with StageConsole(quiet=args.quiet) as console:
+        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             report.on_event = console
             for text in report.warnings:
                 report.emit("warn", text)
