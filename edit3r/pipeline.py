@@ -96,18 +96,13 @@ def run(
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         if before is not None:
-            found = earlier is not None  # the earlier run's scene has been refined
-            kept = before.gaussians if found else _refine(before, parts, source.select(used), request, report)
-            request = replace(request, before=kept)
+            old = before.gaussians if earlier else _refine(before, parts, source.select(used), request, report)
+            request = replace(request, before=old)
         # Views that were not edited would pull the edit back out.
         shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
         gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
-            first, rendered = (
-                render_each(parts.rasterizer, of, scene.cameras, "render input views")
-                for of in (scene.gaussians, gaussians)
-            )
-            verdict = judge(edited, first, rendered, [i in used for i in range(views.count)], scene.measured)
+            rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
     return RunResult(
         photos=source.select(used),
         edited=edited,
@@ -305,3 +300,13 @@ def _refine(scene: Reconstruction, parts: _Components, shown: Views, request: Ed
             gaussians = refiner(gaussians, scene.cameras, shown, request, parts.rasterizer)
         check_refinement(refiner, scene.gaussians, gaussians)
     return gaussians
+
+
+def _judged(
+    parts: _Components, scene: Reconstruction, gaussians: Gaussians, edited: Views, placed: list[bool]
+) -> tuple[Rendering, Verdict]:
+    """The refined scene from its input views, and the verdict."""
+    first, rendered = (
+        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+    )
+    return rendered, judge(edited, first, rendered, placed, scene.measured)

@@ -21,6 +21,7 @@ from edit3r.rendering import path_around, render_one
 from edit3r.reporting import collecting, note, track, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, Gaussians
+from edit3r.verdict import WORST_PSNR
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
@@ -43,7 +44,7 @@ def write(
     with collecting(report), torch.no_grad():
         with report.stage("render"), ThreadPoolExecutor(1) as pool:
             saving = pool.submit(result.cache.save, root / CACHE)  # compresses while the frames are drawn
-            path = path_around(result.cameras, result.rendered, config.frames)
+            path = path_around(result.cameras.select(_good_views(result)), result.rendered, config.frames)
             frames = _frames(result.rasterizer, result.gaussians, path)
             saving.result()
         with report.stage("write files"):
@@ -57,6 +58,13 @@ def write(
             note_views(result.photos)
             note("edits", list(result.prompts))
     write_manifest(folder.manifest, _manifest(result, photos, masks, config))
+
+
+def _good_views(result: "RunResult") -> list[int]:
+    """View 0 and the views whose photos fit the others; the camera path stays near these."""
+    agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
+    good = [view for view, psnr in enumerate(agreement) if view == 0 or psnr >= WORST_PSNR["fair"]]
+    return good if len(good) > 1 else list(range(result.cameras.count))
 
 
 def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
@@ -131,7 +139,10 @@ def summary(out: Path, result: "RunResult") -> str:
     """Where to look first, for the end of a run on the command line."""
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
-    made = f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s"
+    height, width = result.cameras.image_size
+    preset = result.report.notes.get("quality", {}).get("preset") or "default"
+    made = f"{preset} settings at {width}x{height}: {result.gaussians.count:,} Gaussians from "
+    made += f"{result.photos.count} photos in {seconds:.1f} s"
     return (
         f"{result.verdict.label}: {result.verdict.reason}\n"
         f"{made}; {_field_of_view(result)}\n"
