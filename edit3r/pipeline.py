@@ -132,7 +132,7 @@ def run(
         shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
         gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
-            verdict, rendered = _judged(scene, gaussians, edited, [i in used for i in range(views.count)], parts)
+            rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
     return RunResult(
         photos=source.select(used),
         edited=edited,
@@ -165,16 +165,6 @@ def _with_before(
         return request
     kept = before.gaussians if earlier is not None else _refine(before, parts, source, request, report)
     return replace(request, before=kept)
-
-
-def _judged(
-    scene: Reconstruction, gaussians: Gaussians, edited: Views, placed: list[bool], parts: "_Components"
-) -> tuple[Verdict, Rendering]:
-    """The verdict, and the refined scene as the input views show it."""
-    first, rendered = (
-        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
-    )
-    return judge(edited, first, rendered, placed, scene.measured), rendered
 
 
 class _Components:
@@ -382,3 +372,13 @@ def _refine(scene: Reconstruction, parts: _Components, shown: Views, request: Ed
             gaussians = refiner(gaussians, scene.cameras, shown, request, parts.rasterizer)
         check_refinement(refiner, scene.gaussians, gaussians)
     return gaussians
+
+
+def _judged(
+    parts: _Components, scene: Reconstruction, gaussians: Gaussians, edited: Views, placed: list[bool]
+) -> tuple[Rendering, Verdict]:
+    """The refined scene from its input views, and the verdict."""
+    first, rendered = (
+        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+    )
+    return rendered, judge(edited, first, rendered, placed, scene.measured)
