@@ -1,6 +1,7 @@
 """Depth of every pixel of every registered view: plane sweep, cross-check, completion, and back to the images' size."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,7 +16,10 @@ from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plan
 from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import aggregate, best_plane
 
-__all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
+if TYPE_CHECKING:
+    from edit3r_matching.depth_network import DepthNetwork
+
+__all__ = ["DepthSettings", "chosen_network", "inverse_depth_range", "measure_depths", "sweep_depth"]
 
 
 class DepthSettings(config.Settings):
@@ -26,6 +30,18 @@ class DepthSettings(config.Settings):
     )
     planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
     neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
+    depth_weights: str = Field(
+        "none", description="network that weighs the hypotheses: 'none', or a file of `edit3r train training/depth`"
+    )
+
+
+def chosen_network(settings: DepthSettings) -> "DepthNetwork | None":
+    """The network that the settings name; None for 'none'."""
+    if settings.depth_weights == "none":
+        return None
+    from edit3r_matching.depth_network import load_depth_network  # torch's layers, only where they are used
+
+    return load_depth_network(settings.depth_weights)
 
 
 def measure_depths(

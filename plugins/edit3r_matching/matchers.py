@@ -18,7 +18,7 @@ from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
-from edit3r_matching.depth_maps import DepthSettings, measure_depths
+from edit3r_matching.depth_maps import DepthSettings, chosen_network, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
 from edit3r_matching.relative_pose import Matches
 
@@ -50,6 +50,7 @@ class ClassicalMatcher(Matcher):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self.depth_network = chosen_network(settings)
 
     @remembered
     def match(self, views: Views) -> MatchedGeometry:
