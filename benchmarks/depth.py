@@ -203,7 +203,10 @@ def ceiling(truth: Truth, pair: tuple[int, int], c2w: np.ndarray) -> dict:
 def built(description: str, posed: bool):
     """A matcher from `NAME key=value ...`; with true poses the matcher `posed` with the same depth settings."""
     name, *settings = description.split()
-    values = {key: json.loads(value) if value[0] in "0123456789[{tf" else value for key, value in (s.split("=", 1) for s in settings)}
+    values = {
+        key: json.loads(value) if value[0] in "0123456789[{tf" else value
+        for key, value in (s.split("=", 1) for s in settings)
+    }
     return edit3r.build("matcher", "posed" if posed else name, **values)
 
 
@@ -259,7 +262,9 @@ def table(rows: list[dict]) -> str:
     for by in ("class", "scene"):
         for group in dict.fromkeys(row[by] for row in rows):
             for poses, matcher in keys:
-                chosen = [r for r in rows if r[by] == group and (r["poses"], r["matcher"]) == (poses, matcher) and "3" in r]
+                chosen = [
+                    r for r in rows if r[by] == group and (r["poses"], r["matcher"]) == (poses, matcher) and "3" in r
+                ]
                 if chosen:
                     three, ten = (100 * np.mean([row[k] for row in chosen]) for k in ("3", "10"))
                     lines.append(f"{group:18} {poses:5} {matcher:30} {len(chosen):3} {three:5.1f} {ten:5.1f}")

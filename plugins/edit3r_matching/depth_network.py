@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -26,6 +27,10 @@ STRIDE = 4
 GROUPS = 8
 CLASSICAL = 3
 """Volumes of classical costs: mean and least matching cost of a cell, aggregated cost."""
+LEAST = -12.0
+"""Log-probability below which planes do not differ."""
+AROUND = 2.0
+"""Planes within which two depths are one."""
 SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
 
 
@@ -53,15 +58,23 @@ class DepthNetwork(nn.Module):
 
         `grids`: where the cells' centres appear in the other views if they lie on each plane, -1 to 1 inside.
         """
-        features = self._features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
-        own = features[:, 0]
-        planes = classical.shape[2]
-        guide = self.guide(own)[:, :, None].expand(-1, -1, planes, -1, -1)
+        features = self.features_of(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+        return self.weigh(features.unbind(1), grids, classical)
+
+    def weigh(
+        self,
+        features: Sequence[Float[Tensor, "batch channel h w"]],
+        grids: Float[Tensor, "batch other plane h w 2"],
+        classical: Float[Tensor, "batch 3 plane h w"],
+    ) -> Float[Tensor, "batch plane h w"]:
+        """The same from the features of the views, view 0 first; others may have other sizes."""
+        guide = self.guide(features[0])[:, :, None].expand(-1, -1, classical.shape[2], -1, -1)
         volume = torch.cat((classical, correlation(features, grids), guide), 1)
         logits = self.regulariser(volume)[:, 0] - self.sharpness.exp() * classical[:, 2]
         return logits.log_softmax(1)
 
-    def _features(self, images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image channel h w"]:
+    def features_of(self, images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image channel h w"]:
+        """Features of each cell; sides are multiples of 8."""
         images = standardised(images)
         with torch.no_grad():
             _, quarter, eighth = self.front(images)
@@ -112,19 +125,17 @@ def _conv(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def correlation(
-    features: Float[Tensor, "batch view channel h w"], grids: Float[Tensor, "batch other plane h w 2"]
+    features: Sequence[Float[Tensor, "batch channel h w"]], grids: Float[Tensor, "batch other plane h w 2"]
 ) -> Float[Tensor, "batch group plane h w"]:
     """Cosine of view 0's features with the others', by groups of channels, and the share of the others that see it."""
-    unit = F.normalize(features.unflatten(2, (GROUPS, -1)), dim=3)
-    own, total, seen = unit[:, 0][:, :, :, None], 0, 0
-    for other in range(1, features.shape[1]):
-        grid = grids[:, other - 1]
-        inside = (grid.abs() < 1).all(-1).to(features.dtype)[:, None]
-        planes, height, width = grid.shape[1:4]
-        warped = F.grid_sample(unit[:, other].flatten(1, 2), grid.flatten(1, 2), align_corners=False)
-        warped = warped.unflatten(2, (planes, height)).unflatten(1, (GROUPS, -1))
-        total, seen = total + (own * warped).sum(2) * inside, seen + inside
-    return torch.cat((total / seen.clamp(min=1), seen / (features.shape[1] - 1)), 1)
+    own, *others = (F.normalize(maps.unflatten(1, (GROUPS, -1)), dim=2) for maps in features)
+    total, seen = 0, 0
+    for other, grid in zip(others, grids.unbind(1)):
+        inside = (grid.abs() < 1).all(-1).to(own.dtype)[:, None]
+        warped = F.grid_sample(other.flatten(1, 2), grid.flatten(1, 2), align_corners=False)
+        warped = warped.unflatten(2, grid.shape[1:3]).unflatten(1, (GROUPS, -1))
+        total, seen = total + (own[:, :, :, None] * warped).sum(2) * inside, seen + inside
+    return torch.cat((total / seen.clamp(min=1), seen / len(others)), 1)
 
 
 def cell_costs(
@@ -156,21 +167,68 @@ def cell_grids(
     for neighbour in neighbours:
         k, pose = neighbour.image.intrinsics, neighbour.pose
         points = (k @ pose.rotation @ rays)[None] + (k @ pose.translation)[:, None] * inverse_depths[:, None, None]
-        size = np.array(neighbour.image.size[::-1])[:, None]
+        size = np.array(_padded(neighbour.image.size)[::-1])[:, None]
         place = 2 * points[:, :2] / np.maximum(points[:, 2:], 1e-6) / size - 1
         place = np.where(points[:, 2:] > 1e-6, place, 2).clip(-2, 2)
         grids.append(place.transpose(0, 2, 1).reshape(-1, height, width, 2).astype(np.float32))
     return np.stack(grids)
 
 
-def padded_images(images: Sequence[CalibratedImage]) -> Float[Tensor, "view 3 height width"]:
-    """The images as one tensor with sides that are multiples of 8; the first alone tells the cells."""
-    height, width = (max(image.size[axis] for image in images) for axis in (0, 1))
-    height, width = height + -height % (2 * STRIDE), width + -width % (2 * STRIDE)
-    pads = [((0, height - image.size[0]), (0, width - image.size[1]), (0, 0)) for image in images]
-    return torch.from_numpy(
-        np.stack([np.pad(image.pixels, pad, mode="edge").transpose(2, 0, 1) for image, pad in zip(images, pads)])
-    ).float()
+def _padded(size: tuple[int, int]) -> tuple[int, int]:
+    """Sides up to the next multiple of what the front halves three times."""
+    return size[0] + -size[0] % (2 * STRIDE), size[1] + -size[1] % (2 * STRIDE)
+
+
+@torch.no_grad()
+def plane_log_probabilities(
+    network: DepthNetwork,
+    reference: CalibratedImage,
+    neighbours: Sequence[Neighbour],
+    inverse_depths: Float[np.ndarray, "plane"],
+    cost: Float[np.ndarray, "height width plane"],
+    total: Float[np.ndarray, "height width plane"],
+) -> Float[np.ndarray, "plane h w"]:
+    """The network's answer for each cell of `reference`, from its matching costs and their aggregation."""
+    images = [reference, *(neighbour.image for neighbour in neighbours)]
+    grids = torch.from_numpy(cell_grids(reference, neighbours, inverse_depths))
+    classical = torch.from_numpy(cell_costs(cost, total))
+    features = [network.features_of(_padded_image(image)) for image in images]
+    rows, columns = classical.shape[2:]
+    features[0] = features[0][..., :rows, :columns]
+    return network.weigh(features, grids[None], classical[None])[0].numpy()
+
+
+def log_probabilities(
+    network: DepthNetwork,
+    reference: CalibratedImage,
+    neighbours: Sequence[Neighbour],
+    inverse_depths: Float[np.ndarray, "plane"],
+    cost: Float[np.ndarray, "height width plane"],
+    total: Float[np.ndarray, "height width plane"],
+) -> Float[np.ndarray, "height width plane"]:
+    """The network's answer for every pixel of `reference`, at least LEAST: bilinear between the cells."""
+    cells = plane_log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
+    rows, columns = reference.size
+    size = (cells.shape[2] * STRIDE, cells.shape[1] * STRIDE)
+    logs = np.empty_like(cost)
+    for plane, values in enumerate(np.maximum(cells, LEAST)):
+        logs[:, :, plane] = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    return logs
+
+
+def certainty(
+    logs: Float[np.ndarray, "height width plane"], position: Float[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width"]:
+    """Probability that the depth is within AROUND planes of `position`."""
+    probabilities = np.exp(logs)
+    near = np.abs(np.arange(logs.shape[2], dtype=np.float32) - position[..., None]) <= AROUND
+    return (probabilities * near).sum(2) / probabilities.sum(2)
+
+
+def _padded_image(image: CalibratedImage) -> Float[Tensor, "1 3 height width"]:
+    height, width = _padded(image.size)
+    pad = ((0, height - image.size[0]), (0, width - image.size[1]), (0, 0))
+    return torch.from_numpy(np.pad(image.pixels, pad, mode="edge").transpose(2, 0, 1)[None])
 
 
 @cache

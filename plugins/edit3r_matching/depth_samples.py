@@ -54,7 +54,7 @@ def batch_of(
 ) -> DepthBatch:
     """One batch; number of neighbours and of planes are drawn for all of it."""
     count, views = int(rng.integers(*planes, endpoint=True)), samples[0].context.shape[0]
-    others = 1 if rng.random() < 0.6 else min(2, views - 1)
+    others = 1 if rng.random() < 0.75 else min(2, views - 1)
     rows = [_row(sample, rng, how, count, others) for sample in samples]
     return DepthBatch(*(torch.from_numpy(np.stack(values)) for values in zip(*rows)))
 

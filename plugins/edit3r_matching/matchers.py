@@ -74,7 +74,7 @@ class ClassicalMatcher(Matcher):
         registration = register(images, names, features, chosen.threshold, chosen.seed)
         _report(registration, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
-        maps = (c2w, *measure_depths(images, registration, chosen))
+        maps = (c2w, *measure_depths(images, registration, chosen, self.depth_network))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         in_pixels = torch.from_numpy(np.stack([image.intrinsics for image in images]))
         intrinsics = from_pixels(in_pixels, views.image_size).to(c2w)
@@ -128,7 +128,8 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
-        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
+        network = chosen_network(self.settings)
+        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings, network)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return 1 / inverse, confidence, torch.from_numpy(placed)
 
