@@ -1,8 +1,9 @@
 """What a plugin says about each thing it offers, readable without importing the thing itself."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from edit3r.weights import NAME, Weights
 
 KINDS = (
     "editor",
@@ -20,9 +21,6 @@ KINDS = (
     "command",
 )
 """Every kind of component; each has one hook in `edit3r.hookspecs`, named by `hook_name`."""
-
-
-NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 
 
 def hook_name(kind: str) -> str:
@@ -47,6 +45,7 @@ class Component:
     min_views: int = 1
     max_views: int | None = None  # None: any number
     citation: str = ""
+    weights: tuple[Weights, ...] = ()  # what it can load; `edit3r weights get NAME` fetches them
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
@@ -59,6 +58,8 @@ class Component:
                 raise ValueError(f"{who}: {field} must be text, got {getattr(self, field)!r}")
         for field in ("requires", "parts"):
             object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
+        if not isinstance(self.weights, tuple) or not all(isinstance(item, Weights) for item in self.weights):
+            raise ValueError(f"{who}: weights must be a tuple of edit3r.weights.Weights, got {self.weights!r}")
         unknown = [part for part in self.parts if part not in KINDS]
         if unknown:
             raise ValueError(f"{who}: unknown part kind {unknown[0]!r}; kinds are {', '.join(KINDS)}")

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from edit3r.command import Command
 from edit3r.config import Settings
+from edit3r.reporting import warn
 from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
 
 if TYPE_CHECKING:
@@ -89,6 +90,16 @@ class Tracks:
     present: Bool[Tensor, "view object"]  # False: lost in that view, its logits are all <= 0
 
 
+@dataclass(frozen=True)
+class Marks:
+    """What a user pointed at on one image; places are x and y in [0, 1]."""
+
+    positive: tuple[tuple[float, float], ...] = ()  # on the object
+    negative: tuple[tuple[float, float], ...] = ()  # on what is not the object
+    box: tuple[float, float, float, float] | None = None  # x, y, width, height around it
+    prior: Float[Tensor, "height width"] | None = None  # where it is expected, in [0, 1], as from another view
+
+
 class Segmenter(Configured, ABC):
     """Finds objects on one picture and follows them through other views of the scene."""
 
@@ -113,9 +124,31 @@ class Segmenter(Configured, ABC):
     ) -> Tracks:
         """Follow objects given by soft masks on view 0 through all views; an object not found is reported lost."""
 
+    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
+        """The object that `marks` describe; at least a positive point, a box or a prior is there.
+
+        A segmenter that does not implement this reads positive points and the box only: a prior alone is the answer.
+        """
+        if not marks.positive and marks.box is None:
+            return _as_proposal(marks.prior)
+        if marks.negative:
+            warn(f"segmenter {type(self).__name__} reads no negative points; brush them out of the mask instead.")
+        return self.segment(image, marks.positive, marks.box)
+
     def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...] | None:
         """What `text` (such as "the bike") names, best first; empty when it is not there, None: cannot read text."""
         return None
+
+
+def _as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
+    """A mask that somebody gave, as a proposal that is sure of itself."""
+    inside = mask > 0.5
+    rows, columns = inside.any(1).nonzero()[:, 0], inside.any(0).nonzero()[:, 0]
+    box = (0.0, 0.0, 0.0, 0.0)
+    if len(rows):
+        x, y = int(columns[0]), int(rows[0])
+        box = (float(x), float(y), float(int(columns[-1]) + 1 - x), float(int(rows[-1]) + 1 - y))
+    return Proposal(mask, float(inside.float().mean()), 1.0, 1.0, box)
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ class TrainingState:
     step: int = 0  # steps done
     skipped: int = 0  # steps whose loss or gradient was not finite
     best: float = float("inf")  # lowest validation score so far
+    validated: int = 0  # the step of the last validation
     config: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
@@ -47,6 +48,7 @@ class TrainingState:
             "step": self.step,
             "skipped": self.skipped,
             "best": self.best,
+            "validated": self.validated,
             "config": json.dumps(self.config, default=str),
             "random": _random_states(),
         }
@@ -62,7 +64,7 @@ class TrainingState:
             self.optimizer.load_state_dict(content["optimizer"])
             self.average = {name: content["average"][name].to(old.device) for name, old in self.average.items()}
             self.step, self.skipped = int(content["step"]), int(content["skipped"])
-            self.best = float(content["best"])
+            self.best, self.validated = float(content["best"]), int(content.get("validated", content["step"]))
             _restore_random_states(content["random"])
         except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
             reason = str(error).splitlines()[0]

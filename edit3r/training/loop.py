@@ -98,22 +98,27 @@ class Recipe(ABC):
 
 
 def train(recipe: Recipe, settings: LoopSettings, job: TrainingJob) -> Path:
-    """Train to the last step or until asked to stop; returns the folder of the best weights."""
+    """Train to the last step or until asked to stop; returns the folder of the best weights.
+
+    After Ctrl-C the last whole step is saved and KeyboardInterrupt raised. One process leaves its step at once for
+    that; several, who wait for each other in every step, and SIGTERM end the step first.
+    """
     if settings.threads:
         torch.set_num_threads(settings.threads)
     device = own_device(settings.device)
-    with joined_processes(device) as processes, StopRequest() as stop:
+    with joined_processes(device) as processes, StopRequest(at_once=processes.count == 1) as stop:
         recipe.network.to(device)
-        loop = _Loop(recipe, settings, job, processes)
-        loop.run(stop)
+        _Loop(recipe, settings, job, processes, stop).run()
     return job.out / "best"
 
 
 class _Loop:
     """One training: its state, its log and its steps."""
 
-    def __init__(self, recipe: Recipe, settings: LoopSettings, job: TrainingJob, processes: Processes) -> None:
-        self.recipe, self.settings, self.job, self.processes = recipe, settings, job, processes
+    def __init__(
+        self, recipe: Recipe, settings: LoopSettings, job: TrainingJob, processes: Processes, stop: "StopRequest"
+    ) -> None:
+        self.recipe, self.settings, self.job, self.processes, self.stop = recipe, settings, job, processes, stop
         self.state = self._start()
         self.journal = Journal(job.out, self.state.step) if processes.writes else None
 
@@ -140,19 +145,36 @@ class _Loop:
             self.recipe.save_best(self.job.out / "best", state.average)  # so that there always is one
         return state
 
-    def run(self, stop: "StopRequest") -> None:
+    def run(self) -> None:
         """All steps that are left, with their validations and checkpoints."""
+        try:
+            self._run()
+            stopped = self.processes.any(self.stop.asked) and self.state.step < self.settings.steps
+        except KeyboardInterrupt:
+            self._save()
+            stopped = True
+        if stopped:
+            reporting.warn(f"training stopped at step {self.state.step}; continue with --resume.")
+        if stopped and self.stop.interrupted:
+            raise KeyboardInterrupt
+
+    def _run(self) -> None:
         chosen, state, stopped = self.settings, self.state, False
+        if state.validated < state.step and (state.step % chosen.validate_every == 0 or state.step == chosen.steps):
+            self._validate()  # what an interrupt kept from being done
         while state.step < chosen.steps and not stopped:
             self._step()
-            last, stopped = state.step == chosen.steps, self.processes.any(stop.asked)
+            last, stopped = state.step == chosen.steps, self.processes.any(self.stop.asked)
             if last or state.step % chosen.validate_every == 0:
                 self._validate()
-            if self.processes.writes and (last or stopped or state.step % chosen.checkpoint_every == 0):
-                state.save(self.job.out / LAST)
+            if last or stopped or state.step % chosen.checkpoint_every == 0:
+                self._save()
             reporting.progress("training", state.step, chosen.steps)
-        if stopped:
-            reporting.warn(f"training stopped at step {state.step}; continue with --resume.")
+
+    def _save(self) -> None:
+        if self.processes.writes:
+            with self.stop.held():
+                self.state.save(self.job.out / LAST)
 
     def _step(self) -> None:
         """One optimiser step; one that is not finite is counted and left out."""
@@ -165,16 +187,17 @@ class _Loop:
         loss = self._backward()
         total = self.processes.average_gradients(parameters, loss.total)
         norm = torch.nn.utils.clip_grad_norm_(parameters, chosen.clip)
-        state.step += 1
         learnt = any(parameter.grad is not None for parameter in parameters)
-        if learnt and torch.isfinite(total) and torch.isfinite(norm):
-            state.optimizer.step()
-            state.update_average(chosen.average)
-        else:
-            state.skipped += 1
-            reporting.warn(
-                f"step {state.step} was skipped: its loss or gradient is not finite, or nothing could be matched."
-            )
+        with self.stop.held():  # a step is done whole or not at all
+            state.step += 1
+            if learnt and torch.isfinite(total) and torch.isfinite(norm):
+                state.optimizer.step()
+                state.update_average(chosen.average)
+            else:
+                state.skipped += 1
+                reporting.warn(
+                    f"step {state.step} was skipped: its loss or gradient is not finite, or nothing could be matched."
+                )
         if state.step % chosen.log_every == 0:
             self._log(total, loss.terms, norm)
 
@@ -210,17 +233,19 @@ class _Loop:
 
     def _validate(self) -> None:
         """Measure the averaged weights on held-out scenes and keep the best; without such scenes, keep the last."""
-        state, improved = self.state, True
+        state, improved, score = self.state, True, float("inf")
         if self.job.validation_data is not None:
-            with torch.no_grad(), _averaged_weights(state):
+            with torch.no_grad(), _averaged_weights(state, self.stop):
                 values = self.recipe.validate(state.step, self.processes)
-            improved = bool(values) and values["score"] < state.best
-            if improved:
-                state.best = values["score"]
+            score = values.get("score", score)
+            improved = score < state.best
             if values and self.journal is not None:
                 self.journal.write(state.step, values, kind="validation")
-        if improved and self.processes.writes:
-            self.recipe.save_best(self.job.out / "best", state.average)
+        with self.stop.held():
+            if improved and self.processes.writes:
+                self.recipe.save_best(self.job.out / "best", state.average)
+            state.best = min(state.best, score)
+            state.validated = state.step
 
 
 def parameter_groups(network: nn.Module, settings: LoopSettings) -> list[tuple[float, list[nn.Parameter]]]:
@@ -240,22 +265,31 @@ def parameter_groups(network: nn.Module, settings: LoopSettings) -> list[tuple[f
 
 
 @contextmanager
-def _averaged_weights(state: TrainingState) -> Iterator[None]:
+def _averaged_weights(state: TrainingState, stop: "StopRequest") -> Iterator[None]:
     """The network carries its averaged weights inside, for evaluation."""
     own = copied_weights(state.network)
-    state.network.load_state_dict(state.average)
-    state.network.eval()
     try:
+        state.network.load_state_dict(state.average)
+        state.network.eval()
         yield
     finally:
-        state.network.load_state_dict(own)
-        state.network.train()
+        with stop.held():
+            state.network.load_state_dict(own)
+            state.network.train()
 
 
 class StopRequest(ExitStack):
-    """Context manager; `asked` turns True at SIGINT or SIGTERM. A second signal acts as it would have before."""
+    """Context manager; `asked` turns True at SIGINT or SIGTERM. A second signal acts as it would have before.
 
-    asked = False
+    With `at_once`, SIGINT raises KeyboardInterrupt too, but not inside `held()`.
+    """
+
+    asked = False  # by any signal
+    interrupted = False  # by SIGINT
+
+    def __init__(self, at_once: bool = False) -> None:
+        super().__init__()
+        self.at_once = at_once
 
     def __enter__(self) -> "StopRequest":
         if threading.current_thread() is threading.main_thread():
@@ -263,9 +297,25 @@ class StopRequest(ExitStack):
                 self.callback(signal.signal, number, signal.signal(number, self._ask))
         return self
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """What must be done whole: SIGINT raises after it."""
+        before, self.at_once = self.at_once, False
+        try:
+            yield
+        finally:
+            self.at_once = before
+        if before and self.interrupted:
+            self.at_once = False  # once is enough
+            raise KeyboardInterrupt
+
     def _ask(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
+        self.interrupted |= number == signal.SIGINT
         self.close()  # the handlers that were there before
+        if self.interrupted and self.at_once:
+            self.at_once = False
+            raise KeyboardInterrupt
 
 
 class Journal:

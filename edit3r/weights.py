@@ -1,0 +1,113 @@
+"""Learned weights that components can use: what each plugin declares, and where the files lie on this machine.
+
+A component names its weights in `Component.weights`. `edit3r weights get NAME` puts them into `folder()`; nothing else
+does, and nothing is downloaded by `find`. Imports no torch and no foreign library.
+"""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from edit3r.errors import InputError, MissingDependencyError, suggest
+
+VARIABLE = "EDIT3R_WEIGHTS"
+"""Environment variable that names the folder of all weights."""
+
+COMMERCIAL = ("yes", "no", "unclear")
+NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
+"""Names of components and of weights."""
+
+_SOURCE = re.compile(r"(hub:[\w.-]+/[\w.-]+|package:[\w.-]+)")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """One set of files that a component loads, and what a user should know before fetching it."""
+
+    name: str  # kebab-case; one name means the same files whoever declares it
+    purpose: str  # what for, in a few words
+    size: int  # of all files [bytes]; about, where the files are patterns
+    licence: str  # of the files, which may differ from that of the code
+    commercial: str  # use: "yes", "no" or "unclear"
+    source: str  # "hub:OWNER/NAME" on the Hugging Face hub, or "package:NAME" in the package index
+    revision: str = ""  # commit on the hub, version of the package; "": not pinned, and said so
+    files: tuple[tuple[str, str], ...] = ()  # (path or pattern at the source, SHA-256 or "" where it is not known)
+    gated: bool = False  # the hub asks for an account that accepted the licence
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
+            raise ValueError(f"weights name {self.name!r} must be lower-case letters, digits and dashes")
+        who = f"weights {self.name!r}"
+        if self.commercial not in COMMERCIAL:
+            raise ValueError(f"{who}: commercial must be one of {', '.join(COMMERCIAL)}, got {self.commercial!r}")
+        if not _SOURCE.fullmatch(self.source):
+            raise ValueError(f"{who}: source must read 'hub:OWNER/NAME' or 'package:NAME', got {self.source!r}")
+        if not self.files:
+            raise ValueError(f"{who}: names no files")
+        for path, sha256 in self.files:
+            inside = path and not path.startswith("/") and "\\" not in path and ".." not in PurePosixPath(path).parts
+            if not inside or (sha256 and not _SHA256.fullmatch(sha256)):
+                raise ValueError(f"{who}: files must be pairs of a relative path and a SHA-256, got {(path, sha256)!r}")
+        if self.source.startswith("package:") and not (self.revision and all(sha256 for _, sha256 in self.files)):
+            raise ValueError(f"{who}: from a package, the version and every SHA-256 must be given")
+
+    def stored(self, path: str) -> str:
+        """Where a file of the source lies in the folder of these weights; files of a package lie side by side."""
+        return PurePosixPath(path).name if self.source.startswith("package:") else path
+
+    @property
+    def terms(self) -> str:
+        """Licence, commercial use and size in a few words."""
+        return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB"
+
+
+def folder(chosen: str | Path | None = None) -> Path:
+    """The folder of all weights: `chosen`, else $EDIT3R_WEIGHTS, else edit3r/weights in the user's cache."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "edit3r", "weights")
+    return Path(chosen or os.environ.get(VARIABLE) or cache).expanduser().absolute()
+
+
+def declared() -> dict[str, Weights]:
+    """All weights that installed components name, by name."""
+    from edit3r.registry import default_registry
+
+    found: dict[str, Weights] = {}
+    for offer in default_registry().offers():
+        for weights in offer.component.weights:
+            found.setdefault(weights.name, weights)
+    return dict(sorted(found.items()))
+
+
+def named(name: str) -> Weights:
+    """The weights called `name`; raises InputError for a name that no installed component declares."""
+    known = declared()
+    if name not in known:
+        raise InputError(f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list")
+    return known[name]
+
+
+def find(name: str | Weights, chosen: str | Path | None = None) -> Path:
+    """The file of these weights, or their folder where they are several; never downloads.
+
+    Raises MissingDependencyError with licence and the command that fetches them, where they are not at hand.
+    """
+    weights = named(name) if isinstance(name, str) else name
+    place = at_hand(weights, chosen)
+    if place is None:
+        raise MissingDependencyError(
+            f"the weights {weights.name!r} ({weights.purpose}) are not on this machine; fetch them with: "
+            f"edit3r weights get {weights.name} ({weights.terms})"
+        )
+    return place
+
+
+def at_hand(weights: Weights, chosen: str | Path | None = None) -> Path | None:
+    """Where these weights lie, as `find` returns it; None where they do not."""
+    own = folder(chosen) / weights.name
+    stored = [weights.stored(path) for path, _ in weights.files]
+    if not own.is_dir() or not all(any(own.glob(path)) for path in stored):
+        return None
+    single = len(stored) == 1 and not set("*?[") & set(stored[0])
+    return own / stored[0] if single else own
