@@ -4,8 +4,9 @@
 
 Each folder holds photos and a cameras.json. Truth: features of a photo that agree with the true cameras in at least
 two other photos, triangulated; or the folder's own depth. Pairs are drawn evenly from three classes of angle. A point
-is right when its depth, after the median scale of its photo, is within 3 % (10 %) of the true one. `exact matches` are
-the true points of both photos triangulated with the poses found: no depth from these poses can do better.
+is right when its depth is within 3 % (10 %) of the true one: `all` points, and those `seen` by the other photo, too.
+`exact` are the true matches of the latter triangulated with the same poses, whose median gives the unit of length: no
+depth from these poses can do better.
 """
 
 import argparse
@@ -17,21 +18,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from edit3r_matching.cameras import Pose, project, rays_through, triangulate
+from edit3r_matching.features import Keypoints, detect, match
 
 import edit3r
 from edit3r.errors import Edit3rError
 from edit3r.geometry.rotations import rotation_angle
+from edit3r.interfaces import MatchedGeometry
 from edit3r.io.images import evenly
 from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
 from edit3r.types import Views
-from edit3r_matching.cameras import Pose, project, rays_through, triangulate
-from edit3r_matching.features import Keypoints, detect, match
 
 CLASSES = ((5, 15), (15, 30), (30, 60))
 """Angles between the two photos [degrees]."""
 PARTNERS, SUPPORT = 10, 2
 """Photos that a photo's features are triangulated with, and how many of them must agree."""
 WITHIN = (0.03, 0.10)
+LEAST_POINTS = 30
+"""True points below which a photo is left out."""
 
 
 class Truth:
@@ -59,23 +63,19 @@ class Truth:
         return (self.folder.path / "disparity_left.npz").is_file() or (self.folder.path / "depth").is_dir()
 
     def _given(self, index: int) -> np.ndarray:
-        """The folder's own depth, on a grid."""
-        camera, photo = self.folder.cameras[index], self.photo(index)
+        """The folder's own depth, on a grid; of a stereo pair only the first photo's."""
         if (self.folder.path / "depth").is_dir():
             entry = json.loads((self.folder.path / "cameras.json").read_text())[index]
-            depth = cv2.imread(str(self.folder.path / entry["depth_file"]), cv2.IMREAD_UNCHANGED).astype(float)
+            depth = cv2.imread(str(self.folder.path / entry["depth_file"]), cv2.IMREAD_UNCHANGED) * entry["depth_scale"]
         elif index == 0:
-            disparity = np.load(self.folder.path / "disparity_left.npz")["disparity"]
-            depth = np.where(disparity > 0, 1 / np.maximum(disparity, 1e-6), 0)
+            depth = stereo_depth(self.folder)
         else:
             return np.zeros((0, 3))
         height, width = depth.shape
         side = min(height, width)
-        top, left = (height - side) // 2, (width - side) // 2
-        grid = np.linspace(0.02, 0.98, 64)
-        x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
-        z = depth[(top + y * side).astype(int), (left + x * side).astype(int)]
-        del camera, photo
+        x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.02, 0.98, 64)] * 2))
+        rows, columns = (height - side) / 2 + y * side, (width - side) / 2 + x * side
+        z = depth[rows.astype(int), columns.astype(int)]
         return np.stack([x, y, z], 1)[z > 0]
 
     def _found(self, index: int) -> Keypoints:
@@ -112,6 +112,16 @@ class Truth:
         return evenly(near, PARTNERS) or [i for i in range(len(self.poses)) if i != index][:PARTNERS]
 
 
+def stereo_depth(folder: PosedFolder) -> np.ndarray:
+    """Camera z of the first photo of a rectified pair, in the unit of its poses; 0 unknown."""
+    disparity = np.load(folder.path / "disparity_left.npz")["disparity"].astype(float)
+    left, right = (camera.K for camera in folder.cameras)
+    baseline = np.linalg.norm(folder.cameras[1].c2w[:3, 3] - folder.cameras[0].c2w[:3, 3])
+    shift = disparity + right[0, 2] - left[0, 2]
+    known = np.isfinite(disparity) & (disparity > 0) & (shift > 0)
+    return np.where(known, left[0, 0] * baseline / np.where(known, shift, 1), 0)
+
+
 def angle(folder: PosedFolder, a: int, b: int) -> float:
     """Between the two cameras [degrees]."""
     turns = (torch.from_numpy(folder.cameras[i].c2w[:3, :3]) for i in (a, b))
@@ -140,7 +150,7 @@ def pairs_of(folder: PosedFolder, truth: Truth, count: int) -> dict[tuple[int, i
 def shared(truth: Truth, folder: PosedFolder, a: int, b: int) -> float:
     """Share of a's true points that fall into b's image."""
     points = truth.points(a)
-    if len(points) < 30:
+    if len(points) < LEAST_POINTS:
         return 1.0 if len(folder.cameras) == 2 else 0.0
     inside, _ = seen_in(truth, a, b)
     return float(inside.mean())
@@ -155,12 +165,6 @@ def seen_in(truth: Truth, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
     return (there[:, 2] > 0) & (xy > 0).all(1) & (xy < 1).all(1), xy
 
 
-def shares(depth: np.ndarray, truth: np.ndarray) -> list[float]:
-    ratio = depth / truth
-    error = np.abs(ratio / np.median(ratio) - 1)
-    return [float((error < limit).mean()) for limit in WITHIN]
-
-
 def views_of(photos: Sequence[Photo], posed: bool) -> Views:
     images = torch.from_numpy(np.stack([photo.image for photo in photos])).permute(0, 3, 1, 2)[None]
     intrinsics = torch.from_numpy(np.stack([photo.intrinsics for photo in photos])).float()[None]
@@ -168,36 +172,30 @@ def views_of(photos: Sequence[Photo], posed: bool) -> Views:
     return Views(images, intrinsics, c2w=c2w)
 
 
-def measured(truth: Truth, pair: tuple[int, int], geometry) -> dict:
-    """Shares of right points of both photos together."""
-    depths, true = [], []
-    for view, index in enumerate(pair):
+def measured(truth: Truth, pair: tuple[int, int], geometry: MatchedGeometry) -> dict[str, float]:
+    """Shares of right points of both photos, of all and of those in the other photo; and of exact matches."""
+    size, true, depths, exact, seen = geometry.depths.shape[-1], [], [], [], []
+    for view, (index, other) in enumerate((pair, pair[::-1])):
         points = truth.points(index)
-        if len(points) < 30:
+        if len(points) < LEAST_POINTS:
             continue
-        size = geometry.depths.shape[-1]
-        xy = (points[:, :2] * size).astype(int).clip(0, size - 1)
-        depth = geometry.depths[0, view].numpy()[xy[:, 1], xy[:, 0]]
-        depths.append(depth / np.median(depth / points[:, 2]))
+        columns, rows = (points[:, :2] * size).astype(int).clip(0, size - 1).T
+        inside, there = seen_in(truth, index, other)
+        rays = (
+            rays_through(points[:, :2], truth.photo(index).intrinsics),
+            rays_through(there, truth.photo(other).intrinsics),
+        )
+        poses = [Pose.from_matrix(np.linalg.inv(matrix)) for matrix in geometry.c2w[0].double().numpy()]
+        exact.append(triangulate(*rays, poses[1 - view].after(poses[view].inverse()))[0])
+        depths.append(geometry.depths[0, view].double().numpy()[rows, columns])
         true.append(points[:, 2])
-    return dict(zip(("3", "10"), shares(np.concatenate(depths), np.concatenate(true))))
-
-
-def ceiling(truth: Truth, pair: tuple[int, int], c2w: np.ndarray) -> dict:
-    """The same of true correspondences triangulated with the found poses."""
-    found = [Pose.from_matrix(np.linalg.inv(matrix)) for matrix in c2w]
-    depths, true = [], []
-    for view, (a, b) in enumerate((pair, pair[::-1])):
-        points = truth.points(a)
-        if len(points) < 30:
-            continue
-        _, xy = seen_in(truth, a, b)
-        pose = found[1 - view].after(found[view].inverse())
-        rays = (rays_through(points[:, :2], truth.photo(a).intrinsics), rays_through(xy, truth.photo(b).intrinsics))
-        depth, _ = triangulate(*rays, pose)
-        depths.append(depth / np.median(depth / points[:, 2]))
-        true.append(points[:, 2])
-    return dict(zip(("3", "10"), shares(np.concatenate(depths), np.concatenate(true))))
+        seen.append(inside)
+    true, depths, exact, seen = map(np.concatenate, (true, depths, exact, seen))
+    scale = np.median((exact / true)[seen])
+    found = {"all": depths / true, "seen": (depths / true)[seen], "exact": (exact / true)[seen]}
+    return {
+        f"{name}_{100 * w:.0f}": float((abs(r / scale - 1) < w).mean()) for name, r in found.items() for w in WITHIN
+    }
 
 
 def built(description: str, posed: bool):
@@ -243,31 +241,23 @@ def measure_pair(folder, truth, limits, pair, args) -> list[dict]:
                 rows.append({**row, "failed": str(error)[:80]})
                 continue
             rows.append({**row, **measured(truth, pair, geometry), "filled": 1 - float(geometry.confidence.mean())})
-        if not posed and "failed" not in rows[-1]:
-            c2w = geometry.c2w[0].double().numpy()
-            true = [photo.c2w for photo in photos]
-            a, b = c2w[1], np.linalg.inv(true[0]) @ true[1]
-            turn = float(torch.rad2deg(rotation_angle(torch.from_numpy(a[:3, :3]), torch.from_numpy(b[:3, :3]))))
-            cosine = a[:3, 3] @ b[:3, 3] / np.linalg.norm(a[:3, 3]) / np.linalg.norm(b[:3, 3])
-            error = {"turn": turn, "direction": float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))}
-            rows.append({**base, "poses": "own", "matcher": "exact matches", **ceiling(truth, pair, c2w), **error})
     for row in rows:
         print({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
     return rows
 
 
 def table(rows: list[dict]) -> str:
-    lines = []
-    keys = sorted({(row["poses"], row["matcher"]) for row in rows})
+    """Means [%] by class and by scene: all points within 3 and 10 %, those in both photos, those matched exactly."""
+    columns = [f"{name}_{100 * limit:.0f}" for name in ("all", "seen", "exact") for limit in WITHIN]
+    lines = [" | ".join(["", "poses", "matcher", "pairs", *columns])]
     for by in ("class", "scene"):
         for group in dict.fromkeys(row[by] for row in rows):
-            for poses, matcher in keys:
-                chosen = [
-                    r for r in rows if r[by] == group and (r["poses"], r["matcher"]) == (poses, matcher) and "3" in r
-                ]
+            for poses, matcher in dict.fromkeys((row["poses"], row["matcher"]) for row in rows):
+                key = (group, poses, matcher)
+                chosen = [r for r in rows if (r[by], r["poses"], r["matcher"]) == key and "failed" not in r]
                 if chosen:
-                    three, ten = (100 * np.mean([row[k] for row in chosen]) for k in ("3", "10"))
-                    lines.append(f"{group:18} {poses:5} {matcher:30} {len(chosen):3} {three:5.1f} {ten:5.1f}")
+                    means = [f"{100 * np.mean([row[name] for row in chosen]):.1f}" for name in columns]
+                    lines.append(" | ".join([*key, str(len(chosen)), *means]))
     return "\n".join(lines)
 
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
+from edit3r_matching_network.encoder import FRONT_CHANNELS, Front, imagenet_front, standardised
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -20,7 +21,6 @@ from edit3r.layers import Conv2d, GroupNorm
 from edit3r.training.checkpoint import load_weights
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.plane_sweep import Neighbour
-from edit3r_matching_network.encoder import FRONT_CHANNELS, Front, imagenet_front, standardised
 
 STRIDE = 4
 """Pixels per cell side."""

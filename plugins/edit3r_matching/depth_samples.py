@@ -17,8 +17,8 @@ from torch import Tensor
 
 from edit3r.interfaces import SceneSample
 from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project, rays_through, triangulate
-from edit3r_matching.depth_network import STRIDE, cell_costs, cell_grids
 from edit3r_matching.depth_maps import inverse_depth_range
+from edit3r_matching.depth_network import STRIDE, cell_costs, cell_grids
 from edit3r_matching.plane_sweep import Neighbour, matching_cost
 from edit3r_matching.relative_pose import Matches, pose_fitted_once
 from edit3r_matching.semi_global import aggregate
