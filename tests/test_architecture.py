@@ -36,7 +36,13 @@ COMPILED_BY = {"njit", "compiled", "kernel", "inlined"}
 """Decorators of functions that numba compiles: a kernel is one loop, and takes its arrays one by one."""
 
 ORDINARY_WORDS = {
-    *("edit3r", "torch", "numba", "gsplat"),  # also the name of the program, and of modules that the core looks for
+    *(
+        "edit3r",
+        "torch",
+        "numba",
+        "gsplat",
+        "diffusers",
+    ),  # also the name of the program, and of modules that the core looks for
     *("none", "auto", "command", "folder", "network", "posed", "classical", "geometry", "refine", "simplify", "train"),
 }
 """Component names that are words of the core's own too; they count only where nothing else can be meant."""
