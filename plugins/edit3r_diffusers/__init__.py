@@ -15,6 +15,37 @@ _SD15 = (
 )
 _FOLDERS = (("model_index.json", ""), ("*/*", ""))
 
+_INSTRUCT_PIX2PIX = Weights(
+    "instruct-pix2pix",
+    "editor instruct-pix2pix",
+    4_270_000_000,
+    "MIT; from Stable Diffusion 1.5, CreativeML Open RAIL-M",
+    "yes",
+    "hub:timbrooks/instruct-pix2pix",
+    "31519b5cb02a7fd89b906d88731cd4d6a7bbf88d",
+    _SD15,
+)
+_STABLE_DIFFUSION = Weights(
+    "stable-diffusion-1-5",
+    "editor controlnet-depth",
+    4_270_000_000,
+    "CreativeML Open RAIL-M",
+    "yes",
+    "hub:stable-diffusion-v1-5/stable-diffusion-v1-5",
+    "451f4fe16113bff5a5d2269ed5ad43b0592e9a14",
+    _SD15,
+)
+_CONTROLNET = Weights(
+    "controlnet-depth",
+    "editor controlnet-depth",
+    1_450_000_000,
+    "CreativeML Open RAIL-M",
+    "yes",
+    "hub:lllyasviel/control_v11f1p_sd15_depth",
+    "539f99181d33db39cf1af2e517cd8056785f0a87",
+    (("config.json", ""), ("diffusion_pytorch_model.safetensors", "")),
+)
+
 _PRESETS = (
     (
         "FluxKontextEditor",
@@ -117,18 +148,7 @@ def register_editors():
         "InstructPix2Pix, the paper's default editor (4 GB)",
         licence="Apache-2.0; default weights MIT",
         citation="Brooks et al., InstructPix2Pix: Learning to Follow Image Editing Instructions, CVPR 2023",
-        weights=(
-            Weights(
-                "instruct-pix2pix",
-                "editor instruct-pix2pix",
-                4_270_000_000,
-                "MIT; from Stable Diffusion 1.5, CreativeML Open RAIL-M",
-                "yes",
-                "hub:timbrooks/instruct-pix2pix",
-                "31519b5cb02a7fd89b906d88731cd4d6a7bbf88d",
-                _SD15,
-            ),
-        ),
+        weights=(_INSTRUCT_PIX2PIX,),
     )
     controlnet_depth = _editor(
         "controlnet-depth",
@@ -138,27 +158,6 @@ def register_editors():
         licence="Apache-2.0; default weights CreativeML Open RAIL-M",
         min_views=2,  # to measure depth; one is enough with editor.depth_model
         citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
-        weights=(
-            Weights(
-                "stable-diffusion-1-5",
-                "editor controlnet-depth",
-                4_270_000_000,
-                "CreativeML Open RAIL-M",
-                "yes",
-                "hub:stable-diffusion-v1-5/stable-diffusion-v1-5",
-                "451f4fe16113bff5a5d2269ed5ad43b0592e9a14",
-                _SD15,
-            ),
-            Weights(
-                "controlnet-depth",
-                "editor controlnet-depth",
-                1_450_000_000,
-                "CreativeML Open RAIL-M",
-                "yes",
-                "hub:lllyasviel/control_v11f1p_sd15_depth",
-                "539f99181d33db39cf1af2e517cd8056785f0a87",
-                (("config.json", ""), ("diffusion_pytorch_model.safetensors", "")),
-            ),
-        ),
+        weights=(_STABLE_DIFFUSION, _CONTROLNET),
     )
     return (any_pipeline, instruct_pix2pix, *presets, controlnet_depth)

@@ -7,7 +7,7 @@ EDIT3R_API = 1
 
 _CLIP = Weights(
     "clip",
-    "likeness of images and texts (CLIP ViT-B/32), for loss clip and metric CLIP t2i",
+    "likeness of images (CLIP ViT-B/32), for loss clip",
     608_000_000,
     "MIT (code); its model card calls deployed use out of scope",
     "unclear",
