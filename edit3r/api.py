@@ -16,6 +16,7 @@ from edit3r.pipeline import run as run_pipeline
 from edit3r.registry import Registry
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import PART_KEYS, make_run_config
+from edit3r.selection import Selection
 from edit3r.types import Views
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def run(
     prompt: str = "",
     *,
     recon: str | Mapping | PartChoice | Any | None = None,
-    masks: Float[Tensor, "batch view height width"] | None = None,
+    masks: Float[Tensor, "batch view height width"] | Selection | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
     cache: Cache | None = None,

@@ -30,6 +30,7 @@ from edit3r.rendering import path_around, render_one
 from edit3r.reporting import collecting, note, track, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, Gaussians
+from edit3r.verdict import WORST_PSNR
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
@@ -48,7 +49,7 @@ def write(root: Path, result: "RunResult") -> None:
             # Compresses while the frames are drawn.
             saving = pool.submit(result.cache.save, root / CACHE) if "cache" in wanted else None
             if wanted & {"video", "frames"}:
-                path = path_around(result.cameras, result.rendered, result.config.frames)
+                path = path_around(result.cameras.select(_good_views(result)), result.rendered, result.config.frames)
                 frames = _frames(result.rasterizer, result.gaussians, path)
             if saving is not None:
                 saving.result()
@@ -90,6 +91,13 @@ def _look(result: "RunResult") -> dict[str, Any]:
     """Texts and second look of the viewer's page."""
     before = colours_before(result.gaussians, result.cameras, result.photos, result.edited, result.rendered)
     return {"title": result.config.prompt or "edit3r scene", "names": result.photos.names, "before": before}
+
+
+def _good_views(result: "RunResult") -> list[int]:
+    """View 0 and the views whose photos fit the others; the camera path stays near these."""
+    agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
+    good = [view for view, psnr in enumerate(agreement) if view == 0 or psnr >= WORST_PSNR["fair"]]
+    return good if len(good) > 1 else list(range(result.cameras.count))
 
 
 def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
@@ -181,7 +189,10 @@ def summary(out: Path, result: "RunResult") -> str:
     """Where to look first, for the end of a run on the command line."""
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
-    made = f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s"
+    height, width = result.cameras.image_size
+    preset = result.report.notes.get("quality", {}).get("preset") or "default"
+    made = f"{preset} settings at {width}x{height}: {result.gaussians.count:,} Gaussians from "
+    made += f"{result.photos.count} photos in {seconds:.1f} s"
     places = {
         "look first   {}": folder.before_after,
         "walk around  {} (opens in a browser, no network needed)": folder.viewer,

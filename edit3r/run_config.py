@@ -27,9 +27,12 @@ class RunConfig(Settings):
     segmenter: PartChoice | None = Field(
         None, description="finds what the prompt is about, if it reads words; default: the editor's own"
     )
+    guess: bool = Field(
+        False, description="take what stands out most where the segmenter does not know the words for the object"
+    )
     refiners: tuple[PartChoice, ...] = Field(
         tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
-        description="steps after reconstruction, in order; --gaussians and --refine add theirs at the end",
+        description="steps after reconstruction, in order; --gaussians and --refine add theirs before them",
     )
     edit_views: Literal["all", "first"] = Field(
         "all", description="edit every view, or the first only (as in training) and let the reconstructor carry it over"
@@ -51,12 +54,12 @@ class RunConfig(Settings):
     )
     export: tuple[str, ...] = Field((), description="further formats of the scene, such as spz,glb (see edit3r export)")
     gaussians: int | Literal["all", "auto"] = Field(
-        "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
+        "auto", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
     max_gaussians: int | None = Field(
         None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
     )
-    refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
+    refine: int = Field(15, ge=0, le=10000, description="most photometric steps towards the edited views")
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
     )
@@ -90,18 +93,20 @@ class RunConfig(Settings):
         return value
 
     def all_refiners(self) -> tuple[PartChoice, ...]:
-        """The refiners of the run in order: those listed, completed by what `gaussians` and `refine` stand for."""
-        fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+        """The refiners of the run in order: what `gaussians` and `refine` stand for, then those listed."""
+        shorthands = DEFAULTS["shorthands"]
         wanted: dict[str, dict[str, Any]] = {}
         if self.gaussians != "all" or self.max_gaussians is not None:
-            wanted[DEFAULTS["shorthands"]["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
+            fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+            fewer |= shorthands["gaussians_before_refine"] if self.refine else {}
+            wanted[shorthands["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
         if self.refine:
-            wanted[DEFAULTS["shorthands"]["refine"]] = {"steps": self.refine}
+            wanted[shorthands["refine"]] = {"steps": self.refine}
         listed = [
-            PartChoice(name=choice.name, settings={**choice.settings, **wanted.pop(choice.name, {})})
+            PartChoice(name=choice.name, settings={**wanted.pop(choice.name, {}), **choice.settings})
             for choice in self.refiners
         ]
-        return (*listed, *(PartChoice(name=name, settings=settings) for name, settings in wanted.items()))
+        return (*(PartChoice(name=name, settings=settings) for name, settings in wanted.items()), *listed)
 
 
 def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:

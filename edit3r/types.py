@@ -95,6 +95,7 @@ class EditRequest(_Tensors):
     prompt: str
     seed: int = 0  # one for all views, so that every view gets the same edit
     masks: Float[Tensor, "batch view height width"] | None = None  # in [0, 1]; 1: may change; None: everywhere
+    guess: bool = False  # True: the user allows a guess at what is meant, where nobody can tell
     before: "Gaussians | None" = None  # the scene before this edit, same cameras, for refiners that ask for it
 
     def __post_init__(self) -> None:

@@ -38,7 +38,7 @@ COMPILED_BY = {"njit", "compiled", "kernel", "inlined"}
 ORDINARY_WORDS = {
     *("edit3r", "torch", "numba", "gsplat"),  # also the name of the program, and of modules that the core looks for
     *("none", "auto", "command", "folder", "network", "posed", "classical", "geometry", "refine", "simplify", "train"),
-    "export",  # also a setting of a run
+    *("export", "convert", "diffusers"),
 }
 """Component names that are words of the core's own too; they count only where nothing else can be meant."""
 

@@ -10,14 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic.fields import FieldInfo
 
+from edit3r.cli.marks import add_mark_flags, selection_from
 from edit3r.command import Command
 from edit3r.config import PartChoice
 from edit3r.errors import RunError
 from edit3r.run_config import DEFAULTS, PART_KEYS, RunConfig, make_run_config
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from edit3r.earlier_run import EarlierRun
+    from edit3r.io.images import LoadedPhotos
     from edit3r.registry import Registry
+    from edit3r.selection import Selection
 
 SHORT_FLAGS = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
@@ -36,14 +41,7 @@ class RunCommand(Command):
         )
         add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
         add_setting_flags(parser)
-        add(
-            "--mask",
-            nargs="+",
-            action="extend",
-            default=[],
-            metavar="FILE",
-            help="one mask per photo; white may change",
-        )
+        add_mark_flags(parser)
         add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="one setting, such as editor.strength=0.5")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
@@ -54,16 +52,16 @@ class RunCommand(Command):
         )
         add("--strict", action="store_true", help="end with exit code 1 when the verdict on the result is 'failed'")
         add("--quiet", action="store_true", help="print errors only")
+        add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import pipeline, results
         from edit3r.cache import Cache
-        from edit3r.console import StageConsole
+        from edit3r.console import JsonLines, StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
         from edit3r.io.coverage import USUAL_FRAMES, choose_photos
         from edit3r.io.images import LoadedPhotos, find_photos, load_photos, packaged_pair
-        from edit3r.io.masks import load_masks
         from edit3r.quality import note_quality
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
@@ -78,7 +76,7 @@ class RunCommand(Command):
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
         _check_names(registry, config)
-        with StageConsole(quiet=args.quiet) as console:
+        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             report.on_event = console
             for text in report.warnings:
                 report.emit("warn", text)
@@ -91,7 +89,7 @@ class RunCommand(Command):
                     photos = LoadedPhotos(continued.edited, continued.records)
                 else:
                     photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
-                masks = load_masks(given, photos) if given else None
+                masks = _masks_or_marks(args, given, photos, config)
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
             with atomic_folder(args.out, args.overwrite) as folder:
@@ -113,6 +111,24 @@ class RunCommand(Command):
         return 0
 
 
+def _masks_or_marks(
+    args: argparse.Namespace, files: list[str], photos: "LoadedPhotos", config: RunConfig
+) -> "Tensor | Selection | None":
+    """Masks of all photos, or what is marked on some of them; the packaged pair brings a mask of its own subject."""
+    from edit3r.io.masks import load_masks, read_mask
+    from edit3r.reporting import note
+    from edit3r.selection import Selection
+
+    if files and len(files) == len(photos.photos):
+        return load_masks(files, photos)
+    marked = selection_from(args, photos)
+    if marked is None and not args.images and not args.earlier and DEFAULTS["subject"] in config.prompt.lower():
+        note("selection.mask", "the packaged pair brings a mask of its " + DEFAULTS["subject"])
+        own = Path(__file__).parents[1] / "io" / "motorcycle_mask.png"
+        return Selection(masks={0: read_mask(own, photos.photos[0].frame)})
+    return marked
+
+
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     """Add one flag for each setting of `RunConfig` that a single word can give."""
     for name, field in RunConfig.model_fields.items():
@@ -132,6 +148,8 @@ def _flag_form(field: FieldInfo) -> dict[str, Any]:
     choices = [word for kind in kinds if typing.get_origin(kind) is typing.Literal for word in typing.get_args(kind)]
     if choices:
         return {"choices": choices} if len(kinds) == 1 else {"metavar": "|".join([*choices, "N"])}
+    if kinds == [bool]:
+        return {"action": "store_const", "const": True}
     if PartChoice in kinds:
         return {"metavar": "NAME"}
     if kinds[0] in (int, float):
