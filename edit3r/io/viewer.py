@@ -32,7 +32,9 @@ __all__ = ["colours_before", "save_viewer", "viewer_page"]
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; beyond it browsers get slow to sort
 LEAST_STEP = 0.01  # of a harmonic: one of this size changes a colour by less than a step of 8 bits
 SAME_DEPTH = 1.05  # what lies farther than so many times the depth seen is hidden
-SAME_COLOUR = 0.1  # largest difference to the edited photo of what was made from that pixel
+SAME_COLOUR, LIKE_COLOUR = 0.1, 0.3  # largest difference to the edited photo of what surely, likely shows there
+NEARBY = 2  # how far from its pixel the colour of a Gaussian is looked for [pixels]
+NEAREST = {"mode": "nearest", "padding_mode": "border", "align_corners": False}
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 
 
@@ -91,23 +93,30 @@ def colours_before(
 ) -> Float[Tensor, "gaussian 3"]:
     """Return the colours that the Gaussians of an edited scene would have without the edit (sRGB, one scene).
 
-    To a Gaussian's colour comes the difference, photo less edited photo, at the pixel where the view it came from shows
-    it, or the first view that does for those of no view. One counts as shown where nothing lies before it, or where it
-    has the pixel's colour. What no view shows keeps the colour it has: a stand-in, not the scene before the edit, whose
-    shapes may have been others.
+    To a Gaussian's colour comes the difference, photo less edited photo, of the pixel most like it in colour among the
+    nine around its place, in the view it came from, or the first view that shows one of no view. What is like none of
+    them (hidden things) keeps the colour it has: a stand-in, not the scene before the edit, whose shapes may have been
+    others.
     """
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     left = torch.ones_like(gaussians.view_index, dtype=torch.bool)
     for view in range(cameras.count):
         pixels, depths = project(gaussians.means[0], cameras.intrinsics[0, view], cameras.c2w[0, view])
-        grid = (2 * pixels - 1)[None, None].to(colours)
         values = torch.cat((photos.images[:, view], edited.images[:, view], rendered.depths[:, view]), 1).to(colours)
-        found = torch.nn.functional.grid_sample(values, grid, padding_mode="border", align_corners=False)[0, :, 0].T
-        photo, edit, depth = found.split((3, 3, 1), 1)
-        alike = (depths < SAME_DEPTH * depth[:, 0]) | ((colours - edit).abs().amax(-1) < SAME_COLOUR)
+        least = torch.full_like(depths, torch.inf)
+        change, depth = torch.zeros_like(colours), torch.zeros_like(colours[:, :1])
+        for shift in torch.cartesian_prod(*[torch.arange(-1, 2)] * 2).to(pixels):
+            grid = 2 * (pixels + NEARBY * shift / pixels.new_tensor(cameras.image_size).flip(0)) - 1
+            found = torch.nn.functional.grid_sample(values, grid[None, None].to(colours), **NEAREST)[0, :, 0].T
+            photo, edit, around = found.split((3, 3, 1), 1)
+            gap = (colours - edit).abs().amax(-1)
+            change = torch.where((gap < least)[:, None], photo - edit, change)
+            least = torch.minimum(gap, least)
+            depth = torch.maximum(depth, around)
+        alike = (least < SAME_COLOUR) | ((depths < SAME_DEPTH * depth[:, 0]) & (least < LIKE_COLOUR))
         inside = (pixels > 0).all(-1) & (pixels < 1).all(-1) & (depths > 0)
         mine = alike & inside & left & ((gaussians.view_index == view) | (gaussians.view_index < 0))
-        colours = torch.where(mine[:, None], colours + photo - edit, colours)
+        colours = torch.where(mine[:, None], colours + change, colours)
         left = left & ~mine
     return colours
 
