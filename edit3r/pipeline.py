@@ -98,8 +98,7 @@ def run(
         if before is not None:
             old = before.gaussians if earlier else _refine(before, parts, source.select(used), request, report)
             request = replace(request, before=old)
-        # Views that were not edited would pull the edit back out.
-        shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
+        shown = edited.select([0]) if config.edit_views == "first" else edited  # others would pull the edit out
         gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
