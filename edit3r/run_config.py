@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
 from edit3r.quality import with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
@@ -26,6 +27,9 @@ class RunConfig(Settings):
     segmenter: PartChoice | None = Field(
         None, description="finds what the prompt is about, if it reads words; default: the editor's own"
     )
+    guess: bool = Field(
+        False, description="take what stands out most where the segmenter does not know the words for the object"
+    )
     refiners: tuple[PartChoice, ...] = Field(
         tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
         description="steps after reconstruction, in order; --gaussians and --refine add theirs before them",
@@ -39,10 +43,16 @@ class RunConfig(Settings):
         None, gt=1, lt=170, description="horizontal field of view [degrees] of photos that do not tell their own"
     )
     views: int | None = Field(
-        None, ge=2, description="most photos that are used, evenly spaced among those given; default: all"
+        None,
+        ge=2,
+        description="most photos that are used: those that together show most; default: all (of a video, 8 frames)",
     )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
     frames: int = Field(36, ge=2, le=2000, description="frames of the camera path between and around the input views")
+    outputs: tuple[Literal[OUTPUTS], ...] = Field(
+        OUTPUTS[:-1], description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}"
+    )
+    export: tuple[str, ...] = Field((), description="further formats of the scene, such as spz,glb (see edit3r export)")
     gaussians: int | Literal["all", "auto"] = Field(
         "auto", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
@@ -59,6 +69,19 @@ class RunConfig(Settings):
     max_memory: float | None = Field(
         None, gt=0, description="take the best measured settings expected to need no more memory [MiB]"
     )
+
+    @field_validator("outputs", "export", mode="before")
+    @classmethod
+    def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
+        """Accept names in one text with commas, and refuse formats that nobody writes."""
+        value = [name.strip() for name in value.split(",") if name.strip()] if isinstance(value, str) else value
+        if info.field_name == "outputs":
+            return OUTPUTS if value == ["all"] else value
+        from edit3r.io.export import FORMATS
+
+        if not isinstance(value, list | tuple) or not all(name in FORMATS for name in value):
+            raise ValueError(f"expected some of {','.join(FORMATS)}")
+        return value
 
     @field_validator("gaussians", mode="before")
     @classmethod
