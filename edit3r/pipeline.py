@@ -103,9 +103,9 @@ def run(
 
     `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does. A
     Selection (clicks, boxes, masks of some views) is turned into them by the segmenter. `components` are built objects
-    by kind; they are used instead of those that `config` names. `earlier` is a run whose edited views are `views`: the
-    new edit goes into its scene. Raises InputError for views or masks that do not fit the reconstructor, and
-    PluginError for a component that breaks its contract.
+    by kind, used instead of what `config` names. `earlier` is a run whose edited views are `views`: the new edit goes
+    into its scene. Raises InputError for views or masks that do not fit the reconstructor, PluginError for a broken
+    contract.
     """
     report, cache = report or Report(), cache or Cache()
     with collecting(report), using(cache):
