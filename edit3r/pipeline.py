@@ -107,8 +107,7 @@ def run(
     into its scene. Raises InputError for views or masks that do not fit the reconstructor, PluginError for a broken
     contract.
     """
-    report, cache = report or Report(), cache or Cache()
-    with collecting(report), using(cache):
+    with collecting(report := report or Report()), using(cache := cache or Cache()):
         require_device(config.device)
         with report.stage("load components"):
             parts = _Components(config, registry or default_registry(), components or {})
