@@ -102,13 +102,12 @@ def run(
     """Edit `views` as `config` says and reconstruct them in 3D. The same inputs and seed give the same result.
 
     `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does. A
-    Selection (clicks, boxes, masks of some views) is turned into them by the segmenter.
-    `components` are built objects by kind; they are used instead of those that `config` names. `earlier` is a run whose
-    edited views are `views`: the new edit goes into its scene. Raises InputError for views or masks that do not fit the
-    reconstructor, and PluginError for a component that breaks its contract.
+    Selection (clicks, boxes, masks of some views) is turned into them by the segmenter. `components` are built objects
+    by kind, used instead of what `config` names. `earlier` is a run whose edited views are `views`: the new edit goes
+    into its scene. Raises InputError for views or masks that do not fit the reconstructor, PluginError for a broken
+    contract.
     """
-    report, cache = report or Report(), cache or Cache()
-    with collecting(report), using(cache):
+    with collecting(report := report or Report()), using(cache := cache or Cache()):
         require_device(config.device)
         with report.stage("load components"):
             parts = _Components(config, registry or default_registry(), components or {})
@@ -128,8 +127,7 @@ def run(
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = _with_before(request, before, parts, source.select(used), report, earlier)
-        # Views that were not edited would pull the edit back out.
-        shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
+        shown = edited.select([0]) if config.edit_views == "first" else edited  # others would pull the edit out
         gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
