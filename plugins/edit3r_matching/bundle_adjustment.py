@@ -4,8 +4,6 @@ Placing one view after the other adds up errors. Here the matches of all pairs a
 several views), and poses and points move until the points fall onto their pixels in every view.
 """
 
-import signal
-import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, project, rays_through, triangulate
 from edit3r_matching.registration import MIN_PARALLAX
-
-_AT_TERM = signal.getsignal(signal.SIGTERM)
-import pycolmap  # noqa: E402
-
-# Importing it makes the process print a stack trace when somebody ends it; what was to happen before happens again.
-if _AT_TERM is not None and threading.current_thread() is threading.main_thread():
-    signal.signal(signal.SIGTERM, _AT_TERM)
+from edit3r_matching.relative_pose import pycolmap
 
 __all__ = ["adjust_poses"]
 
