@@ -1,6 +1,6 @@
 """The matchers `classical` and `posed`: where the photos were taken and how far every pixel is, without weights."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -20,12 +20,16 @@ from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
-from edit3r_matching.relative_pose import Matches
+from edit3r_matching.relative_pose import Matches, estimate_pose
 
 __all__ = ["ClassicalMatcher", "PosedMatcher"]
 
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
+LENS_FITS = 0.6
+"""Share of the matches that agree on a motion above which the field of view that was told is not questioned."""
+BETTER_LENS = 1.25
+"""How many times as many matches must agree with the field of view that the photos tell before it is worth a word."""
 LEAST_MATCHES = 8
 """Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
 
@@ -68,10 +72,16 @@ class ClassicalMatcher(Matcher):
         images = calibrated_images(views, scene)
         names = views.names or tuple(f"view {index}" for index in range(views.count))
         features = find_features(images, chosen)
-        if self._reads_fov(views):
+        unknown = self._reads_fov(views)
+        if unknown:
             images = self._calibrated(images, features)
-        registration = register(images, names, features, chosen.threshold, chosen.seed)
-        _report(registration, names)
+        registration = register(images, names, features, chosen.threshold, chosen.seed, free_focal=unknown)
+        images = [image.zoomed(registration.zoom) for image in images]
+        if registration.zoom != 1:
+            reporting.note("matcher.fov", round(images[0].fov, 1))
+        if chosen.calibrate and not any(views.assumed):
+            self._question_lens(images, features, registration)
+        _report(registration, features, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         maps = (c2w, *measure_depths(images, registration, chosen))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
@@ -88,6 +98,26 @@ class ClassicalMatcher(Matcher):
         reporting.note("matcher.fov", round(fov, 1))
         return [image.with_fov(fov) for image in images]
 
+    def _question_lens(
+        self, images: Sequence[CalibratedImage], features: FoundFeatures, registration: Registration
+    ) -> None:
+        """Warn where the photos contradict the field of view that somebody told; it is used all the same."""
+        key, pair = max(registration.pairs.items(), key=lambda item: len(item[1].matches))
+        matches, chosen = features.matches(images, *key), self.settings
+        if len(pair.matches) > LENS_FITS * len(matches):
+            return
+        fov = calibrate([images[view] for view in key], {key: matches}, chosen.threshold, chosen.seed)
+        if fov is None:
+            return
+        other = features.matches([image.with_fov(fov) for image in images], *key)
+        found = estimate_pose(other, chosen.threshold * max(images[0].size) / 256, chosen.seed)
+        if found is not None and found.inliers.sum() > BETTER_LENS * len(pair.matches):
+            reporting.warn(
+                f"a field of view of {images[key[0]].fov:.0f} degrees across the longer side does not fit the photos: "
+                f"{found.inliers.sum()} instead of {len(pair.matches)} points agree with {fov:.0f} degrees. "
+                "Leave out --fov or the camera file to have it read from the photos."
+            )
+
 
 class PosedMatcher(Matcher):
     """Trusts the views' own poses; views without any go to the matcher it was built with.
@@ -98,6 +128,10 @@ class PosedMatcher(Matcher):
     class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
+        refine_poses: bool = Field(
+            False,
+            description="settle the given poses on the matches (bundle adjustment); else they stay to the last digit",
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -108,11 +142,12 @@ class PosedMatcher(Matcher):
             return self.matcher.match(views)
         poses = relative_to_first(views.c2w.detach().double().cpu())
         scenes = [self._match_scene(views, scene, poses[scene]) for scene in range(len(views.images))]
-        depths, confidence, registered = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        poses, depths, confidence, registered = parts
         return MatchedGeometry(poses.to(views.images), depths, confidence, registered)
 
-    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Depths, confidence and which views have any, of one scene."""
+    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, ...]:
+        """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
         poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
         features, pairs = find_features(images, self.settings), {}
@@ -127,9 +162,27 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
+        if self.settings.refine_poses:
+            poses = self._refined(images, poses, features, pairs)
+            c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
         maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
-        return 1 / inverse, confidence, torch.from_numpy(placed)
+        return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
+
+    def _refined(
+        self,
+        images: Sequence[CalibratedImage],
+        poses: Sequence[Pose],
+        features: FoundFeatures,
+        pairs: Mapping[tuple[int, int], PairView],
+    ) -> tuple[Pose, ...]:
+        """The known poses, settled on the matches that agree with them."""
+        from edit3r_matching.bundle_adjustment import adjust_poses
+
+        indices = {pair: view.indices for pair, view in pairs.items()}
+        points = [keys.points for keys in features.keypoints]
+        settled = adjust_poses(images, points, indices, dict(enumerate(poses)), 2 * self.settings.threshold)
+        return tuple(settled[view] for view in range(len(images)))
 
     def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
         """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""
@@ -144,8 +197,11 @@ def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match
     return np.abs((lines * matches.rays_b).sum(-1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=-1), 1e-12)
 
 
-def _report(registration: Registration, names: Sequence[str]) -> None:
-    """Note the inliers of every pair, and warn of views that were left out."""
+def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:
+    """Note the inliers of every pair and where their matches come from, and warn of views that were left out."""
+    helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
+    learned = f" and, for {helped} of {len(features.indices)} pairs, ALIKED + LightGlue" if helped else ""
+    reporting.note("matcher.matches", f"SIFT{learned}")
     reporting.note(
         "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}
     )

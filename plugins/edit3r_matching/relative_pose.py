@@ -48,6 +48,11 @@ class Matches:
         """The matches at `index`."""
         return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index])
 
+    def zoomed(self, factor: float) -> "Matches":
+        """The same points seen with focal lengths `factor` times as long."""
+        rays = (rays / np.array([factor, factor, 1.0]) for rays in (self.rays_a, self.rays_b))
+        return replace(self, **dict(zip(("rays_a", "rays_b"), rays)), focal=factor * self.focal)
+
 
 @dataclass(frozen=True)
 class TwoViewPose:

@@ -3,16 +3,19 @@
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 
 import cv2
 import numpy as np
 import pytest
 from edit3r_matching import registration
-from edit3r_matching.bundle_adjustment import adjust_poses, join_tracks
+from edit3r_matching.bundle_adjustment import adjust, adjust_poses, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
+
+from edit3r.errors import MatchingError
 
 VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
 
@@ -92,6 +95,24 @@ def test_no_match_at_all_leaves_the_poses_as_they_are(scene):
     assert all(np.allclose(after[v].matrix, true[v].matrix) for v in true)
 
 
+@pytest.mark.parametrize("wrong", [0.9, 1.1])
+def test_a_focal_length_that_nobody_knows_comes_back_with_the_poses(scene, wrong):
+    images, keypoints, matches, true = scene
+    taken = [image.zoomed(wrong) for image in images]
+    fixed, kept = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0)
+    poses, zoom = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0, free_focal=True)
+    assert kept == 1 and zoom * wrong == pytest.approx(1, abs=0.005)
+    assert errors(poses, true)[0] < 0.05 < errors(fixed, true)[0]
+
+
+def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
+    images, keypoints, matches, true = scene
+    taken = [image.zoomed(1.6) for image in images]
+    poses, zoom = adjust(taken, keypoints, matches, true, threshold=4.0, free_focal=True)
+    fixed = adjust_poses(taken, keypoints, matches, true, threshold=4.0)
+    assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
+
+
 def test_matches_that_share_a_keypoint_are_one_track():
     keypoints = [np.zeros((3, 2))] * 3
     matches = {(0, 1): np.array([[0, 2], [1, 1]]), (1, 2): np.array([[2, 0]])}
@@ -112,13 +133,29 @@ def test_a_process_that_is_ended_prints_no_stack_trace():
     assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
 
 
+@pytest.mark.parametrize(("sift", "placed"), [(POINTS, True), (20, True), (8, False), (0, False)])
+def test_few_learned_matches_alone_place_nothing(scene, sift, placed):
+    """Of 50 matches that agree, `sift` are SIFT's, and the others count little."""
+    images, keypoints, matches, _ = scene
+    kept = {(0, 1): matches[0, 1][:50]}
+    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
+    found = FoundFeatures(keys[:2], kept, (sift, sift))
+    if placed:
+        assert registration.register(images[:2], "ab", found, threshold=1.0, seed=0).registered.all()
+    else:
+        with pytest.raises(MatchingError, match="too few to be sure"):
+            registration.register(images[:2], "ab", found, threshold=1.0, seed=0)
+        many = replace(found, indices={(0, 1): matches[0, 1][:80]})
+        assert registration.register(images[:2], "ab", many, threshold=1.0, seed=0).registered.all()
+
+
 def test_registration_settles_its_poses_so(scene, monkeypatch):
     """What `register` returns is what `adjust_poses` makes of the views placed one after the other."""
     images, keypoints, matches, _ = scene
     rng = np.random.default_rng(3)
     noisy = tuple(Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32)) for p in keypoints)
     found = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
-    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self: None)
+    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self, free_focal: None)
     raw = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
     agreeing = {pair: view.indices for pair, view in raw.pairs.items()}
     limit = 2 * max(SIZE) / 256
