@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from edit3r import config, weights
 from edit3r.errors import MatchingError
@@ -31,9 +32,14 @@ MIN_PARALLAX = 0.4
 """Median angle between rays to the same point below which depth cannot be read [degrees]."""
 ENOUGH_PARALLAX = 5.0
 """Angle beyond which more does not make a better first pair [degrees]."""
-LEARNED_INLIERS = 60
-"""Agreeing matches below which a pose that SIFT alone does not show is not believed: wrong learned matches are wrong
-together, so counting them against chance proves little."""
+LEARNED_INLIERS = 30
+"""Agreeing matches below which a pose that SIFT alone does not show is not believed."""
+LEARNED_NOISE = 4.0
+"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined."""
+DEPTH_STEP = 0.025
+"""Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
+SPREAD = 0.2
+"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
@@ -130,7 +136,9 @@ class FoundFeatures:
         height, width = images[b].size
         # A band of two pixels along the longest possible line, over the image's area.
         chance = 2 * np.hypot(height, width) / (height * width)
-        return Matches(*rays, float(np.mean(focals)), chance)
+        learned = self.learned(a, b)
+        noise = np.where(learned, LEARNED_NOISE, 1.0) if learned.any() else None
+        return Matches(*rays, float(np.mean(focals)), chance, noise)
 
 
 def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) -> FoundFeatures:
@@ -231,9 +239,26 @@ def _evident(found: TwoViewPose, matches: Matches, learned: Bool[np.ndarray, "ma
     alone = log_false_alarms(int((~learned).sum()), exact, matches.chance * threshold)
     if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:
         return True
-    return (
-        bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS and found.log_false_alarms <= -MIN_LOG_EVIDENCE
-    )
+    many = bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS
+    return many and found.log_false_alarms <= -MIN_LOG_EVIDENCE and _holds_together(found, matches)
+
+
+def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
+    """Whether the points that agree form surfaces, and lie all over the places where there are matches.
+
+    Wrong learned matches are wrong together, so counting them against chance proves little. But the epipolar lines
+    say nothing about where along them a match lies, and points of wrong matches have depths that jump.
+    """
+    kept = matches.select(found.inliers)
+    depth, _ = triangulate(kept.rays_a, kept.rays_b, found.pose)
+    readable = parallax_degrees(kept.rays_a, kept.rays_b, found.pose) > 1.0
+    places, log_depth = kept.rays_a[readable], np.log(depth[readable])
+    if len(places) < LEARNED_INLIERS:
+        return False
+    _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)  # itself and four neighbours
+    step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
+    agreeing, every = (len(np.unique(np.floor(6 * rays[:, :2]), axis=0)) for rays in (kept.rays_a, matches.rays_a))
+    return bool(step <= DEPTH_STEP and agreeing >= SPREAD * every)
 
 
 @dataclass

@@ -40,13 +40,15 @@ class Matches:
     rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
+    noise: Float[np.ndarray, "match"] | None = None  # how inexact each is, 1 being SIFT's points; None: all are
 
     def __len__(self) -> int:
         return len(self.rays_a)
 
     def select(self, index: Bool[np.ndarray, "match"]) -> "Matches":
         """The matches at `index`."""
-        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index])
+        noise = None if self.noise is None else self.noise[index]
+        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index], noise=noise)
 
     def zoomed(self, factor: float) -> "Matches":
         """The same points seen with focal lengths `factor` times as long."""
@@ -130,10 +132,10 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
         near = np.abs(sampson_errors(matches, pose)) < _NEAR * threshold
         if near.sum() < MIN_INLIERS:
             return pose
-        kept = matches.select(near)
-        moved = _tangent_step(pose)
+        kept, moved = matches.select(near), _tangent_step(pose)
+        noise = 1.0 if kept.noise is None else kept.noise
         solution = least_squares(
-            lambda step, kept=kept, moved=moved: sampson_errors(kept, moved(step)),
+            lambda step, kept=kept, moved=moved, noise=noise: sampson_errors(kept, moved(step)) / noise,
             np.zeros(5),
             loss="cauchy",
             f_scale=_NOISE * threshold,

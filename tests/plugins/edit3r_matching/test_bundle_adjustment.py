@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from itertools import combinations
 
 import cv2
@@ -11,13 +10,14 @@ import numpy as np
 import pytest
 from edit3r_matching import registration
 from edit3r_matching.bundle_adjustment import adjust, adjust_poses, join_tracks
-from edit3r_matching.cameras import CalibratedImage, Pose, project
+from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
 
 from edit3r.errors import MatchingError
 
 VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
+ASIDE = Pose(cv2.Rodrigues(np.array([0.0, 0.3, 0]))[0], np.array([-1.5, 0.1, 0.2]))
 
 
 @pytest.fixture
@@ -133,20 +133,51 @@ def test_a_process_that_is_ended_prints_no_stack_trace():
     assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
 
 
-@pytest.mark.parametrize(("sift", "placed"), [(POINTS, True), (20, True), (8, False), (0, False)])
-def test_few_learned_matches_alone_place_nothing(scene, sift, placed):
-    """Of 50 matches that agree, `sift` are SIFT's, and the others count little."""
-    images, keypoints, matches, _ = scene
-    kept = {(0, 1): matches[0, 1][:50]}
-    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
-    found = FoundFeatures(keys[:2], kept, (sift, sift))
-    if placed:
-        assert registration.register(images[:2], "ab", found, threshold=1.0, seed=0).registered.all()
-    else:
-        with pytest.raises(MatchingError, match="too few to be sure"):
-            registration.register(images[:2], "ab", found, threshold=1.0, seed=0)
-        many = replace(found, indices={(0, 1): matches[0, 1][:80]})
-        assert registration.register(images[:2], "ab", many, threshold=1.0, seed=0).registered.all()
+@pytest.fixture
+def surface():
+    """Two images of 300 points on a wavy wall: (images, pixels in both)."""
+    rng = np.random.default_rng(4)
+    points = np.column_stack((rng.uniform((-2, -1.5), (2, 1.5), (300, 2)), np.zeros(300)))
+    points[:, 2] = 5 + 0.5 * np.sin(points[:, 0])
+    k = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
+    image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), k)
+    return [image] * 2, (project(points, k), project(ASIDE.apply(points), k))
+
+
+def placed(images, pixels, count, sift):
+    """Whether `count` matches, the first `sift` of them SIFT's and the others learned, place the two images."""
+    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in pixels)
+    found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(count)] * 2, 1)}, (sift, sift))
+    try:
+        return registration.register(images, "ab", found, threshold=1.0, seed=0).registered.all()
+    except MatchingError as error:
+        assert "too few to be sure" in str(error)
+        return False
+
+
+@pytest.mark.parametrize(("count", "sift", "enough"), [(25, 25, True), (25, 20, True), (25, 0, False), (60, 0, True)])
+def test_a_few_learned_matches_alone_place_nothing(surface, count, sift, enough):
+    assert placed(*surface, count, sift) == enough
+
+
+def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surface):
+    """Shifted along their epipolar lines they agree as well as before, which is all that SIFT's are asked for."""
+    images, (first, second) = surface
+    rng = np.random.default_rng(5)
+    k = images[0].intrinsics
+    jumping = project(ASIDE.apply(rays_through(first, k) * rng.uniform(3, 8, (len(first), 1))), k)
+    assert placed(images, (first, second), 150, 0)
+    assert placed(images, (first, jumping), 150, 150)
+    assert not placed(images, (first, jumping), 150, 0)
+
+
+def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface):
+    images, (first, second) = surface
+    corner = np.argsort(np.abs(first - (30, 30)).max(axis=1))
+    first, second = first[corner], second[corner].copy()
+    second[50:] = np.random.default_rng(6).uniform((0, 0), SIZE[::-1], (250, 2))
+    assert not placed(images, (first, second), 300, 0)
+    assert placed(images, (first, second), 50, 0)
 
 
 def test_registration_settles_its_poses_so(scene, monkeypatch):
