@@ -36,7 +36,7 @@ LEARNED_INLIERS = 30
 """Agreeing matches below which a pose that SIFT alone does not show is not believed."""
 LEARNED_NOISE = 4.0
 """How many times less exact than SIFT's the learned points are taken to be where a pose is refined."""
-DEPTH_STEP = 0.025
+DEPTH_STEP = 0.05
 """Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
 SPREAD = 0.2
 """Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
@@ -223,7 +223,13 @@ def _pair(
 ) -> PairView | str:
     """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
     found = estimate_pose(matches, threshold, seed)
-    if found is None or not _evident(found, matches, learned, threshold):
+    evident = _evident(found, matches, learned, threshold)
+    if not evident and learned.any():  # where SIFT's matches are nearly all wrong, they hide what the others say
+        alone = matches.select(learned)
+        second = estimate_pose(alone, threshold, seed)
+        if _evident(second, alone, learned[learned], threshold):
+            evident, found, matches, indices = True, second, alone, indices[learned]
+    if not evident:
         agreeing = 0 if found is None else int(found.inliers.sum())
         return f"{agreeing} of {len(matches)} matched points agree on a camera motion, too few to be sure"
     pair = PairView.of(matches, indices, found.inliers, found.pose)
@@ -233,8 +239,10 @@ def _pair(
     return pair
 
 
-def _evident(found: TwoViewPose, matches: Matches, learned: Bool[np.ndarray, "match"], threshold: float) -> bool:
-    """Whether the matches show the pose beyond doubt: SIFT's alone against chance, or many of both kinds."""
+def _evident(found: TwoViewPose | None, matches: Matches, learned: Bool[np.ndarray, "match"], threshold: float) -> bool:
+    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both kinds."""
+    if found is None:
+        return False
     exact = int((found.inliers & ~learned).sum())
     alone = log_false_alarms(int((~learned).sum()), exact, matches.chance * threshold)
     if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:

@@ -171,13 +171,22 @@ def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surfa
     assert not placed(images, (first, jumping), 150, 0)
 
 
+def test_learned_matches_place_what_wrong_ones_of_sift_would_hide(surface):
+    images, (first, second) = surface
+    broken = second.copy()
+    broken[:270] = np.random.default_rng(7).uniform((0, 0), SIZE[::-1], (270, 2))
+    assert not placed(images, (first, broken), 270, 270)
+    broken[230:] = second[230:]
+    assert placed(images, (first, broken), 300, 230)
+
+
 def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface):
     images, (first, second) = surface
     corner = np.argsort(np.abs(first - (30, 30)).max(axis=1))
     first, second = first[corner], second[corner].copy()
-    second[50:] = np.random.default_rng(6).uniform((0, 0), SIZE[::-1], (250, 2))
+    second[34:] = np.random.default_rng(6).uniform((0, 0), SIZE[::-1], (266, 2))
     assert not placed(images, (first, second), 300, 0)
-    assert placed(images, (first, second), 50, 0)
+    assert placed(images, (first, second), 34, 0)
 
 
 def test_registration_settles_its_poses_so(scene, monkeypatch):
