@@ -20,16 +20,12 @@ from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
-from edit3r_matching.relative_pose import Matches, estimate_pose
+from edit3r_matching.relative_pose import Matches
 
 __all__ = ["ClassicalMatcher", "PosedMatcher"]
 
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
-LENS_FITS = 0.6
-"""Share of the matches that agree on a motion above which the field of view that was told is not questioned."""
-BETTER_LENS = 1.25
-"""How many times as many matches must agree with the field of view that the photos tell before it is worth a word."""
 LEAST_MATCHES = 8
 """Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
 
@@ -79,8 +75,6 @@ class ClassicalMatcher(Matcher):
         images = [image.zoomed(registration.zoom) for image in images]
         if registration.zoom != 1:
             reporting.note("matcher.fov", round(images[0].fov, 1))
-        if chosen.calibrate and not any(views.assumed):
-            self._question_lens(images, features, registration)
         _report(registration, features, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         maps = (c2w, *measure_depths(images, registration, chosen))
@@ -97,26 +91,6 @@ class ClassicalMatcher(Matcher):
             return images
         reporting.note("matcher.fov", round(fov, 1))
         return [image.with_fov(fov) for image in images]
-
-    def _question_lens(
-        self, images: Sequence[CalibratedImage], features: FoundFeatures, registration: Registration
-    ) -> None:
-        """Warn where the photos contradict the field of view that somebody told; it is used all the same."""
-        key, pair = max(registration.pairs.items(), key=lambda item: len(item[1].matches))
-        matches, chosen = features.matches(images, *key), self.settings
-        if len(pair.matches) > LENS_FITS * len(matches):
-            return
-        fov = calibrate([images[view] for view in key], {key: matches}, chosen.threshold, chosen.seed)
-        if fov is None:
-            return
-        other = features.matches([image.with_fov(fov) for image in images], *key)
-        found = estimate_pose(other, chosen.threshold * max(images[0].size) / 256, chosen.seed)
-        if found is not None and found.inliers.sum() > BETTER_LENS * len(pair.matches):
-            reporting.warn(
-                f"a field of view of {images[key[0]].fov:.0f} degrees across the longer side does not fit the photos: "
-                f"{found.inliers.sum()} instead of {len(pair.matches)} points agree with {fov:.0f} degrees. "
-                "Leave out --fov or the camera file to have it read from the photos."
-            )
 
 
 class PosedMatcher(Matcher):

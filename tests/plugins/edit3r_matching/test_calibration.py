@@ -10,8 +10,6 @@ from edit3r_matching.cameras import CalibratedImage, rays_through
 from edit3r_matching.matchers import ClassicalMatcher
 from edit3r_matching.relative_pose import Matches
 
-from edit3r.reporting import Report, collecting
-
 SIDE = 256
 
 
@@ -70,15 +68,3 @@ def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     true = pair.views.intrinsics[0, 0, 0, 0]
     assert torch.isclose(told, true, rtol=0.15)
     assert abs(told - true) < abs(wrong[0, 0, 0, 0] - true)
-
-
-def test_a_field_of_view_far_off_is_used_and_warned_about_and_one_that_fits_is_not(make_room):
-    pair = make_room([(0,), (0.5, 0.1, -25)])
-    wrong = pair.views.intrinsics.clone()
-    wrong[..., 0, 0] *= 0.5
-    wrong[..., 1, 1] *= 0.5
-    matcher = ClassicalMatcher(ClassicalMatcher.Settings(working_size=96, planes=24))
-    for told, warned in ((wrong, True), (pair.views.intrinsics, False)):
-        with collecting(Report()) as report:
-            assert matcher.match(replace(pair.views, intrinsics=told)).intrinsics is None
-        assert any("does not fit the photos" in text for text in report.warnings) == warned
