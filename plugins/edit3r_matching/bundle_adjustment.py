@@ -1,11 +1,10 @@
-"""Bundle adjustment: poses of three and more views and the points they share, settled together (pycolmap, Ceres).
+"""Bundle adjustment: poses of several views and the points they share, settled together (pycolmap, Ceres).
 
 Placing one view after the other adds up errors. Here the matches of all pairs are joined into tracks (one point seen by
-several views), and poses and points move until the points fall onto their pixels in every view.
+several views), and poses and points move until the points fall onto their pixels in every view. Where nobody knows the
+lens, the one focal length of all views moves with them.
 """
 
-import signal
-import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,15 +14,9 @@ from scipy.sparse.csgraph import connected_components
 
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, project, rays_through, triangulate
 from edit3r_matching.registration import MIN_PARALLAX
+from edit3r_matching.relative_pose import pycolmap
 
-_AT_TERM = signal.getsignal(signal.SIGTERM)
-import pycolmap  # noqa: E402
-
-# Importing it makes the process print a stack trace when somebody ends it; what was to happen before happens again.
-if _AT_TERM is not None and threading.current_thread() is threading.main_thread():
-    signal.signal(signal.SIGTERM, _AT_TERM)
-
-__all__ = ["adjust_poses"]
+__all__ = ["adjust", "adjust_poses"]
 
 ROUNDS = 2
 """Adjustments, each on the points that agree with the poses so far."""
@@ -31,6 +24,8 @@ LOOSE = 4.0
 """How many times the threshold a point may be off its pixel in the first round."""
 LEAST_POINTS = 20
 """Points below which nothing is adjusted."""
+MOST_ZOOM = 1.25
+"""Change of a focal length beyond which the matches do not tell it: then it stays as it was."""
 
 Tracks = list[dict[int, int]]  # view: keypoint, of each track
 
@@ -47,16 +42,35 @@ def adjust_poses(
     `matches` are pairs of keypoint indices of two views that agree on an epipolar geometry. `threshold` is how far a
     point may be off its pixel [pixels]. The unit of length stays that of the poses given.
     """
-    placed = sorted(poses)
+    return adjust(images, keypoints, matches, poses, threshold)[0]
+
+
+def adjust(
+    images: Sequence[CalibratedImage],
+    keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
+    matches: dict[tuple[int, int], Int[np.ndarray, "match 2"]],
+    poses: dict[int, Pose],
+    threshold: float,
+    free_focal: bool = False,
+) -> tuple[dict[int, Pose], float]:
+    """Return better `poses`, as `adjust_poses` does, and the factor by which the focal lengths of all images change.
+
+    The factor is 1 unless `free_focal`, which asks for images of one size and one lens.
+    """
+    placed, start, zoom = sorted(poses), poses, 1.0
     tracks = join_tracks({pair: found for pair, found in matches.items() if set(pair) <= set(placed)}, keypoints)
     for limit in np.geomspace(LOOSE * threshold, threshold, ROUNDS):
-        scene = _scene(images, keypoints, tracks, poses, float(limit))
+        zoomed = [image.zoomed(zoom) for image in images]
+        scene = _scene(zoomed, keypoints, tracks, poses, float(limit), free_focal)
         if scene.num_points3D() < LEAST_POINTS:
-            return poses
+            return start, 1.0
         # Not pycolmap.bundle_adjustment, which writes to the terminal.
-        pycolmap.create_default_bundle_adjuster(_options(threshold), _problem(scene), scene).solve()
+        pycolmap.create_default_bundle_adjuster(_options(threshold, free_focal), _problem(scene), scene).solve()
         poses = _poses_of(scene, placed, poses)
-    return poses
+        zoom *= float(scene.cameras[placed[0] + 1].params[0] / zoomed[placed[0]].intrinsics[0, 0])
+    if not 1 / MOST_ZOOM < zoom < MOST_ZOOM:
+        return adjust(images, keypoints, matches, start, threshold)
+    return poses, zoom
 
 
 def join_tracks(
@@ -87,16 +101,20 @@ def _scene(
     tracks: Tracks,
     poses: dict[int, Pose],
     limit: float,
+    one_lens: bool,
 ) -> pycolmap.Reconstruction:
     """The views, and of the tracks those points and sightings that fall within `limit` pixels."""
     scene = pycolmap.Reconstruction()
     for view, pose in poses.items():
         height, width = images[view].size
         k = images[view].intrinsics
-        lens = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
-        camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=lens, camera_id=view + 1)
-        scene.add_camera_with_trivial_rig(camera)
-        image = pycolmap.Image(f"{view}", keypoints[view], camera_id=view + 1, image_id=view + 1)
+        number = 1 + (min(poses) if one_lens else view)
+        model, lens = ("SIMPLE_PINHOLE", [k[0, 0]]) if one_lens else ("PINHOLE", [k[0, 0], k[1, 1]])
+        if number not in scene.cameras:
+            lens += [k[0, 2], k[1, 2]]
+            camera = pycolmap.Camera(model=model, width=width, height=height, params=lens, camera_id=number)
+            scene.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(f"{view}", keypoints[view], camera_id=number, image_id=view + 1)
         scene.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.matrix[:3]))
     for track in tracks:
         point = _point(track, images, keypoints, poses)
@@ -151,10 +169,13 @@ def _problem(scene: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
     return problem
 
 
-def _options(threshold: float) -> pycolmap.BundleAdjustmentOptions:
-    """Poses and points only; a robust loss, and one thread, so that the same matches give the same poses."""
+def _options(threshold: float, free_focal: bool) -> pycolmap.BundleAdjustmentOptions:
+    """Poses and points, and the focal length where it is free.
+
+    A robust loss, and one thread, so that the same matches give the same poses.
+    """
     options = pycolmap.BundleAdjustmentOptions(
-        refine_focal_length=False, refine_extra_params=False, refine_principal_point=False, print_summary=False
+        refine_focal_length=free_focal, refine_extra_params=False, refine_principal_point=False, print_summary=False
     )
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = 0.5 * threshold

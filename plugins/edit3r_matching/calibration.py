@@ -8,9 +8,8 @@ what was assumed decides where the matches do not care, as when a camera only mo
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
 from scipy.optimize import minimize_scalar
 
 from edit3r_matching.cameras import CalibratedImage, Pose
@@ -114,6 +113,4 @@ class _FocalSearch:
 
     def _with_focal(self, pair: Matches, log_focal: float) -> Matches:
         """The same points seen with another focal length."""
-        stretch = np.array([1.0, 1.0, math.exp(log_focal) / pair.focal])
-        rays = (rays * stretch / stretch[2] for rays in (pair.rays_a, pair.rays_b))
-        return replace(pair, **dict(zip(("rays_a", "rays_b"), rays)), focal=math.exp(log_focal))
+        return pair.zoomed(math.exp(log_focal) / pair.focal)

@@ -49,11 +49,20 @@ class CalibratedImage:
         stretch = np.array([[size[0] / width], [size[1] / height], [1.0]])
         return CalibratedImage(cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA), self.intrinsics * stretch)
 
+    @property
+    def fov(self) -> float:
+        """Field of view across the longer side [degrees]."""
+        return float(np.degrees(2 * np.arctan(0.5 * max(self.size) / self.intrinsics[0, 0])))
+
     def with_fov(self, fov: float) -> "CalibratedImage":
         """The image as if taken with a field of view of `fov` [degrees] across its longer side."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 0] = intrinsics[1, 1] = 0.5 * max(self.size) / np.tan(np.radians(fov) / 2)
         return CalibratedImage(self.pixels, intrinsics)
+
+    def zoomed(self, factor: float) -> "CalibratedImage":
+        """The image as if taken with focal lengths `factor` times as long."""
+        return CalibratedImage(self.pixels, self.intrinsics * np.array([[factor, factor, 1.0]]))
 
 
 def calibrated_images(views: Views, scene: int) -> list[CalibratedImage]:

@@ -24,6 +24,10 @@ class Keypoints:
     def __len__(self) -> int:
         return len(self.points)
 
+    def followed_by(self, more: "Keypoints") -> "Keypoints":
+        """These features, then `more` of the same image."""
+        return Keypoints(*map(np.concatenate, ((self.points, more.points), (self.descriptors, more.descriptors))))
+
 
 def detect(image: Float[np.ndarray, "height width 3"], limit: int, detection_size: int) -> Keypoints:
     """At most about `limit` of the strongest features of `image` in [0, 1].

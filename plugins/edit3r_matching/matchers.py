@@ -1,6 +1,6 @@
 """The matchers `classical` and `posed`: where the photos were taken and how far every pixel is, without weights."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -69,10 +69,14 @@ class ClassicalMatcher(Matcher):
         images = calibrated_images(views, scene)
         names = views.names or tuple(f"view {index}" for index in range(views.count))
         features = find_features(images, chosen)
-        if self._reads_fov(views):
+        unknown = self._reads_fov(views)
+        if unknown:
             images = self._calibrated(images, features)
-        registration = register(images, names, features, chosen.threshold, chosen.seed)
-        _report(registration, names)
+        registration = register(images, names, features, chosen.threshold, chosen.seed, free_focal=unknown)
+        images = [image.zoomed(registration.zoom) for image in images]
+        if registration.zoom != 1:
+            reporting.note("matcher.fov", round(images[0].fov, 1))
+        _report(registration, features, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         maps = (c2w, *measure_depths(images, registration, chosen, self.depth_network))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
@@ -99,6 +103,10 @@ class PosedMatcher(Matcher):
     class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
+        refine_poses: bool = Field(
+            False,
+            description="settle the given poses on the matches (bundle adjustment); else they stay to the last digit",
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -109,11 +117,12 @@ class PosedMatcher(Matcher):
             return self.matcher.match(views)
         poses = relative_to_first(views.c2w.detach().double().cpu())
         scenes = [self._match_scene(views, scene, poses[scene]) for scene in range(len(views.images))]
-        depths, confidence, registered = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
+        poses, depths, confidence, registered = parts
         return MatchedGeometry(poses.to(views.images), depths, confidence, registered)
 
-    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Depths, confidence and which views have any, of one scene."""
+    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, ...]:
+        """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
         poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
         features, pairs = find_features(images, self.settings), {}
@@ -128,10 +137,28 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
+        if self.settings.refine_poses:
+            poses = self._refined(images, poses, features, pairs)
+            c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
         network = chosen_network(self.settings)
         maps = measure_depths(images, Registration(poses, placed, pairs), self.settings, network)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
-        return 1 / inverse, confidence, torch.from_numpy(placed)
+        return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
+
+    def _refined(
+        self,
+        images: Sequence[CalibratedImage],
+        poses: Sequence[Pose],
+        features: FoundFeatures,
+        pairs: Mapping[tuple[int, int], PairView],
+    ) -> tuple[Pose, ...]:
+        """The known poses, settled on the matches that agree with them."""
+        from edit3r_matching.bundle_adjustment import adjust_poses
+
+        indices = {pair: view.indices for pair, view in pairs.items()}
+        points = [keys.points for keys in features.keypoints]
+        settled = adjust_poses(images, points, indices, dict(enumerate(poses)), 2 * self.settings.threshold)
+        return tuple(settled[view] for view in range(len(images)))
 
     def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
         """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""
@@ -146,8 +173,11 @@ def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match
     return np.abs((lines * matches.rays_b).sum(-1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=-1), 1e-12)
 
 
-def _report(registration: Registration, names: Sequence[str]) -> None:
-    """Note the inliers of every pair, and warn of views that were left out."""
+def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:
+    """Note the inliers of every pair and where their matches come from, and warn of views that were left out."""
+    helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
+    learned = f" and, for {helped} of {len(features.indices)} pairs, ALIKED + LightGlue" if helped else ""
+    reporting.note("matcher.matches", f"SIFT{learned}")
     reporting.note(
         "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}
     )

@@ -5,28 +5,43 @@ further view is placed on the points it shares with the views already there (PnP
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
+from scipy.spatial import cKDTree
 
-from edit3r import config
+from edit3r import config, weights
 from edit3r.errors import MatchingError
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, rays_through, triangulate
 from edit3r_matching.features import Keypoints, detect, match
-from edit3r_matching.relative_pose import MIN_INLIERS, Matches, estimate_pose
+from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose, log_false_alarms
 
 __all__ = ["FeatureSettings", "FoundFeatures", "PairView", "Registration", "find_features", "register"]
 
+LEARNED_WEIGHTS = "aliked-lightglue"
+"""Name of the weights of learned features, see `edit3r.weights`."""
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4
 """Median angle between rays to the same point below which depth cannot be read [degrees]."""
 ENOUGH_PARALLAX = 5.0
 """Angle beyond which more does not make a better first pair [degrees]."""
+LEARNED_INLIERS = 30
+"""Agreeing matches below which a pose that SIFT alone does not show is not believed."""
+LEARNED_NOISE = 4.0
+"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined."""
+DEPTH_STEP = 0.05
+"""Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
+SPREAD = 0.2
+"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
+ENOUGH_MATCHES = 250
+"""Matches of SIFT that place two views without help."""
 ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
 
 
@@ -60,6 +75,7 @@ class Registration:
     poses: tuple[Pose, ...]  # world to camera; identity for a view that was not placed
     registered: Bool[np.ndarray, "view"]
     pairs: dict[tuple[int, int], PairView]  # (a, b) with a < b
+    zoom: float = 1.0  # factor by which the focal lengths of all images changed
 
     def relative(self, a: int, b: int) -> Pose:
         """From view a's frame to view b's."""
@@ -91,6 +107,12 @@ class FeatureSettings(config.Settings):
     ratio: float = Field(
         0.85, gt=0, le=1, description="a match must be this much nearer than its second choice (Lowe's test)"
     )
+    matches: Literal["auto", "sift", "learned"] = Field(
+        "auto",
+        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get "
+        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those weights are at hand",
+    )
+    learned_keypoints: int = Field(1024, ge=128, le=4096, description="most learned features a photo")
 
 
 @dataclass(frozen=True)
@@ -99,6 +121,11 @@ class FoundFeatures:
 
     keypoints: tuple[Keypoints, ...]
     indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]  # (a, b) with a < b: keypoints of images a and b
+    sift: tuple[int, ...] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+
+    def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
+        """Which matches of images a and b are learned ones."""
+        return self.indices[a, b][:, 0] >= (self.sift[a] if self.sift else len(self.keypoints[a]))
 
     def matches(self, images: Sequence[CalibratedImage], a: int, b: int) -> Matches:
         """What images a and b have in common, as rays of their cameras."""
@@ -109,28 +136,68 @@ class FoundFeatures:
         height, width = images[b].size
         # A band of two pixels along the longest possible line, over the image's area.
         chance = 2 * np.hypot(height, width) / (height * width)
-        return Matches(*rays, float(np.mean(focals)), chance)
+        learned = self.learned(a, b)
+        noise = np.where(learned, LEARNED_NOISE, 1.0) if learned.any() else None
+        return Matches(*rays, float(np.mean(focals)), chance, noise)
 
 
 def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) -> FoundFeatures:
-    """Detect features and match every two images; needs no intrinsics."""
+    """Detect features and match every two images; needs no intrinsics.
+
+    Raises MissingDependencyError where learned matches are asked for and their weights are not at hand.
+    """
     keypoints = tuple(detect(image.pixels, settings.keypoints, settings.detection_size) for image in images)
     every = combinations(range(len(images)), 2)
-    return FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
+    found = FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
+    asked = settings.matches == "learned"
+    few = [pair for pair, indices in found.indices.items() if asked or len(indices) < ENOUGH_MATCHES]
+    if settings.matches == "sift" or not few:
+        return found
+    declared = weights.named(LEARNED_WEIGHTS)
+    folder = weights.find(declared) if asked else weights.at_hand(declared)
+    return found if folder is None else _with_learned(found, few, images, folder, settings)
+
+
+def _with_learned(
+    found: FoundFeatures,
+    pairs: Sequence[tuple[int, int]],
+    images: Sequence[CalibratedImage],
+    folder: Path,
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
+    from edit3r_matching.learned import LearnedFeatures  # torch's networks and kornia load only where they are used
+
+    networks = LearnedFeatures.load(folder, settings.learned_keypoints)
+    views = sorted({view for pair in pairs for view in pair})
+    more = {view: networks.detect(images[view].pixels, settings.detection_size) for view in views}
+    sift = tuple(map(len, found.keypoints))
+    indices = dict(found.indices)
+    for a, b in pairs:
+        own = networks.match(more[a], more[b], (images[a].size, images[b].size)) + np.array([sift[a], sift[b]])
+        indices[a, b] = np.concatenate((indices[a, b], own))
+    keypoints = tuple(k.followed_by(more[view]) if view in more else k for view, k in enumerate(found.keypoints))
+    return FoundFeatures(keypoints, indices, sift)
 
 
 def register(
-    images: Sequence[CalibratedImage], names: Sequence[str], features: FoundFeatures, threshold: float, seed: int
+    images: Sequence[CalibratedImage],
+    names: Sequence[str],
+    features: FoundFeatures,
+    threshold: float,
+    seed: int,
+    free_focal: bool = False,
 ) -> Registration:
     """Place the images; `threshold` is what agrees with an epipolar line [pixels at a long side of 256].
 
-    `names` are for messages. Raises MatchingError with the reason when view 0 cannot be placed with any other.
+    `names` are for messages. `free_focal`: nobody knows the lens, so that three views and more also settle its focal
+    length. Raises MatchingError with the reason when view 0 cannot be placed with any other.
     """
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
     for (a, b), indices in features.indices.items():
         limit = threshold * max(*images[a].size, *images[b].size) / 256
-        found = _pair(features.matches(images, a, b), indices, limit, seed)
+        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
@@ -143,14 +210,26 @@ def register(
     growing = _IncrementalRegistration(images, features.keypoints, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
-    growing.adjust()
+    growing.adjust(free_focal)
     return growing.result()
 
 
-def _pair(matches: Matches, indices: Int[np.ndarray, "match 2"], threshold: float, seed: int) -> PairView | str:
+def _pair(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
     """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
     found = estimate_pose(matches, threshold, seed)
-    if found is None or found.log_false_alarms > -MIN_LOG_EVIDENCE or found.inliers.sum() < MIN_INLIERS:
+    evident = _evident(found, matches, learned, threshold)
+    if not evident and learned.any():  # where SIFT's matches are nearly all wrong, they hide what the others say
+        alone = matches.select(learned)
+        second = estimate_pose(alone, threshold, seed)
+        if _evident(second, alone, learned[learned], threshold):
+            evident, found, matches, indices = True, second, alone, indices[learned]
+    if not evident:
         agreeing = 0 if found is None else int(found.inliers.sum())
         return f"{agreeing} of {len(matches)} matched points agree on a camera motion, too few to be sure"
     pair = PairView.of(matches, indices, found.inliers, found.pose)
@@ -158,6 +237,36 @@ def _pair(matches: Matches, indices: Int[np.ndarray, "match 2"], threshold: floa
     if parallax < MIN_PARALLAX:
         return f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so depth cannot be read"
     return pair
+
+
+def _evident(found: TwoViewPose | None, matches: Matches, learned: Bool[np.ndarray, "match"], threshold: float) -> bool:
+    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both kinds."""
+    if found is None:
+        return False
+    exact = int((found.inliers & ~learned).sum())
+    alone = log_false_alarms(int((~learned).sum()), exact, matches.chance * threshold)
+    if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:
+        return True
+    many = bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS
+    return many and found.log_false_alarms <= -MIN_LOG_EVIDENCE and _holds_together(found, matches)
+
+
+def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
+    """Whether the points that agree form surfaces, and lie all over the places where there are matches.
+
+    Wrong learned matches are wrong together, so counting them against chance proves little. But the epipolar lines
+    say nothing about where along them a match lies, and points of wrong matches have depths that jump.
+    """
+    kept = matches.select(found.inliers)
+    depth, _ = triangulate(kept.rays_a, kept.rays_b, found.pose)
+    readable = parallax_degrees(kept.rays_a, kept.rays_b, found.pose) > 1.0
+    places, log_depth = kept.rays_a[readable], np.log(depth[readable])
+    if len(places) < LEARNED_INLIERS:
+        return False
+    _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)  # itself and four neighbours
+    step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
+    agreeing, every = (len(np.unique(np.floor(6 * rays[:, :2]), axis=0)) for rays in (kept.rays_a, matches.rays_a))
+    return bool(step <= DEPTH_STEP and agreeing >= SPREAD * every)
 
 
 @dataclass
@@ -169,6 +278,7 @@ class _IncrementalRegistration:
     pairs: dict[tuple[int, int], PairView]
     threshold: float  # [pixels at a long side of 256]
     seed: int
+    zoom: float = 1.0
     poses: dict[int, Pose] = field(default_factory=dict)
     points: list[Float[np.ndarray, "keypoint 3"]] = field(default_factory=list)
 
@@ -190,22 +300,24 @@ class _IncrementalRegistration:
                 self.poses[view] = pose
                 self._triangulate_with(view)
 
-    def adjust(self) -> None:
+    def adjust(self, free_focal: bool) -> None:
         """Settle the poses of three and more views together; two are settled by their epipolar geometry already."""
         if len(self.poses) < 3:
             return
-        from edit3r_matching.bundle_adjustment import adjust_poses  # its library is large, and two views never need it
+        from edit3r_matching.bundle_adjustment import adjust
 
         threshold = 2 * self.threshold * max(self.images[0].size) / 256
         matches = {pair: view.indices for pair, view in self.pairs.items()}
         points = [keys.points for keys in self.keypoints]
-        self.poses = adjust_poses(self.images, points, matches, self.poses, threshold)
+        self.poses, self.zoom = adjust(self.images, points, matches, self.poses, threshold, free_focal)
 
     def result(self) -> Registration:
         """What was placed."""
         views = range(len(self.images))
         poses = tuple(self.poses.get(view, Pose.identity()) for view in views)
-        return Registration(poses, np.array([view in self.poses for view in views]), self.pairs)
+        placed = np.array([view in self.poses for view in views])
+        pairs = {key: replace(pair, matches=pair.matches.zoomed(self.zoom)) for key, pair in self.pairs.items()}
+        return Registration(poses, placed, pairs, self.zoom)
 
     def _known_points(self, view: int) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
         """Keypoint indices of `view` whose match in a placed view has a 3D point, and those points."""

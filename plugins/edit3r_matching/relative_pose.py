@@ -1,11 +1,12 @@
 """Pose of one camera relative to another from point matches.
 
-Several robust estimates of the essential matrix (OpenCV's USAC) are refined on the Sampson error and the one that
-explains most matches with points in front of both cameras wins. Whether that could be chance is decided a contrario
+pycolmap's robust estimate is refined on the Sampson error. Whether its support could be chance is decided a contrario
 (Moisan and Stival 2004): how many such agreements would matches thrown at random give?
 """
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,13 +17,28 @@ from scipy.special import gammaln
 
 from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 
-__all__ = ["Matches", "TwoViewPose", "estimate_pose", "pose_fitted_once", "refine", "rough_pose", "signed_support"]
+_AT_TERM = signal.getsignal(signal.SIGTERM)
+import pycolmap  # noqa: E402
+
+# Importing it makes the process print a stack trace when somebody ends it; what was to happen before happens again.
+if _AT_TERM is not None and threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGTERM, _AT_TERM)
+
+__all__ = [
+    "Matches",
+    "TwoViewPose",
+    "estimate_pose",
+    "log_false_alarms",
+    "pose_fitted_once",
+    "refine",
+    "rough_pose",
+    "signed_support",
+]
 
 MIN_INLIERS = 12
-_METHODS = (cv2.USAC_MAGSAC, cv2.USAC_ACCURATE)
-_THRESHOLD_FACTORS = (0.5, 1.0)
-_REFINED_CANDIDATES = 2
 _REFINEMENT_ROUNDS = 3
+_NEAR = 1.5  # times the threshold: matches that take part in the refinement
+_NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
 
 
 @dataclass(frozen=True)
@@ -33,13 +49,20 @@ class Matches:
     rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
+    noise: Float[np.ndarray, "match"] | None = None  # how inexact each is, 1 being SIFT's points; None: all are
 
     def __len__(self) -> int:
         return len(self.rays_a)
 
     def select(self, index: Bool[np.ndarray, "match"]) -> "Matches":
         """The matches at `index`."""
-        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index])
+        noise = None if self.noise is None else self.noise[index]
+        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index], noise=noise)
+
+    def zoomed(self, factor: float) -> "Matches":
+        """The same points seen with focal lengths `factor` times as long."""
+        rays = (rays / np.array([factor, factor, 1.0]) for rays in (self.rays_a, self.rays_b))
+        return replace(self, **dict(zip(("rays_a", "rays_b"), rays)), focal=factor * self.focal)
 
 
 @dataclass(frozen=True)
@@ -53,26 +76,36 @@ class TwoViewPose:
 
 def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose | None:
     """The pose that most matches agree on within `threshold` [pixels]; None when there is nothing to agree on."""
-    if len(matches) < MIN_INLIERS:
+    pose = rough_pose(matches, threshold, seed)
+    if pose is None:
         return None
-    candidates = _essential_candidates(matches, threshold, seed)
-    candidates.sort(key=lambda pose: _support(matches, pose, threshold)[0], reverse=True)
-    refined = [refine(matches, pose, threshold) for pose in candidates[:_REFINED_CANDIDATES]]
     # The epipolar geometry does not tell the sign of the translation; points in front of both cameras do.
-    signed = [Pose(pose.rotation, sign * pose.translation) for pose in refined for sign in (1, -1)]
+    signed = [Pose(pose.rotation, sign * pose.translation) for sign in (1, -1)]
     scored = [(*_support(matches, pose, threshold, in_front=True), pose) for pose in signed]
-    if not scored:
-        return None
     _, inliers, pose = max(scored, key=lambda item: item[0])
-    return TwoViewPose(pose, inliers, _log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold))
+    return TwoViewPose(pose, inliers, log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold))
 
 
 def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
-    """The pose by one robust estimate alone, refined, up to the sign of its translation; None where there is none."""
+    """The pose that pycolmap finds, refined, up to the sign of its translation; None where there is none."""
     if len(matches) < MIN_INLIERS:
         return None
-    candidates = _essential_candidates(matches, threshold, seed, _METHODS[:1], (1.0,))
-    return refine(matches, candidates[0], threshold) if candidates else None
+    focal = matches.focal
+    camera = pycolmap.Camera(model="PINHOLE", width=1, height=1, params=[focal, focal, 0, 0])
+    options = pycolmap.TwoViewGeometryOptions(
+        compute_relative_pose=True, detect_watermark=False, min_num_inliers=MIN_INLIERS
+    )
+    options.ransac.max_error, options.ransac.random_seed = threshold, seed
+    points = (np.ascontiguousarray(focal * rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
+    same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
+    first, second = points
+    found = pycolmap.estimate_calibrated_two_view_geometry(camera, first, camera, second, same, options)
+    if found.cam2_from_cam1 is None:
+        return None
+    matrix = found.cam2_from_cam1.matrix()
+    length = np.linalg.norm(matrix[:, 3])
+    # Without a translation there are no epipolar lines.
+    return refine(matches, Pose(matrix[:, :3], matrix[:, 3] / length), threshold) if length > 1e-9 else None
 
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
@@ -80,32 +113,6 @@ def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
     return max(
         _support(matches, Pose(pose.rotation, sign * pose.translation), threshold, in_front=True)[0] for sign in (1, -1)
     )
-
-
-def _essential_candidates(
-    matches: Matches,
-    threshold: float,
-    seed: int,
-    methods: Sequence[int] = _METHODS,
-    factors: Sequence[float] = _THRESHOLD_FACTORS,
-) -> list[Pose]:
-    """Robust estimates by several methods and thresholds; each finds the truth on some photos the others miss."""
-    points_a, points_b = (np.ascontiguousarray(rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
-    poses = []
-    for method in methods:
-        for factor in factors:
-            cv2.setRNGSeed(seed)
-            limit = factor * threshold / matches.focal
-            try:
-                essential, mask = cv2.findEssentialMat(
-                    points_a, points_b, np.eye(3), method=method, prob=0.9999, threshold=limit, maxIters=5000
-                )
-            except cv2.error:
-                continue  # USAC raises on some degenerate samples; the other estimates remain
-            if essential is not None and essential.shape == (3, 3):
-                _, rotation, translation, _ = cv2.recoverPose(essential, points_a, points_b, np.eye(3), mask=mask)
-                poses.append(Pose(rotation, translation[:, 0]))
-    return poses
 
 
 def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
@@ -131,16 +138,16 @@ def _support(
 def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
     """Minimise the robust Sampson error over rotation and translation direction, reselecting inliers in between."""
     for _ in range(_REFINEMENT_ROUNDS):
-        near = np.abs(sampson_errors(matches, pose)) < 2 * threshold
+        near = np.abs(sampson_errors(matches, pose)) < _NEAR * threshold
         if near.sum() < MIN_INLIERS:
             return pose
-        kept = matches.select(near)
-        moved = _tangent_step(pose)
+        kept, moved = matches.select(near), _tangent_step(pose)
+        noise = 1.0 if kept.noise is None else kept.noise
         solution = least_squares(
-            lambda step, kept=kept, moved=moved: sampson_errors(kept, moved(step)),
+            lambda step, kept=kept, moved=moved, noise=noise: sampson_errors(kept, moved(step)) / noise,
             np.zeros(5),
-            loss="soft_l1",
-            f_scale=0.3 * threshold,
+            loss="cauchy",
+            f_scale=_NOISE * threshold,
         )
         pose = moved(solution.x)
     return pose
@@ -169,7 +176,7 @@ def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:
     return moved
 
 
-def _log_false_alarms(matches: int, inliers: int, chance: float) -> float:
+def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
     """log10 of the expected number of 5-point models that `inliers` of random `matches` would agree with."""
     if inliers <= 5:
         return np.inf

@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching import registration
-from edit3r_matching.bundle_adjustment import adjust_poses, join_tracks
-from edit3r_matching.cameras import CalibratedImage, Pose, project
+from edit3r_matching.bundle_adjustment import adjust, adjust_poses, join_tracks
+from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
 
+from edit3r.errors import MatchingError
+
 VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
+ASIDE = Pose(cv2.Rodrigues(np.array([0.0, 0.3, 0]))[0], np.array([-1.5, 0.1, 0.2]))
 
 
 @pytest.fixture
@@ -92,6 +95,24 @@ def test_no_match_at_all_leaves_the_poses_as_they_are(scene):
     assert all(np.allclose(after[v].matrix, true[v].matrix) for v in true)
 
 
+@pytest.mark.parametrize("wrong", [0.9, 1.1])
+def test_a_focal_length_that_nobody_knows_comes_back_with_the_poses(scene, wrong):
+    images, keypoints, matches, true = scene
+    taken = [image.zoomed(wrong) for image in images]
+    fixed, kept = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0)
+    poses, zoom = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0, free_focal=True)
+    assert kept == 1 and zoom * wrong == pytest.approx(1, abs=0.005)
+    assert errors(poses, true)[0] < 0.05 < errors(fixed, true)[0]
+
+
+def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
+    images, keypoints, matches, true = scene
+    taken = [image.zoomed(1.6) for image in images]
+    poses, zoom = adjust(taken, keypoints, matches, true, threshold=4.0, free_focal=True)
+    fixed = adjust_poses(taken, keypoints, matches, true, threshold=4.0)
+    assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
+
+
 def test_matches_that_share_a_keypoint_are_one_track():
     keypoints = [np.zeros((3, 2))] * 3
     matches = {(0, 1): np.array([[0, 2], [1, 1]]), (1, 2): np.array([[2, 0]])}
@@ -112,13 +133,69 @@ def test_a_process_that_is_ended_prints_no_stack_trace():
     assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
 
 
+@pytest.fixture
+def surface():
+    """Two images of 300 points on a wavy wall: (images, pixels in both)."""
+    rng = np.random.default_rng(4)
+    points = np.column_stack((rng.uniform((-2, -1.5), (2, 1.5), (300, 2)), np.zeros(300)))
+    points[:, 2] = 5 + 0.5 * np.sin(points[:, 0])
+    k = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
+    image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), k)
+    return [image] * 2, (project(points, k), project(ASIDE.apply(points), k))
+
+
+def placed(images, pixels, count, sift):
+    """Whether `count` matches, the first `sift` of them SIFT's and the others learned, place the two images."""
+    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in pixels)
+    found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(count)] * 2, 1)}, (sift, sift))
+    try:
+        return registration.register(images, "ab", found, threshold=1.0, seed=0).registered.all()
+    except MatchingError as error:
+        assert "too few to be sure" in str(error)
+        return False
+
+
+@pytest.mark.parametrize(("count", "sift", "enough"), [(25, 25, True), (25, 20, True), (25, 0, False), (60, 0, True)])
+def test_a_few_learned_matches_alone_place_nothing(surface, count, sift, enough):
+    assert placed(*surface, count, sift) == enough
+
+
+def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surface):
+    """Shifted along their epipolar lines they agree as well as before, which is all that SIFT's are asked for."""
+    images, (first, second) = surface
+    rng = np.random.default_rng(5)
+    k = images[0].intrinsics
+    jumping = project(ASIDE.apply(rays_through(first, k) * rng.uniform(3, 8, (len(first), 1))), k)
+    assert placed(images, (first, second), 150, 0)
+    assert placed(images, (first, jumping), 150, 150)
+    assert not placed(images, (first, jumping), 150, 0)
+
+
+def test_learned_matches_place_what_wrong_ones_of_sift_would_hide(surface):
+    images, (first, second) = surface
+    broken = second.copy()
+    broken[:270] = np.random.default_rng(7).uniform((0, 0), SIZE[::-1], (270, 2))
+    assert not placed(images, (first, broken), 270, 270)
+    broken[230:] = second[230:]
+    assert placed(images, (first, broken), 300, 230)
+
+
+def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface):
+    images, (first, second) = surface
+    corner = np.argsort(np.abs(first - (30, 30)).max(axis=1))
+    first, second = first[corner], second[corner].copy()
+    second[34:] = np.random.default_rng(6).uniform((0, 0), SIZE[::-1], (266, 2))
+    assert not placed(images, (first, second), 300, 0)
+    assert placed(images, (first, second), 34, 0)
+
+
 def test_registration_settles_its_poses_so(scene, monkeypatch):
     """What `register` returns is what `adjust_poses` makes of the views placed one after the other."""
     images, keypoints, matches, _ = scene
     rng = np.random.default_rng(3)
     noisy = tuple(Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32)) for p in keypoints)
     found = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
-    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self: None)
+    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self, free_focal: None)
     raw = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
     agreeing = {pair: view.indices for pair, view in raw.pairs.items()}
     limit = 2 * max(SIZE) / 256

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
-from edit3r_matching.relative_pose import Matches, estimate_pose, sampson_errors
+from edit3r_matching.relative_pose import Matches, estimate_pose, refine, sampson_errors
 from edit3r_measure.scene_sources import rotation_degrees
 
 FOCAL = 250.0
@@ -68,6 +68,19 @@ def test_random_matches_do_not_count_as_a_pose(seed):
     a, b = (np.concatenate([random.uniform(-0.5, 0.5, (150, 2)), np.ones((150, 1))], axis=1) for _ in range(2))
     found = estimate_pose(Matches(a, b, FOCAL, CHANCE), threshold=1.0, seed=0)
     assert found is None or found.log_false_alarms > -6
+
+
+def test_matches_said_to_be_inexact_move_the_pose_less(pose):
+    random = np.random.default_rng(3)
+    world = points(400)
+    a, b = seen(world), seen(pose.apply(world))
+    noise = np.where(np.arange(400) < 100, 1.0, 4.0)
+    b[:, :2] += random.normal(0, 0.15 / FOCAL, (400, 2)) * noise[:, None]
+    errors = []
+    for told in (noise, None):
+        found = refine(Matches(a, b, FOCAL, CHANCE, told), pose, threshold=1.0)
+        errors.append(rotation_degrees(found.rotation, pose.rotation))
+    assert errors[0] < 0.6 * errors[1]
 
 
 def test_too_few_matches_give_no_pose(pose):
