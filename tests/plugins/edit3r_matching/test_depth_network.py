@@ -10,7 +10,9 @@ from edit3r_matching.depth_network import (
     DepthNetwork,
     cell_costs,
     cell_grids,
+    certainty,
     load_depth_network,
+    log_probabilities,
     plane_log_probabilities,
 )
 from edit3r_matching.depth_samples import Wrongness, batch_of, on_planes
@@ -50,7 +52,7 @@ def network():
 @pytest.fixture
 def learnt(network):
     """One whose last layer is not 0 any more."""
-    torch.nn.init.normal_(network.regulariser.leave.weight)
+    torch.nn.init.normal_(network.regulariser.leave.weight, std=0.05)
     return network
 
 
@@ -78,6 +80,24 @@ def test_sides_need_not_be_multiples_of_anything(learnt):
     logs, _ = answer(learnt, reference, [Neighbour(image(1, (45, 61)), SIDEWAYS)])
     assert logs.shape == (len(PLANES), 12, 16)
     assert np.isfinite(logs).all()
+
+
+@pytest.mark.parametrize("planes", [12, 13])
+def test_pixels_get_the_answer_of_their_cells(learnt, planes):
+    reference, neighbours, depths = image(0), [Neighbour(image(1), SIDEWAYS)], np.linspace(0.2, 1.0, planes)
+    cost = matching_cost(reference, neighbours, depths)
+    total = aggregate(cost, reference.grey)
+    logs = log_probabilities(learnt, reference, neighbours, depths, cost, total)
+    cells = plane_log_probabilities(learnt, reference, neighbours, depths[::2], cost[:, :, ::2], total[:, :, ::2])
+    assert logs.shape == cost.shape
+    centre = logs[17:19, 25:27, ::2].mean((0, 1))  # around the centre of cell (4, 6)
+    assert np.allclose(centre, cells[:, 4, 6], atol=0.2 * np.ptp(cells[:, 4, 6]))
+    assert np.allclose(logs[:, :, 1], 0.5 * (logs[:, :, 0] + logs[:, :, 2]), atol=1e-5)
+
+
+def test_certainty_is_the_probability_near_the_depth():
+    logs = np.log(np.array([[[0.1, 0.2, 0.3, 0.2, 0.1, 0.1]]], np.float32))
+    assert np.allclose(certainty(logs, np.array([[4.5]])), 0.4)
 
 
 def test_grids_are_where_the_cells_appear():
