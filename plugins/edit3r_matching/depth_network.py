@@ -35,7 +35,7 @@ SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
 
 
 class DepthNetwork(nn.Module):
-    """0.2 million weights that learn, beside a frozen front that has seen real photos."""
+    """0.13 million weights that learn, behind a frozen front that has seen real photos."""
 
     def __init__(self, width: int = 8, channels: int = 32, guide: int = 4) -> None:
         super().__init__()
