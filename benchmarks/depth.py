@@ -208,14 +208,35 @@ def built(description: str, posed: bool):
     return edit3r.build("matcher", "posed" if posed else name, **values)
 
 
+def curve(log: Path, picture: Path) -> None:
+    """Held-out quality against the hours of a training."""
+    import matplotlib.pyplot as plt
+
+    rows = [row for row in map(json.loads, log.read_text().splitlines()) if row["kind"] == "validation"]
+    hours = [row["seconds"] / 3600 for row in rows]
+    figure, axes = plt.subplots(figsize=(6, 3.2))
+    for limit, colour in (("3", "tab:blue"), ("10", "tab:orange")):
+        axes.plot(hours, [100 * row[f"within_{limit}"] for row in rows], color=colour, label=f"within {limit} %")
+        axes.axhline(
+            100 * rows[0][f"classical_within_{limit}"], color=colour, linestyle=":", label="without the network"
+        )
+    axes.set(xlabel="hours", ylabel="held-out pixels [%]", ylim=(10, 80))
+    axes.legend(ncols=2, fontsize=8, loc="lower center")
+    figure.savefig(picture, dpi=110, bbox_inches="tight")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--matcher", action="append", default=[])
     parser.add_argument("--pairs", type=int, default=4, help="most a class and folder")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--curve", nargs=2, type=Path, metavar=("LOG", "PNG"), help="plot a training's log.jsonl")
     args = parser.parse_args()
+    if args.curve:
+        curve(*args.curve)
+        return
     rows = []
     for path in args.folders:
         folder = read_posed_folder(path)

@@ -93,7 +93,7 @@ def register_reconstructors():
 def register_trainers():
     return [
         Component(
-            "depth",
+            "depth-network",
             "edit3r_matching.depth_trainer:DepthTrainer",
             "teaches the network of matcher 'classical' which depth is right, from data with depths",
         )

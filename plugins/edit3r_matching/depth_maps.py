@@ -36,7 +36,7 @@ class DepthSettings(config.Settings):
     planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
     neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
     depth_weights: str = Field(
-        "none", description="network that weighs the hypotheses: 'none', or a file of `edit3r train training/depth`"
+        "none", description="network that weighs the hypotheses: 'none', 'shipped', or a file of `edit3r train`"
     )
 
 

@@ -1,4 +1,4 @@
-"""A small network that weighs depth hypotheses: classical costs and learned features in, a probability of each plane out.
+"""A small network that weighs depth hypotheses: costs and learned features in, a probability of each plane out.
 
 It sees, at a quarter of the images' size, the matching costs and their semi-global aggregation, and the correlation of
 learned features (group-wise, Guo et al. 2019) between the view and its warped neighbours. A light 3D U-Net adds to the
@@ -35,7 +35,7 @@ SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
 
 
 class DepthNetwork(nn.Module):
-    """0.2 million weights that learn, beside a frozen front that has seen real photos."""
+    """0.13 million weights that learn, behind a frozen front that has seen real photos."""
 
     def __init__(self, width: int = 8, channels: int = 32, guide: int = 4) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Trainer `depth`: teaches the depth network which plane each cell lies on, from data with depths.
+"""Trainer `depth-network`: teaches the depth network which plane each cell lies on, from data with depths.
 
 All random numbers follow from (seed, step): a run that is stopped and resumed gives the weights of one that was not.
 """
@@ -113,7 +113,7 @@ def trainable_network(reconstructor: Reconstructor) -> DepthNetwork:
     network = getattr(matcher, "depth_network", None)
     if not isinstance(network, DepthNetwork):
         raise SettingsError(
-            "training.reconstructor: trainer 'depth' teaches the depth network of matcher 'classical'; "
+            "training.reconstructor: trainer 'depth-network' teaches the depth network of matcher 'classical'; "
             "set reconstructor: {name: classical, matcher: {name: classical, depth_weights: imagenet-front}}."
         )
     for name, value in network.named_parameters():

@@ -10,7 +10,9 @@ from edit3r_matching.depth_network import (
     DepthNetwork,
     cell_costs,
     cell_grids,
+    certainty,
     load_depth_network,
+    log_probabilities,
     plane_log_probabilities,
 )
 from edit3r_matching.depth_samples import Wrongness, batch_of, on_planes
@@ -50,7 +52,7 @@ def network():
 @pytest.fixture
 def learnt(network):
     """One whose last layer is not 0 any more."""
-    torch.nn.init.normal_(network.regulariser.leave.weight)
+    torch.nn.init.normal_(network.regulariser.leave.weight, std=0.05)
     return network
 
 
@@ -78,6 +80,22 @@ def test_sides_need_not_be_multiples_of_anything(learnt):
     logs, _ = answer(learnt, reference, [Neighbour(image(1, (45, 61)), SIDEWAYS)])
     assert logs.shape == (len(PLANES), 12, 16)
     assert np.isfinite(logs).all()
+
+
+def test_pixels_get_the_answer_of_their_cells(learnt):
+    reference, neighbours = image(0), [Neighbour(image(1), SIDEWAYS)]
+    cost = matching_cost(reference, neighbours, PLANES)
+    total = aggregate(cost, reference.grey)
+    logs = log_probabilities(learnt, reference, neighbours, PLANES, cost, total)
+    cells, _ = answer(learnt, reference, neighbours)
+    centre = logs[17:19, 25:27].mean((0, 1))  # around the centre of cell (4, 6)
+    assert logs.shape == cost.shape
+    assert np.allclose(centre, cells[:, 4, 6], atol=0.2 * np.ptp(cells[:, 4, 6]))
+
+
+def test_certainty_is_the_probability_near_the_depth():
+    logs = np.log(np.array([[[0.1, 0.2, 0.3, 0.2, 0.1, 0.1]]], np.float32))
+    assert np.allclose(certainty(logs, np.array([[4.5]])), 0.4)
 
 
 def test_grids_are_where_the_cells_appear():
@@ -124,7 +142,7 @@ def job(tmp_path):
 
 
 def trainer(**settings) -> DepthTrainer:
-    return build("trainer", "depth", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings})
+    return build("trainer", "depth-network", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings})
 
 
 def test_training_lowers_the_loss_and_leaves_weights_that_load(job):
@@ -147,10 +165,10 @@ def test_a_resumed_training_gives_the_weights_of_a_straight_one(job, tmp_path, m
 
     def interrupted(recipe, step, processes):
         if step == 2:
-            raise KeyboardInterrupt
+            raise RuntimeError("power failure")
         return loss(recipe, step, processes)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError):
         patch.setattr(DepthRecipe, "loss", interrupted)
         trainer(steps=4, checkpoint_every=2).train(halves)
     network.load_state_dict(start)
