@@ -40,8 +40,8 @@ class Squares(Segmenter):
         return (self._proposal(square(2, 2)),) if text == "box" else None
 
     def track(self, images, masks):
-        logits = torch.stack([masks * 8 - 4, masks.roll(3, -1) * 8 - 4])
-        present = torch.tensor([[True], [not self.lost]])
+        logits = torch.stack([masks.roll(3 * view, -1) * 8 - 4 for view in range(len(images))])
+        present = torch.tensor([[view == 0 or not self.lost] for view in range(len(images))])
         return Tracks(logits, present)
 
     def _proposal(self, mask):
