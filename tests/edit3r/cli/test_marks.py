@@ -50,7 +50,7 @@ def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp
 
 @pytest.mark.parametrize("words", [("--point", "20"), ("--point", "3:2,2"), ("--point", "x,y"), ("--box", "1,2,3")])
 def test_what_cannot_be_read_says_what_was_expected(photos, words):
-    with pytest.raises(InputError, match="expected X,Y.*pixels of the original photo"):
+    with pytest.raises(InputError, match=r"expected X,Y.*pixels of the original photo"):
         read(photos, *words)
 
 
