@@ -147,12 +147,16 @@ class _Work:
             self._keep(view, chosen.masks[view], "given")
         else:
             if view not in self.masks and self.masks:
+                told = len(self.warnings)
                 self.carry(view)
+                del self.warnings[told:]  # that it was not found here is what the marks are for
+            prior = self.masks.get(view)
+            expected = prior is not None and view not in chosen.boxes and bool((prior > 0.5).any())
             marks = Marks(
                 positive=(*_places(chosen.positive, view), *_of_stroke(chosen.added.get(view))),
                 negative=(*_places(chosen.negative, view), *_of_stroke(chosen.removed.get(view))),
                 box=chosen.boxes.get(view),
-                prior=self.masks.get(view),
+                prior=prior if expected else None,
             )
             if marks.positive or marks.box is not None or marks.prior is not None:
                 self._keep(view, self.segmenter.segment_marks(self.images[view], marks).soft_mask, "marked")

@@ -126,3 +126,9 @@ def test_geometry_carries_before_pictures_do():
 def test_marks_that_say_nothing_are_an_error(marks):
     with pytest.raises(InputError):
         select_masks(IMAGES, Selection(**marks), Squares())
+
+
+def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
+    marks = Selection(positive=((0, 0.25, 0.5), (1, 0.5, 0.25)))
+    selected = select_masks(IMAGES[:2], marks, Squares(lost=True))
+    assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings
