@@ -30,6 +30,7 @@ _HOME = {
     "run": "edit3r.api",
     "RunResult": "edit3r.pipeline",
     "RunConfig": "edit3r.run_config",
+    "Selection": "edit3r.selection",
     "Cache": "edit3r.cache",
     "Command": "edit3r.command",
 }
@@ -62,4 +63,5 @@ if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
     from edit3r.registry import build, components
     from edit3r.run_config import RunConfig
+    from edit3r.selection import Selection
     from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views

@@ -14,7 +14,7 @@ from torch import Tensor
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Marks, MatchedGeometry, Segmenter
+from edit3r.interfaces import Marks, MatchedGeometry, Segmenter, Tracks
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 
@@ -116,6 +116,7 @@ class _Work:
         self.intrinsics = intrinsics if geometry is None or geometry.intrinsics is None else geometry.intrinsics
         self.masks: dict[int, Tensor] = {}
         self.how: dict[int, str] = {}
+        self.tracks: dict[tuple[int, int], Tracks] = {}  # by view of the mask and direction
         self.warnings: list[str] = []
 
     def look_up(self, view: int) -> None:
@@ -146,12 +147,16 @@ class _Work:
             self._keep(view, chosen.masks[view], "given")
         else:
             if view not in self.masks and self.masks:
+                told = len(self.warnings)
                 self.carry(view)
+                del self.warnings[told:]  # that it was not found here is what the marks are for
+            prior = self.masks.get(view)
+            expected = prior is not None and view not in chosen.boxes and bool((prior > 0.5).any())
             marks = Marks(
                 positive=(*_places(chosen.positive, view), *_of_stroke(chosen.added.get(view))),
                 negative=(*_places(chosen.negative, view), *_of_stroke(chosen.removed.get(view))),
                 box=chosen.boxes.get(view),
-                prior=self.masks.get(view),
+                prior=prior if expected else None,
             )
             if marks.positive or marks.box is not None or marks.prior is not None:
                 self._keep(view, self.segmenter.segment_marks(self.images[view], marks).soft_mask, "marked")
@@ -174,13 +179,22 @@ class _Work:
             found = self.segmenter.segment_marks(self.images[view], Marks(prior=prior)).soft_mask
             self._keep(view, found, "geometry")
             return
-        tracks = self.segmenter.track(self.images[[source, view]], self.masks[source][None])
-        there = bool(tracks.present[1, 0]) and bool((tracks.logits[1, 0] > 0).any())
-        self._keep(view, tracks.logits[1, 0].sigmoid() * there, "pictures" if there else "not found")
+        logits = self._followed(source, view)
+        there = bool((logits > 0).any())
+        self._keep(view, logits.sigmoid() * there, "pictures" if there else "not found")
         if not there:
             self.warnings.append(
                 f"the object was not found again on photo {view + 1}, which stays as it is; click on it there."
             )
+
+    def _followed(self, source: int, view: int) -> Float[Tensor, "height width"]:
+        """Logits of the object of `source`, followed through all views on the way to `view`."""
+        step = 1 if view > source else -1
+        if (source, step) not in self.tracks:
+            way = list(range(source, len(self.images) if step > 0 else -1, step))
+            self.tracks[source, step] = self.segmenter.track(self.images[way], self.masks[source][None])
+        tracks, place = self.tracks[source, step], abs(view - source)
+        return tracks.logits[place, 0] if bool(tracks.present[place, 0]) else tracks.logits[place, 0].clamp(max=-1e-3)
 
     def _by_geometry(self, source: int, view: int) -> Tensor | None:
         """The mask of `source` as seen from `view`; None where geometry cannot tell, or does not show the object."""

@@ -68,8 +68,8 @@ def _photo_of_mask(path: Path, given: list[str], photos: "LoadedPhotos") -> int:
     if len(named) == 1 or (len(given) == 1 and not named):
         return named[0] if named else 0
     raise InputError(
-        f"--mask {path}: {len(given)} masks for {len(photos.photos)} photos; give one per photo, or name each after its "
-        "photo, such as left_mask.png for left.jpg."
+        f"--mask {path}: {len(given)} masks for {len(photos.photos)} photos; give one per photo, or name each after "
+        "its photo, such as left_mask.png for left.jpg."
     )
 
 

@@ -132,6 +132,8 @@ class ClassicalSegmenter(Segmenter):
 
     def _glimpses(self, rgb: np.ndarray, shape: tuple[int, int], marks: Marks) -> tuple[Glimpse, ...]:
         """Learned salience of the picture and of what surrounds the first mark; none without weights."""
+        if marks.prior is not None:
+            return ()
         weights = at_hand(U2NETP) if self.settings.learned else None
         if weights is None:
             if self.settings.learned:
@@ -139,8 +141,6 @@ class ClassicalSegmenter(Segmenter):
                     "objects are told by colours and edges alone; a small learned network finds whole things much more "
                     f"often: edit3r weights get {U2NETP.name} ({U2NETP.terms})"
                 )
-            return ()
-        if marks.prior is not None:
             return ()
         pixels, longer, key = to_bytes(rgb), max(rgb.shape[:2]), (rgb.shape, hash(rgb.tobytes()))
         windows = [(0, 0, longer, WHOLE_SIDE)]

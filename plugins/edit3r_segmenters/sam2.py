@@ -18,7 +18,7 @@ from torch import Tensor
 from edit3r.cache import remembered
 from edit3r.config import PartChoice, Settings
 from edit3r.errors import InputError, PromptError
-from edit3r.interfaces import Detector, Proposal, Segmenter, Tracks
+from edit3r.interfaces import Detector, Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.io.pretrained import ChosenWeights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
 from edit3r.reporting import note, progress
 
@@ -67,7 +67,25 @@ class Sam2Segmenter(Segmenter):
         points: Sequence[tuple[float, float]] = (),
         box: tuple[float, float, float, float] | None = None,
     ) -> Proposal:
-        if not len(points) and box is None:
+        return self._prompted(image, points, (), box)
+
+    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
+        box, (height, width) = marks.box, image.shape[-2:]
+        if box is None and marks.prior is not None:  # where it is expected, as the box around that
+            x, y, w, h = as_proposal(marks.prior).box
+            box = (x / width, y / height, w / width, h / height) if w else None
+        return self._prompted(image, marks.positive, marks.negative, box)
+
+    def _prompted(
+        self,
+        image: Float[Tensor, "3 height width"],
+        positive: Sequence[tuple[float, float]],
+        negative: Sequence[tuple[float, float]],
+        box: tuple[float, float, float, float] | None,
+    ) -> Proposal:
+        """One object by points on it, points off it, and a box, all normalised."""
+        points = [*positive, *negative]
+        if not len(positive) and box is None:
             raise InputError("segment: give at least one point or a box that says which object is meant.")
         model = self._model("Sam2Model", image.device)
         side = model.config.prompt_encoder_config.image_size
@@ -78,6 +96,8 @@ class Sam2Segmenter(Segmenter):
             x, y, width, height = box
             prompts["input_boxes"] = image.new_tensor([[[x, y, x + width, y + height]]]) * side
         prompts = {name: prompt.to(model.device, model.dtype) for name, prompt in prompts.items()}
+        if len(points):
+            prompts["input_labels"] = torch.tensor([[[1] * len(positive) + [0] * len(negative)]], device=model.device)
         ambiguous = len(points) == 1 and box is None  # one point may mean a part or the whole: ask for all three
         with torch.no_grad(), self._memory("segmenting"):
             output = model(image_embeddings=self._embed(model, image), multimask_output=ambiguous, **prompts)

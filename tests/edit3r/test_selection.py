@@ -40,8 +40,8 @@ class Squares(Segmenter):
         return (self._proposal(square(2, 2)),) if text == "box" else None
 
     def track(self, images, masks):
-        logits = torch.stack([masks * 8 - 4, masks.roll(3, -1) * 8 - 4])
-        present = torch.tensor([[True], [not self.lost]])
+        logits = torch.stack([masks.roll(3 * view, -1) * 8 - 4 for view in range(len(images))])
+        present = torch.tensor([[view == 0 or not self.lost] for view in range(len(images))])
         return Tracks(logits, present)
 
     def _proposal(self, mask):
@@ -126,3 +126,9 @@ def test_geometry_carries_before_pictures_do():
 def test_marks_that_say_nothing_are_an_error(marks):
     with pytest.raises(InputError):
         select_masks(IMAGES, Selection(**marks), Squares())
+
+
+def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
+    marks = Selection(positive=((0, 0.25, 0.5), (1, 0.5, 0.25)))
+    selected = select_masks(IMAGES[:2], marks, Squares(lost=True))
+    assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings

@@ -48,11 +48,13 @@ def photos(batch: int = 1) -> Views:
     return Views(0.2 + 0.6 * images, torch.eye(3).expand(batch, 2, 3, 3), ("a", "b"))
 
 
-def edit(prompt: str, segmenter: Segmenter | None = None, masks=None, seed: int = 0, views=None, **settings):
+def edit(
+    prompt: str, segmenter: Segmenter | None = None, masks=None, seed: int = 0, views=None, guess=True, **settings
+):
     editor = RecolorEditor(RecolorEditor.Settings(**settings), segmenter or LeftHalf())
     report = Report()
     with collecting(report):
-        edited = editor.edit(views or photos(), EditRequest(prompt, seed, masks))
+        edited = editor.edit(views or photos(), EditRequest(prompt, seed, masks, guess))
     return edited.images, report
 
 
@@ -82,20 +84,25 @@ def test_an_object_is_taken_from_the_segmenter_and_said_to_be_a_guess():
     assert changed(images)[..., : WIDTH // 2].all()
     assert torch.equal(images[..., WIDTH // 2 :], photos().images[..., WIDTH // 2 :])
     assert report.notes["editor.region"] == "most salient object"
-    assert "does not understand 'bike'" in report.warnings[0] and "--mask" in report.warnings[0]
+    assert "a guess" in report.warnings[0] and "--mask" in report.warnings[0]
+
+
+def test_without_leave_to_guess_unknown_words_are_an_error_with_the_way_out():
+    with pytest.raises(InputError, match=r"'bike' is not a word .*--point.*--guess"):
+        edit("paint the bike red", guess=False)
 
 
 def test_words_are_looked_up_where_the_segmenter_reads_them():
     _, report = edit("paint the bike red", LeftHalf(text=("bike",)))
     assert report.notes["editor.region"] == "named object" and not report.warnings
     with pytest.raises(InputError, match="'house' was not found"):
-        edit("paint the house red", LeftHalf(text=("bike",)))
+        edit("paint the house red", LeftHalf(text=("bike",)), guess=False)
 
 
 def test_a_lost_object_is_reported_and_keeps_its_colours():
     images, report = edit("paint the bike red", LeftHalf(found_in=(0,)))
     assert changed(images)[:, 0].any() and torch.equal(images[:, 1], photos().images[:, 1])
-    assert any("not found again in view 2" in warning for warning in report.warnings)
+    assert any("not found again on photo 2" in warning for warning in report.warnings)
 
 
 def test_global_words_change_the_whole_picture():
@@ -123,7 +130,7 @@ def test_a_marked_object_is_handed_to_the_segmenter(mark):
 
 
 def test_without_any_object_the_error_says_how_to_mark_one():
-    with pytest.raises(InputError, match=r"--mask, editor\.point"):
+    with pytest.raises(InputError, match=r"nothing stands out.*--point"):
         edit("paint the bike red", LeftHalf(empty=True))
 
 

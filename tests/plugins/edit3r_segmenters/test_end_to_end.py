@@ -54,8 +54,8 @@ def test_an_editor_without_a_segmenter_is_confined_to_what_is_named(photos, sam2
     assert found_in(manifest, "edit.confined_to") == ("the door" if words else "the bike")
 
 
-def test_words_that_nothing_matches_are_told(photos, sam2, tmp_path):
+def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
     nothing = ["--set", "segmenter.detector.box_threshold=1.0"]
     command = ["--editor", "mock-diffusion", "--prompt", "paint the bike red"]
-    manifest = run(photos, tmp_path / "out", *command, *sam2, *nothing)
-    assert any("'the bike' was not found" in warning for warning in manifest["warnings"])
+    assert main(["run", *photos, *CHEAP, "--out", str(tmp_path / "out"), *command, *sam2, *nothing]) == 2
+    assert "'the bike' was not found" in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -1,0 +1,59 @@
+"""--point, --box and --mask, read into a selection."""
+
+import argparse
+
+import pytest
+import torch
+from PIL import Image
+
+from edit3r.cli.marks import add_mark_flags, selection_from
+from edit3r.errors import InputError
+from edit3r.io.images import load_photos
+
+
+@pytest.fixture
+def photos(tmp_path):
+    for name in ("left", "right"):
+        Image.new("RGB", (80, 60), (90, 120, 40)).save(tmp_path / f"{name}.png")
+    return load_photos([tmp_path / "left.png", tmp_path / "right.png"])
+
+
+def read(photos, *words):
+    parser = argparse.ArgumentParser()
+    add_mark_flags(parser)
+    return selection_from(parser.parse_args(words), photos)
+
+
+def test_no_flag_marks_nothing(photos):
+    assert read(photos) is None
+
+
+def test_pixels_and_shares_mean_the_same_place(photos):
+    expected = ((0, 0.25, 0.5),)
+    assert read(photos, "--point", "20,30").positive == expected
+    assert read(photos, "--point", "0.25,0.5").positive == expected
+
+
+def test_a_number_names_the_photo(photos):
+    marked = read(photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,6,40,30")
+    assert marked.positive == ((1, 0.25, 0.5),) and marked.negative == ((0, 0.1, 0.1),)
+    assert marked.boxes[1] == pytest.approx((0.1, 0.1, 0.5, 0.5))
+
+
+def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp_path):
+    for name in ("right_mask", "thing"):
+        Image.new("L", (80, 60), 255).save(tmp_path / f"{name}.png")
+    assert list(read(photos, "--mask", str(tmp_path / "right_mask.png")).masks) == [1]
+    marked = read(photos, "--mask", str(tmp_path / "thing.png"))
+    assert list(marked.masks) == [0] and torch.equal(marked.masks[0], torch.ones(60, 80))
+
+
+@pytest.mark.parametrize("words", [("--point", "20"), ("--point", "3:2,2"), ("--point", "x,y"), ("--box", "1,2,3")])
+def test_what_cannot_be_read_says_what_was_expected(photos, words):
+    with pytest.raises(InputError, match=r"expected X,Y.*pixels of the original photo"):
+        read(photos, *words)
+
+
+def test_a_place_outside_the_photo_is_an_error(photos):
+    with pytest.raises(InputError, match="outside"):
+        read(photos, "--point", "200,30")
