@@ -141,7 +141,7 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     other.close()
 
     # the edit, through a server that is killed and started again meanwhile
-    wish(page, "paint it <b>blue</b>")
+    wish(page, "paint it blue")
     page.get_by_text("Cancel").wait_for()
     for _ in range(300):
         if list(server.folder.glob(".edit3r-app/*.pid")):
@@ -151,7 +151,7 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     server.start()
     tab.problems.clear()  # of the lost connection
     go(page, scene_address)
-    page.get_by_text("paint it <b>blue</b>").first.wait_for()
+    page.get_by_text("paint it blue").first.wait_for()
     page.locator(".e3-node").nth(1).click(timeout=PATIENCE)  # enabled when it is done
     finished(page)
     run = page.url.partition("at=")[2]
