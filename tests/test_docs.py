@@ -103,6 +103,19 @@ def test_every_page_is_in_the_navigation_and_every_entry_exists():
     assert {*_leaves(nav), *generate.unlisted_pages(nav)} == {*PAGES, *REFERENCE}
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/model-card.md", "docs/network.md", "docs/training.md"])
+def test_every_table_of_figures_names_the_command_that_makes_it(page):
+    """`<!-- figures: COMMAND -->` stands before each table with decimals that are measured, not set."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for table in re.finditer(r"(?m)(?:^\|.*\n)+", text):
+        if re.search(r"\| (setting|recipe) \|", table[0]) or not re.search(r"\d\.\d", table[0]):
+            continue
+        named = re.search(r"<!-- figures: (edit3r|python) (\S+) .*-->\n$", text[: table.start()])
+        assert named, f"{page}: no command before the table {table[0][:80]}"
+        program, what = named.groups()
+        assert what in generate.commands() if program == "edit3r" else (ROOT / what).is_file(), f"{page}: {what}"
+
+
 def test_links_between_pages_lead_somewhere():
     for page, text in {**PAGES, **REFERENCE}.items():
         for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", _without_code(text)):

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from edit3r.changes import change_error, change_uptake
 from edit3r.errors import MatchingError, PluginError
+from edit3r.geometry.cameras import project
 from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.io.posed_folder import Photo
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
@@ -25,6 +26,9 @@ COVERED = 0.5
 
 CHANGED = 2 / 255
 """Mean change of colour above which a pixel belongs to a true edit."""
+
+SAME_SURFACE = 0.05
+"""Relative difference of depth below which two views show one surface."""
 
 FIGURES = {
     "novel view": {
@@ -45,6 +49,8 @@ FIGURES = {
         "leak": "of the same [sRGB]",
         "disagreement": "opposite edits: |change of view 0's Gaussians - of view 1's| over that of the two edits",
         "kept": "opposite edits: uptake of the first photo's edit by all Gaussians, in the novel view",
+        "conflict_error": "opposite edits: mean |novel view - truth of the first photo's edit| where it is [sRGB]",
+        "conflict_opacity": "opposite edits: of view 1's Gaussians where view 0 shows the place, over that unedited",
         "edited_psnr": "novel view of the edited scene against its truth [dB], first photo edited alone",
         "unedited_psnr": "the same without an edit [dB]",
     },
@@ -237,9 +243,31 @@ def _carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Raster
         "leak": float("nan") if edit.leak is None else edit.leak,
         "disagreement": float(np.abs(changes[0] - changes[1])[region].mean() / np.abs(true - opposite)[region].mean()),
         "kept": whole.uptake,
+        "conflict_error": float(np.abs(shown(fused, between).image - edited_target.image)[region].mean()),
+        "conflict_opacity": _share_of_opacity(plain, fused, shown(plain, own, 0), second, edited_second),
         "edited_psnr": psnr(shown(carried, between).image, edited_target.image),
         "unedited_psnr": psnr(shown(plain, between).image, target.image),
     }
+
+
+def _share_of_opacity(
+    plain: Reconstruction, edited: Reconstruction, other: RenderedView, before: Photo, after: Photo
+) -> float:
+    """Return the opacity of view 1's Gaussians over that without an edit, where its photo shows the edit; NaN: unseen.
+
+    Counted are those that `other`, what the rest of the scene shows in view 1's camera, has at the same depth.
+    """
+    region = other.covered & (np.abs(after.image - before.image).mean(-1) > CHANGED)
+    sums = []
+    for reconstruction in (edited, plain):
+        gaussians, camera = reconstruction.gaussians.from_view(1), reconstruction.cameras.select([1])
+        places, depths = (x[0].cpu() for x in project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0]))
+        size = places.new_tensor(region.shape[::-1])
+        columns, rows = (places * size).long().clamp(min=0).minimum(size.long() - 1).unbind(-1)
+        same = (depths / torch.from_numpy(other.depth)[rows, columns] - 1).abs() < SAME_SURFACE
+        inside = torch.from_numpy(region)[rows, columns] & same & ((places > 0) & (places < 1)).all(-1)
+        sums.append(float(gaussians.opacities[0].cpu()[inside].sum()))
+    return sums[0] / sums[1] if sums[1] else float("nan")
 
 
 def _opposite(before: Photo, after: Photo) -> Photo:

@@ -11,8 +11,31 @@ Written from a description of the published network; no code of that family is u
 """
 
 from edit3r import Component, hookimpl
+from edit3r.weights import Weights
 
 EDIT3R_API = 1
+
+OFFICIAL = Weights(
+    "edit3r-official",
+    "the full network as the paper's authors trained it, for two views of 512x512",
+    2_500_000_000,  # about: 612 million parameters in float32
+    "as the card of its repository says: read it first; the network starts from NoPoSplat's and MASt3R's weights, "
+    "which are CC BY-NC-SA 4.0",
+    "unclear",
+    "hub:jiagengliu02/edit3r",
+    files=(("edit3r.ckpt", ""),),
+)
+OFFICIAL_RESOLUTION = 512
+"""Side of the square that these weights were trained for [pixels]; the file does not tell."""
+_NOPOSPLAT = Weights(
+    "noposplat",
+    "NoPoSplat trained on RealEstate10K, for two views of 256x256",
+    2_500_000_000,
+    "not stated; starts from MASt3R's weights, which are CC BY-NC-SA 4.0",
+    "no",
+    "hub:botaoye/NoPoSplat",
+    files=(("re10k.ckpt", ""),),
+)
 
 _CITATION = (
     "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
@@ -50,6 +73,7 @@ def register_reconstructors():
         summary="matched geometry repaired by a small network that carries and fuses the edits (weights ship)",
         parts=("matcher",),
         min_views=2,
+        weights=(OFFICIAL,),
         citation="Edit3r: Instant 3D Scene Editing from Sparse Unposed Images",
     )
     noposplat = Component(
@@ -58,6 +82,7 @@ def register_reconstructors():
         "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,
+        weights=(OFFICIAL, _NOPOSPLAT),
         citation=_CITATION,
     )
     return (edit3r, noposplat)
@@ -70,5 +95,10 @@ def register_commands() -> list[Component]:
             "convert",
             "edit3r_model.command:ConvertCommand",
             "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
-        )
+        ),
+        Component(
+            "conflicts",
+            "edit3r_model.command:ConflictsCommand",
+            "draw what each photo's Gaussians of a run show, and where its edit contradicts the first's",
+        ),
     ]

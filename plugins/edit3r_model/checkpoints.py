@@ -20,6 +20,8 @@ from torch import Tensor, nn
 from edit3r.errors import InputError, MissingDependencyError
 from edit3r.io.atomic import atomic_write
 from edit3r.training.checkpoint import WEIGHTS as TRAINED
+from edit3r.weights import find
+from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
 from edit3r_model.full_network import NetworkConfig, empty_network
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages
 from edit3r_model.official_checkpoints import LICENCES, read_official, read_torch_file
@@ -58,8 +60,13 @@ class LoadedWeights:
 def load_weights(source: str | Path) -> LoadedWeights:
     """Open a Lightning `.ckpt`, a MASt3R `.pth`, a `.safetensors` file, our folder, or a hub id `owner/name@revision`.
 
-    Tensors stay on disk until used. Raises InputError when the file is none of these or is damaged.
+    `official` are the authors' own, which `edit3r weights get` fetches. Tensors stay on disk until used. Raises
+    InputError when the file is none of these or is damaged, MissingDependencyError when `official` is not at hand.
     """
+    if str(source) == "official":
+        loaded = load_weights(find(OFFICIAL))
+        config = replace(loaded.config, resolution=OFFICIAL_RESOLUTION)
+        return replace(loaded, config=config, source=f"official ({loaded.source})", licence=OFFICIAL.licence)
     path = _download(str(source)) if is_hub_id(str(source)) else Path(source)
     if path.is_dir():
         path = path / (TRAINED if (path / TRAINED).is_file() and not (path / WEIGHTS).is_file() else WEIGHTS)
@@ -80,6 +87,16 @@ def load_weights(source: str | Path) -> LoadedWeights:
     else:
         return _official(tensors, path, str(source))
     return LoadedWeights(config, tensors, str(source), "edit3r", _sha256(path), licence)
+
+
+def are_of_the_full_network(source: str) -> bool:
+    """Tell whether `source` names weights that `load_weights` reads, rather than those of the small network."""
+    path = Path(source)
+    if source == "official" or path.suffix in (".ckpt", ".pth") or is_hub_id(source):
+        return True
+    if path.is_dir():
+        path = next((path / name for name in (WEIGHTS, TRAINED) if (path / name).is_file()), path)
+    return path.is_file() and any(name.startswith("backbone.") for name in _read_safetensors(path))
 
 
 def save_weights(

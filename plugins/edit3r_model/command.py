@@ -1,4 +1,4 @@
-"""`edit3r convert`: foreign checkpoints of the network to our safetensors format."""
+"""`edit3r convert`: checkpoints of others to our format. `edit3r conflicts`: where a run's edits contradict."""
 
 import argparse
 from pathlib import Path
@@ -29,4 +29,28 @@ class ConvertCommand(Command):
 
         heads = {"heads": args.heads, "decoder_heads": args.decoder_heads}
         print(convert(args.source, args.out, args.dtype, args.resolution, heads, args.licence, args.seed))
+        return 0
+
+
+class ConflictsCommand(Command):
+    """Draw what each photo's Gaussians of a run show, how opaque they are, and where its edit contradicts photo 0's."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", metavar="RUN", help="folder that edit3r run wrote")
+        parser.add_argument("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
+        parser.add_argument("--out", default="conflicts.png", metavar="FILE.png", help="figure (conflicts.png)")
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.earlier_run import read_earlier_run
+        from edit3r.errors import InputError
+        from edit3r.registry import build
+        from edit3r_model.conflict_figure import save_conflict_figure
+
+        if Path(args.out).suffix != ".png":
+            raise InputError(f"--out {args.out}: expected a file that ends in .png.")
+        run = read_earlier_run(args.run)
+        figures = save_conflict_figure(args.out, run, build("rasterizer", args.rasterizer))
+        for name, (inside, outside) in zip(run.photos.names, figures):
+            told = "no conflict" if inside != inside else f"opacity {inside:.2f} inside conflicts"
+            print(f"{name}: {told}, {outside:.2f} elsewhere")
         return 0

@@ -119,6 +119,30 @@ def near_an_edit(
 
 
 @torch.no_grad()
+def edits_conflict(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    matches: Correspondences,
+    disagree: Float[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view height width"]:
+    """Return where a view's Gaussians should give way to the reference's: 1, falling to 0; the paper's figure 5.
+
+    That is where the edits `disagree`, the view or the reference is edited, and the reference shows the same surface,
+    so that no hole is left: at its depth or in front of it, or behind it in the same colours and edited too. A view
+    that was not edited at all contradicts nothing: the edit is carried to it. 0 for the reference.
+    """
+    reference = torch.cat((edited[:, :1], source[:, :1]), 2).expand(-1, source.shape[1], -1, -1, -1)
+    after, before = warp(reference, matches.coordinates).split(3, 2)
+    elsewhere = (after - before).abs().amax(2) > _CHANGE
+    own = (edited - source).abs().amax(2)
+    contrary = torch.maximum((own / _CHANGE - 1).clamp(0, 1), elsewhere) * (own.amax((2, 3), keepdim=True) > _CHANGE)
+    shown = (matches.depth_ratio < _SAME_SURFACE) | (elsewhere & ((source - before).abs().mean(2) < _ALIKE))
+    conflict = disagree * contrary * matches.inside * shown
+    conflict[:, 0] = 0
+    return conflict
+
+
+@torch.no_grad()
 def edits_disagree(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Float[Tensor, "batch view 3 height width"],

@@ -43,8 +43,8 @@ class NoPoSplatReconstructor(Reconstructor):
         )
         weights: str | None = Field(
             None,
-            description="NoPoSplat .ckpt, MASt3R .pth (initialisation), .safetensors, our folder, hub id "
-            "owner/name@revision, or 'random' for an untrained network (tests and speed only)",
+            description="'official' (the authors' own), NoPoSplat .ckpt, MASt3R .pth (initialisation), .safetensors, "
+            "our folder, hub id owner/name@revision, or 'random' for an untrained network (tests and speed only)",
         )
         resolution: int | None = Field(
             None,
@@ -217,7 +217,9 @@ def _prepare(
 
 def _report(loaded: LoadedWeights, network: GaussianNetwork) -> None:
     """Note facts about the weights for the run's manifest, and warn of parts that are random."""
-    note("reconstructor.weights", loaded.facts())
+    facts = loaded.facts()
+    note("reconstructor.weights", facts)
+    note("weights.reconstructor", {"file": facts["source"], "sha256": facts["sha256"], "licence": facts["licence"]})
     if loaded.kind == "noposplat":
         heads = network.backbone.heads, network.backbone.decoder_heads
         note("reconstructor.attention_heads", f"{heads[0]} and {heads[1]}: settings, else 64 channels each")

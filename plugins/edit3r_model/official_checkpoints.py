@@ -192,7 +192,11 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
             content = torch.load(path, map_location="cpu", mmap=mapped, weights_only=True)
     except pickle.UnpicklingError as error:
         reason = str(error).split("\n")[0]
-        raise InputError(f"{path}: refused, it holds more than tensors and plain values ({reason}).") from None
+        raise InputError(
+            f"{path}: refused, it holds more than tensors and plain values ({reason}); nothing in it was run. Ask its "
+            f"publisher for a safetensors file, or, where you trust all that it may run, make one of its state_dict "
+            f"yourself: safetensors.torch.save_file(torch.load(FILE, weights_only=False)['state_dict'], NEW_FILE)."
+        ) from None
     except Exception as error:  # a damaged file can make the reader raise almost anything
         raise InputError(f"{path}: not a readable checkpoint ({' '.join(str(error).split())[:200]}).") from None
     if not isinstance(content, Mapping):

@@ -14,15 +14,18 @@ from torch import Tensor, nn
 
 from edit3r import config, reporting
 from edit3r.config import PartChoice
+from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.warping import Correspondences, find_correspondences, in_front_of_others, partner_views, warp
+from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.registry import build
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_model.edit_colour import blur, change_of, edits_disagree, near_an_edit
+from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, near_an_edit
 from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
+from edit3r_model.surface import discs
 
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
@@ -51,7 +54,14 @@ class Edit3rReconstructor(Reconstructor):
         geometry: Literal["matching", "network"] = Field(
             "matching", description="where pose and depth come from; 'network' is short for matcher=network"
         )
-        weights: str = Field("shipped", description="'shipped', 'untrained', or the folder best of `edit3r train`")
+        weights: str = Field(
+            "shipped",
+            description="'shipped', 'untrained', a file or the folder best of `edit3r train`; 'official' or other "
+            "weights of the full network take its place: geometry and edit from that network alone",
+        )
+        full: dict[str, Any] = Field(
+            default_factory=dict, description="settings of `noposplat` that count with weights of the full network"
+        )
         network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
         fuse_edits: bool = Field(
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
@@ -63,11 +73,20 @@ class Edit3rReconstructor(Reconstructor):
         lone_opacity: float = Field(
             0.8, gt=0, lt=1, description="before correction, where it was filled in and no other photo shows the place"
         )
+        conflict_opacity: float = Field(
+            0.45,
+            gt=0,
+            le=1,
+            description="share of its opacity that a view keeps where its edit contradicts the reference's; 1: all",
+        )
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
         backdrop: float = Field(
             0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+        thickness: float = Field(
+            0.3, gt=0, le=1, description="of a Gaussian across the surface, over its size along it; 1: round"
         )
         footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
@@ -84,7 +103,9 @@ class Edit3rReconstructor(Reconstructor):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher
-        self._network = load_network(settings.weights)
+        self.full = _full_form(settings)  # None: the small form
+        self.takes_geometry = self.full is None
+        self._network = load_network(settings.weights) if self.full is None else self.full.network
 
     @property
     def network(self) -> nn.Module:
@@ -96,6 +117,9 @@ class Edit3rReconstructor(Reconstructor):
 
         `request` is not used. Differentiable only while the network is in training mode.
         """
+        if self.full is not None:
+            reporting.note("edit3r.form", "full")
+            return self.full(views)
         reporting.note("edit3r.geometry", "network" if self.settings.matcher.name == "network" else "matching")
         source = views if source is None else source
         with torch.no_grad():
@@ -152,6 +176,18 @@ class Edit3rReconstructor(Reconstructor):
         return replace(reconstruction, gaussians=Gaussians.cat(parts))
 
 
+def _full_form(settings: Edit3rReconstructor.Settings) -> Reconstructor | None:
+    """The paper's own network where the weights are its weights, else None; raises SettingsError for misfits."""
+    if settings.weights not in ("shipped", "untrained"):  # the small form loads nothing of the full one
+        from edit3r_model.checkpoints import are_of_the_full_network
+
+        if are_of_the_full_network(settings.weights):
+            return build("reconstructor", "noposplat", **{**settings.full, "weights": settings.weights})
+    if settings.full:
+        raise SettingsError("reconstructor.full: counts with weights of the full network only, such as official.")
+    return None
+
+
 def assemble(
     edited: Views,
     source: Views,
@@ -165,16 +201,19 @@ def assemble(
     depths = geometry.depths * fine.depth_correction.exp()
     matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
     logits = _opacity_logits(geometry, source.intrinsics, matches, settings) + fine.opacity_correction
-    colours = edited.images
+    colours, yielding = edited.images, 1.0
     if settings.fuse_edits:
         near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
         near = near * edits_disagree(edited.images, images, matches)
         colours = fuse_colours(edited.images, images, fine, matches, near)
         logits = logits + near * fine.disagreement
-    opacities = torch.sigmoid(logits)
+        conflict = edits_conflict(edited.images, images, matches, near)
+        yielding = 1 - (1 - settings.conflict_opacity) * conflict
+    opacities = torch.sigmoid(logits) * yielding
     scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
     cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
-    return Reconstruction(pixels_to_gaussians(colours, depths, cameras, scales, opacities), cameras)
+    gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacities)
+    return Reconstruction(discs(gaussians, tuple(depths.shape[1:]), settings.thickness), cameras)
 
 
 def fuse_colours(
@@ -222,8 +261,8 @@ def _opacity_logits(
     partners = geometry.confidence[:, partner_views(filled.shape[1]), None]
     seen = warp(partners, matches.coordinates, mode="nearest")[:, :, 0]
     floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
-    if filled.shape[1] > 2:  # each view has one partner, and its guesses may stand before what any other view measured
-        floating |= in_front_of_others(geometry, intrinsics)
+    if filled.shape[1] > 2:  # each view has one partner, and other views know more
+        floating |= contradicted(geometry, intrinsics)
     return torch.logit(torch.where(floating, FLOATING_OPACITY, opacity))
 
 

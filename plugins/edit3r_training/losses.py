@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from edit3r.config import Settings
 from edit3r.errors import MissingDependencyError, SettingsError
 from edit3r.interfaces import Loss, LossInputs
+from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
@@ -53,6 +54,28 @@ class CenterLoss(Loss):
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "center", "gaussians", "reference")
         return F.smooth_l1_loss(inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta)
+
+
+class PointsLoss(Loss):
+    """Mean distance of every centre to its reference, each cloud in the unit of its own mean distance from view 0.
+
+    Point distillation of NoPoSplat's first stage from another model's points; the nearest and farthest are left out.
+    """
+
+    class Settings(Settings):
+        outliers: float = Field(0.002, ge=0, lt=0.5, description="share of the reference's points left out at each end")
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+        _require(inputs, "points", "gaussians", "reference")
+        ours, theirs = (
+            c.means / c.means.norm(dim=-1).mean(1)[:, None, None] for c in (inputs.gaussians, inputs.reference)
+        )
+        far = theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]  # rank by distance, in [0, 1)
+        kept = (far >= self.settings.outliers) & (far < 1 - self.settings.outliers)
+        return (ours - theirs)[kept].norm(dim=-1).mean()
 
 
 class GeometryLoss(Loss):
@@ -186,15 +209,9 @@ def _lpips_vgg() -> nn.Module:
 
 
 def _frozen_clip(name: str) -> nn.Module:
-    from transformers import CLIPVisionModelWithProjection
-
-    try:
-        return CLIPVisionModelWithProjection.from_pretrained(name).eval().requires_grad_(False)
-    except OSError as error:
-        reason = str(error).splitlines()[0]
-        raise MissingDependencyError(
-            f"loss 'clip' could not load {name!r} ({reason}); give model=FOLDER of a downloaded CLIP model."
-        ) from error
+    chosen = ChosenWeights(name, "losses.clip.model")
+    network = load_pretrained(foreign("transformers", "CLIPVisionModelWithProjection"), chosen)
+    return network.eval().requires_grad_(False)
 
 
 def _require(inputs: LossInputs, loss: str, *names: str) -> None:

@@ -30,6 +30,10 @@ class PhotoSettings(config.Settings):
     context: int = Field(2, ge=2, le=16, description="input views")
     targets: int = Field(4, ge=0, le=16, description="novel views")
     gap: tuple[int, int] = Field((45, 90), description="from first to last context view [frames]")
+    gap_start: tuple[int, int] | None = Field(None, description="gap when training begins; default: as `gap`")
+    gap_growth: float = Field(
+        0.5, gt=0, le=1, description="share of the training in which `gap_start` grows evenly to `gap`"
+    )
     mirror: float = Field(0.5, ge=0, le=1, description="share of samples mirrored left to right")
 
 
@@ -49,8 +53,8 @@ class PhotoDataset(Dataset):
         """All scenes under the root; raises InputError when there are none."""
 
     @abstractmethod
-    def _draw(self, scene: Any, rng: np.random.Generator) -> "DrawnPhotos":
-        """Draw views of one scene; raises InputError when it cannot be used."""
+    def _draw(self, scene: Any, rng: np.random.Generator, gap: tuple[int, int]) -> "DrawnPhotos":
+        """Draw views of one scene, first to last `gap` frames apart; raises InputError when it cannot be used."""
 
     @abstractmethod
     def _label(self, scene: Any) -> str:
@@ -60,13 +64,18 @@ class PhotoDataset(Dataset):
         return len(self.scenes) * self.settings.samples
 
     def __getitem__(self, index: int) -> SceneSample:
+        return self.at_progress(index, 1.0)
+
+    def at_progress(self, index: int, progress: float) -> SceneSample:
+        """Return the sample with the gap of that time of a training: a curriculum from near views to far ones."""
+        gap = growing_gap(self.settings.gap_start, self.settings.gap, progress / self.settings.gap_growth)
         if not 0 <= index < len(self):
             raise IndexError(index)
         for attempt in range(len(self.scenes)):
             scene = self.scenes[(index + attempt) % len(self.scenes)]
             rng = np.random.default_rng((self.settings.seed, index))
             try:
-                drawn = self._draw(scene, rng)
+                drawn = self._draw(scene, rng, gap)
             except InputError as error:
                 self._skip(self._label(scene), str(error))
             else:
@@ -117,6 +126,14 @@ class DrawnPhotos:
             target_masks=None if masks is None else masks[:, context:],
             name=name,
         )
+
+
+def growing_gap(start: tuple[int, int] | None, end: tuple[int, int], way: float) -> tuple[int, int]:
+    """Least and most frames, `way` of the way from `start` to `end`; above 1 it is `end`."""
+    if start is None or way >= 1:
+        return end
+    least, most = (round(a + (b - a) * way) for a, b in zip(start, end))
+    return least, most
 
 
 def choose_by_gap(

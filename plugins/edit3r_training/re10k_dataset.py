@@ -46,10 +46,10 @@ class Re10kDataset(PhotoDataset):
     def _label(self, scene: tuple[Path, int]) -> str:
         return f"{scene[0].name}[{scene[1]}]"
 
-    def _draw(self, scene: tuple[Path, int], rng: np.random.Generator) -> DrawnPhotos:
+    def _draw(self, scene: tuple[Path, int], rng: np.random.Generator, gap: tuple[int, int]) -> DrawnPhotos:
         chosen = self.settings
         cameras, files, key = _checked(_read_chunk(scene[0])[scene[1]])
-        views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, chosen.gap)
+        views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, gap)
         if views is None:
             raise InputError(f"scene {key} has {len(files)} frames, too few for {chosen.context} context views.")
         images, intrinsics = zip(*(_square(files[view], cameras[view], chosen.image_size, key) for view in views))

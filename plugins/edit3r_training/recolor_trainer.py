@@ -103,15 +103,19 @@ class RecolorRecipe(Recipe):
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
         """The samples of a step; with workers, those of the next are begun."""
         if self._loader is None:
-            return [self.job.train_data[index] for index in self._indices(step, processes)]
+            return [self._sample(index, step) for index in self._indices(step, processes)]
         for wanted in (step, step + 1):
             if wanted not in self._ahead:
-                self._ahead[wanted] = [self._begun(index) for index in self._indices(wanted, processes)]
+                self._ahead[wanted] = [self._begun(index, wanted) for index in self._indices(wanted, processes)]
         return [future.result() for future in self._ahead.pop(step)]
 
-    def _begun(self, index: int) -> "Future[SceneSample]":
+    def _begun(self, index: int, step: int) -> "Future[SceneSample]":
         """A sample that a worker loads; what it warns of is collected as if it were loaded here."""
-        return self._loader.submit(copy_context().run, self.job.train_data.__getitem__, index)
+        return self._loader.submit(copy_context().run, self._sample, index, step)
+
+    def _sample(self, index: int, step: int) -> SceneSample:
+        """One sample, as hard as it should be at that step."""
+        return self.job.train_data.at_progress(index, step / (self.settings.steps * self.settings.accumulate))
 
     def _indices(self, step: int, processes: Processes) -> list[int]:
         chosen, length = self.settings, len(self.job.train_data)

@@ -51,12 +51,12 @@ class TransformsDataset(PhotoDataset):
     def _label(self, scene: Path) -> str:
         return f"scene {scene.name}"
 
-    def _draw(self, scene: Path, rng: np.random.Generator) -> DrawnPhotos:
+    def _draw(self, scene: Path, rng: np.random.Generator, gap: tuple[int, int]) -> DrawnPhotos:
         chosen, folder, regions = self.settings, read_posed_folder(scene), None
         if chosen.masks:
             regions = SceneRegions.read(Path(chosen.masks) / folder.name)
             folder = regions.photos_with_masks(folder)
-        views = self._choose(folder, rng)
+        views = self._choose(folder, rng, gap)
         if views is None:
             raise InputError(f"{scene}: no {chosen.context} photos fit the {chosen.select} asked for.")
         photos, cameras = zip(*((folder.load(view, chosen.image_size), folder.cameras[view]) for view in views))
@@ -68,11 +68,11 @@ class TransformsDataset(PhotoDataset):
             None if regions is None else regions.masks(cameras, chosen.image_size),
         )
 
-    def _choose(self, folder: PosedFolder, rng: np.random.Generator) -> list[int] | None:
+    def _choose(self, folder: PosedFolder, rng: np.random.Generator, gap: tuple[int, int]) -> list[int] | None:
         """Indices of the context views, then of the targets; None when the photos do not fit."""
         chosen = self.settings
         if chosen.select == "gap":
-            return choose_by_gap(rng, len(folder.cameras), chosen.context, chosen.targets, chosen.gap)
+            return choose_by_gap(rng, len(folder.cameras), chosen.context, chosen.targets, gap)
         c2w = np.stack([camera.c2w for camera in folder.cameras])
         return choose_by_angle(rng, c2w, chosen.context, chosen.targets, chosen.angles)
 

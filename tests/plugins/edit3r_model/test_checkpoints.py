@@ -274,6 +274,12 @@ def test_a_trained_network_needs_no_further_settings(trained):
     assert all(torch.equal(value, stored[name]) for name, value in network.named_parameters())
 
 
+def test_a_trained_network_of_the_full_form_runs_under_the_name_of_the_paper_s_model(trained):
+    network = edit3r.build("reconstructor", "edit3r", weights=str(trained), full={"engine": "eager"}).network
+    stored = load_weights(trained).state
+    assert all(torch.equal(value, stored[name]) for name, value in network.named_parameters())
+
+
 def test_a_trained_network_is_converted(trained, tmp_path, capsys):
     assert main(["convert", str(trained), str(tmp_path / "ours")]) == 0
     assert json.loads((tmp_path / "ours" / "config.json").read_text())["backbone"]["settings"]["decoder_heads"] == 8

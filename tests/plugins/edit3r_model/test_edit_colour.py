@@ -1,6 +1,6 @@
 import pytest
 import torch
-from edit3r_model.edit_colour import change_of, edits_disagree, fit_colour_maps
+from edit3r_model.edit_colour import change_of, edits_conflict, edits_disagree, fit_colour_maps
 
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences
@@ -101,6 +101,41 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
     away = torch.ones(SIZE, dtype=torch.bool)
     away[13:21, 15:23] = False
     assert not gap[away].any()
+
+
+def _conflict(edited, matches=SAME_PLACE):
+    """Where view 1 gives way, as the mean over the object and over all else."""
+    conflict = edits_conflict(edited, PAIR, matches, edits_disagree(edited, PAIR, matches))
+    assert not conflict[:, 0].any()
+    core = -torch.nn.functional.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
+    away = torch.nn.functional.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
+    return conflict[:, 1][core].mean().item(), conflict[:, 1][away].mean().item()
+
+
+CONTRARY = _edited(_warmer, lambda image: 1 - image)
+
+
+def test_a_view_with_a_contrary_edit_gives_way_on_the_object_alone():
+    inside, away = _conflict(CONTRARY)
+    assert inside > 0.95 and away == 0
+    assert _conflict(_edited(_warmer, _warmer)) == (0, 0)
+
+
+def test_an_unedited_view_keeps_its_opacity_and_one_that_was_edited_elsewhere_gives_way():
+    alone = _edited(_warmer, lambda image: image)
+    assert _conflict(alone) == (0, 0)
+    alone[:, 1, :, :5] = 1 - PAIR[:, 1, :, :5]
+    assert _conflict(alone)[0] > 0.9
+
+
+def test_nothing_gives_way_where_the_reference_does_not_show_the_place():
+    outside = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
+    assert _conflict(CONTRARY, outside)[0] == 0
+    behind, before = (
+        Correspondences(SAME_PLACE.coordinates.flip(3), SAME_PLACE.inside, torch.full((1, 2, *SIZE), ratio))
+        for ratio in (0.3, -0.3)
+    )
+    assert _conflict(CONTRARY, behind)[0] < 0.5 < _conflict(CONTRARY, before)[0]
 
 
 def test_a_steep_curve_is_one_function_of_colour_too():

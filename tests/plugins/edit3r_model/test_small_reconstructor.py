@@ -1,15 +1,19 @@
 import hashlib
+import math
 from typing import ClassVar
 
 import pytest
 import skimage.data
 import torch
 import torch.nn.functional as F
+from edit3r_model.conflict_figure import save_conflict_figure
 from edit3r_model.small_network import SHIPPED, NetworkOutputs, SmallNetwork, load_network, network_grid, read_card
 from edit3r_model.small_reconstructor import Edit3rReconstructor, assemble
+from PIL import Image
 from safetensors.torch import save_file
 
 from edit3r.config import make_settings
+from edit3r.earlier_run import EarlierRun
 from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
@@ -173,13 +177,41 @@ def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
     images = agreeing.images.clone()
     images[:, 1] = torch.where(inside, 1 - images[:, 1], images[:, 1])
     conflicting = Views(images, agreeing.intrinsics)
+    core = -F.max_pool2d(-inside.float()[None, None], 9, 1, 4)[0, 0] > 0  # the outlines in two views do not quite meet
+    given_way, own = _opacities(conflicting, 0.0)[1][core], _opacities(agreeing, 0.0)[1][core]
+    assert given_way.mean() < 0.5 * own.mean()  # whatever the network says: the reference shows the place
     full, fallen = _opacities(conflicting, 0.0), _opacities(conflicting, -2.0)
     assert (fallen[1][inside] < 0.5 * full[1][inside]).all()
     assert torch.equal(fallen[0], full[0])
     away = F.max_pool2d(SCENE.objects[1, 0, 1][None, None], 31, 1, 15)[0, 0] == 0
     assert torch.equal(fallen[1][away], full[1][away])
-    core = -F.max_pool2d(-inside.float()[None, None], 9, 1, 4)[0, 0] > 0  # the outlines in two views do not quite meet
     assert torch.equal(_opacities(agreeing, -2.0)[1][core], _opacities(agreeing, 0.0)[1][core])
+
+
+def _contradicting() -> Views:
+    """The second ball in one colour in view 0 and in the opposite one in view 1."""
+    agreeing = _recoloured(_views(), (0, 1))
+    images, inside = agreeing.images.clone(), SCENE.objects[1, 0, 1] > 0.5
+    opposite = (2 * SCENE.views.images[:, 1] - images[:, 1]).clamp(0, 1)
+    images[:, 1] = torch.where(inside, opposite, images[:, 1])
+    return Views(images, agreeing.intrinsics)
+
+
+def test_a_novel_view_of_contradicting_edits_shows_the_reference_s():
+    truth, camera = _recoloured(_views(3), (0, 1, 2)).images[0, 2], SCENE.cameras.select([2])
+    gaussians = _reconstructor()(_contradicting(), _views()).gaussians
+    shown = build("rasterizer", "torch").render(gaussians, camera).images[0, 0]
+    assert (shown - truth).abs().mean(0)[_inside(2)].mean() < 0.1
+
+
+def test_the_figure_shows_every_view_s_own_gaussians_and_where_they_give_way(tmp_path):
+    edited = _contradicting()
+    scene = _reconstructor(apron=0, backdrop=0)(edited, _views())
+    photos = Views(_views().images, _views().intrinsics, ("left", "right"))
+    run = EarlierRun(photos, edited, scene, ("x",), (), {}, 2)
+    reference, other = save_conflict_figure(tmp_path / "figure.png", run, build("rasterizer", "torch"))
+    assert math.isnan(reference[0]) and other[0] < 0.7 * other[1]
+    assert Image.open(tmp_path / "figure.png").size[0] > 5 * 256
 
 
 def test_what_lies_away_from_an_edit_stays_bit_for_bit():

@@ -5,6 +5,7 @@ from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
 
+from edit3r.interfaces import Dataset
 from edit3r.registry import build
 from edit3r.testing.training import tiny_job
 from edit3r.training.schedule import step_generator
@@ -18,6 +19,8 @@ class WithoutDepths:
 
     def __len__(self) -> int:
         return len(self.data)
+
+    at_progress = Dataset.at_progress
 
     def __getitem__(self, index: int):
         return replace(self.data[index], context_depths=None)

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 import torch
-from edit3r_training.losses import CenterLoss, GeometryLoss, MseLoss, chamfer_l1, pairwise_chamfer
+from edit3r_training.losses import CenterLoss, GeometryLoss, MseLoss, PointsLoss, chamfer_l1, pairwise_chamfer
 
 import edit3r
 from edit3r.errors import MissingDependencyError, SettingsError
@@ -17,6 +17,10 @@ class TestMse(LossContract):
 
 class TestCenter(LossContract):
     component = "center"
+
+
+class TestPoints(LossContract):
+    component = "points"
 
 
 class TestGeometry(LossContract):
@@ -48,6 +52,22 @@ def test_center_is_linear_far_from_the_reference():
     far = _gaussians(torch.full((1, 4, 3), 10.0), [0, 0, 1, 1])
     loss = CenterLoss(CenterLoss.Settings())
     assert float(loss(LossInputs(gaussians=far, reference=reference))) == pytest.approx(9.5)
+
+
+def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
+    torch.manual_seed(0)
+    reference = torch.rand(1, 100, 3) + 1
+    loss = lambda means, **settings: PointsLoss(PointsLoss.Settings(**settings))(  # noqa: E731
+        LossInputs(gaussians=_gaussians(means, [0] * 100), reference=_gaussians(reference, [0] * 100))
+    )
+    assert loss(7 * reference) == pytest.approx(0, abs=1e-6)
+    farthest = reference.norm(dim=-1).argmax()
+    moved = reference.clone()
+    moved[0, farthest] += 0.5
+    assert loss(moved, outliers=0) > 1.5 * loss(moved, outliers=0.02) > 0
+    turned = reference[..., [1, 2, 0]]
+    unit = reference.norm(dim=-1).mean()
+    assert loss(turned, outliers=0) == pytest.approx(float((turned - reference).norm(dim=-1).mean() / unit))
 
 
 def test_chamfer_of_two_points_is_twice_their_l1_distance():

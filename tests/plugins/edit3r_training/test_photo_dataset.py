@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from edit3r_training.photo_dataset import choose_by_angle, choose_by_gap
+from edit3r_training.photo_dataset import choose_by_angle, choose_by_gap, growing_gap
 from edit3r_training.procedural_scenes import look_at
 
 
@@ -18,6 +18,12 @@ def test_gap_is_within_its_range_and_targets_lie_between(seed):
     assert 10 <= context[-1] - context[0] <= 20
     assert len(targets) == 4 and all(context[0] <= target <= context[-1] for target in targets)
     assert context == sorted(context)
+
+
+def test_the_gap_grows_evenly_from_its_start_and_then_stays():
+    grown = [growing_gap((25, 25), (45, 90), way) for way in (0, 0.5, 1, 1.7)]
+    assert grown == [(25, 25), (35, 58), (45, 90), (45, 90)]
+    assert growing_gap(None, (45, 90), 0) == (45, 90)
 
 
 def test_a_short_sequence_gets_the_widest_gap_it_has_and_a_single_frame_none():

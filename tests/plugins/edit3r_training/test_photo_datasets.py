@@ -149,6 +149,23 @@ def test_an_empty_folder_is_an_error_that_names_it(tmp_path, make):
         len(make(tmp_path))
 
 
+@pytest.mark.parametrize("name", ["re10k", "transforms"])
+def test_a_training_begins_with_views_close_to_each_other(tmp_path, name):
+    """At the start 1 frame apart; from a quarter of the training on 4."""
+    chosen = {"gap": (4, 4), "gap_start": (1, 1), "gap_growth": 0.25, "mirror": 0, "context": 2, "targets": 0}
+    if name == "re10k":
+        torch.save([_chunk_scene()], tmp_path / "0.torch")
+        data = Re10kDataset(Re10kDataset.Settings(root=str(tmp_path), image_size=64, **chosen))
+    else:
+        _write_transforms(tmp_path / "a")
+        data = _transforms(tmp_path, select="gap", **chosen)
+    seen = []
+    for sample in (data.at_progress(0, 0.0), data.at_progress(0, 0.25), data[0]):
+        numbers = [min(range(VIEWS), key=lambda v: float((SCENE.context[v] - x).abs().mean())) for x in sample.context]
+        seen.append(numbers[1] - numbers[0])
+    assert seen == [1, 4, 4]
+
+
 def test_the_same_index_gives_the_same_sample(tmp_path):
     _write_transforms(tmp_path / "a")
     first, second = _transforms(tmp_path, mirror=0.5)[1], _transforms(tmp_path, mirror=0.5)[1]

@@ -14,7 +14,7 @@ from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 from edit3r_training.validation import held_out_batches, held_out_measures
 
 from edit3r.errors import MatchingError, PluginError, SettingsError
-from edit3r.interfaces import TrainingJob
+from edit3r.interfaces import Dataset, TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting, warn
 from edit3r.testing import TrainerContract
@@ -55,6 +55,8 @@ class _StopAt:
 
     def __len__(self) -> int:
         return len(self.data)
+
+    at_progress = Dataset.at_progress
 
     def __getitem__(self, index: int):
         self.asked += 1
@@ -220,6 +222,32 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_data_is_told_how_far_the_training_is(tmp_path, workers):
+    class Noted:
+        def __init__(self, data) -> None:
+            self.data, self.asked = data, set()
+
+        def __len__(self) -> int:
+            return len(self.data)
+
+        def __getitem__(self, index: int):
+            return self.data[index]
+
+        def at_progress(self, index: int, progress: float):
+            self.asked.add(progress)
+            return self.data[index]
+
+    job = tiny_job(tmp_path)
+    data = Noted(job.train_data)
+    settings = RecolorTrainer.Settings(batch=1, workers=workers, steps=4, accumulate=2)
+    recipe = RecolorRecipe(settings, replace(job, train_data=data))
+    recipe.begin()
+    for batch in range(7):
+        recipe.loss(batch, Processes())
+    assert data.asked - {7 / 8} == {batch / 8 for batch in range(7)}  # a worker may be one ahead
+
+
 def test_workers_load_ahead_and_change_nothing(tmp_path):
     class Noted:
         def __init__(self, data) -> None:
@@ -227,6 +255,8 @@ def test_workers_load_ahead_and_change_nothing(tmp_path):
 
         def __len__(self) -> int:
             return len(self.data)
+
+        at_progress = Dataset.at_progress
 
         def __getitem__(self, index: int):
             self.threads.add(threading.get_ident())

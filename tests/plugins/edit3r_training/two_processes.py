@@ -11,7 +11,7 @@ import torch
 import torch.distributed as dist
 from edit3r_training.recolor_trainer import RecolorTrainer
 
-from edit3r.interfaces import TrainingJob
+from edit3r.interfaces import Dataset, TrainingJob
 from edit3r.testing.training import tiny_job
 from edit3r.training.processes import joined_processes
 
@@ -33,6 +33,8 @@ class StopsItself:
 
     def __len__(self) -> int:
         return len(self.data)
+
+    at_progress = Dataset.at_progress
 
     def __getitem__(self, index: int):
         self.asked += 1
