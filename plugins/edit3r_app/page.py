@@ -244,6 +244,8 @@ class ScenePage:
             for depth, job in tree(jobs):
                 label = job.label if job.state == "done" else job.state
                 self._node(job.prompt or "no wish", job.name, depth + 1, label)
+                if job.state == "failed":
+                    _quiet(job.sentence, warning=True)
 
     def _node(self, text: str, name: str, depth: int, label: str) -> None:
         with ui.button(on_click=partial(self._go_to, name)).props("dense align=left") as button:

@@ -3,6 +3,7 @@
 The name that the browser tells is a label: what is made of it is never a path. A file that is refused leaves nothing.
 """
 
+import asyncio
 import hashlib
 import os
 import secrets
@@ -12,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from edit3r.errors import Edit3rError, InputError
+from edit3r.io.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.io.decode import READABLE, decode
 from edit3r.io.images import SUFFIXES, unique_names
 from edit3r_app.jobs import JobsFolder
@@ -26,8 +28,8 @@ def refuse_unwanted(folder: JobsFolder, scene: str, name: str, size: int | None)
     label = _label(name)
     if folder.is_run(scene):
         raise InputError(f"{label}: the photos of a finished run cannot be changed; begin with new photos.")
-    if Path(label).suffix.lower() not in SUFFIXES:
-        raise InputError(f"{label}: not a photo by its name; expected {READABLE}.")
+    if Path(label).suffix.lower() not in (*SUFFIXES, *VIDEO_SUFFIXES):
+        raise InputError(f"{label}: not a photo by its name; expected {READABLE}, or a video.")
     if size is not None and size > MOST_BYTES:
         raise InputError(f"{label}: {size / 1024**2:,.0f} MB; photos of at most {MOST_BYTES >> 20} MB are taken.")
     if len(folder.photos(scene)) >= MOST_PHOTOS:
@@ -45,14 +47,25 @@ async def receive(folder: JobsFolder, scene: str, name: str, size: int | None, c
                 if received > MOST_BYTES:
                     raise InputError(f"{_label(name)}: photos of at most {MOST_BYTES >> 20} MB are taken.")
                 file.write(chunk)
-        return accept(folder, scene, name, draft)
+        return await asyncio.to_thread(accept, folder, scene, name, draft)
     finally:
         draft.unlink(missing_ok=True)
 
 
 def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
-    """Keep the file `draft` as a photo of the scene, under a name made from `name`; the same picture only once."""
+    """Keep the file `draft` as a photo of the scene, under a name made from `name`; the same picture only once.
+
+    Of a video the frames are kept that `edit3r run` would use; returns the first of them.
+    """
     try:
+        if Path(_label(name)).suffix.lower() in VIDEO_SUFFIXES:
+            with draft.open("rb") as file:
+                head = file.read(12)
+            if head[4:8] != b"ftyp" and head[:4] not in (b"\x1aE\xdf\xa3", b"RIFF"):  # such as a list of other files
+                raise InputError(f"{draft}: not a video that can be read.")
+            stem = Path(_label(name)).stem
+            kept = [_copy(folder, scene, frame, f"{stem}-{n:02}.png") for n, frame in enumerate(take_frames(draft))]
+            return kept[0]
         decode(draft)
     except Edit3rError as error:
         raise InputError(str(error).replace(str(draft), _label(name))) from None
@@ -96,10 +109,14 @@ def copied(folder: JobsFolder, name: str, photos: list[Path]) -> str:
     """Make a new set of photos from files of this machine, and return its name."""
     scene = folder.new_scene(name)
     for photo in photos:
-        draft = folder.private / f"upload-{secrets.token_hex(8)}"
-        try:
-            shutil.copyfile(photo, draft)
-            accept(folder, scene, photo.name, draft)
-        finally:
-            draft.unlink(missing_ok=True)
+        _copy(folder, scene, photo, photo.name)
     return scene
+
+
+def _copy(folder: JobsFolder, scene: str, photo: Path, name: str) -> Path:
+    draft = folder.private / f"upload-{secrets.token_hex(8)}"
+    try:
+        shutil.copyfile(photo, draft)
+        return accept(folder, scene, name, draft)
+    finally:
+        draft.unlink(missing_ok=True)

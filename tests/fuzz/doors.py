@@ -5,6 +5,7 @@ the folder, reads it as the program does, and asserts that what was read is soun
 with an `Edit3rError`; it names the file, the setting or the thing in `names`.
 """
 
+import asyncio
 import dataclasses
 import importlib.util
 import io
@@ -320,11 +321,46 @@ def service_answers(rng, folder, given):
     assert not any(b"sk-secret" in path.read_bytes() for path in folder.rglob("*") if path.is_file())
 
 
+def uploads(rng, folder, given):
+    """What a browser sends to `edit3r app`."""
+    from edit3r_app.jobs import JobsFolder
+    from edit3r_app.uploads import receive
+
+    async def chunks():
+        yield mangled_bytes(rng, given.files[rng.choice(("a.png", "c.jpg", "d.webp", "e.tif"))])
+
+    jobs = JobsFolder(folder / "jobs")
+    scene = jobs.new_scene(rng.choice(TEXTS))
+    name = mangled_text(rng, rng.choice(("a.png", "photo.JPG", "../x.webp", "C:\\y.tif")))
+    try:
+        kept = asyncio.run(receive(jobs, scene, name, rng.choice((None, 0, 10**4, 10**12)), chunks()))
+    finally:
+        assert jobs.path(scene).parent == jobs.root and not list(jobs.private.iterdir())
+    assert kept.parent == jobs.path(scene) / "images" and jobs.photos(scene) == [kept]
+
+
+def app_records(rng, folder, given):
+    """The files that `edit3r app` keeps beside photos and runs."""
+    from edit3r_app.choosing import read_draft
+    from edit3r_app.jobs import Job, JobsFolder, redo, tree, undo
+
+    jobs = JobsFolder(folder / "jobs")
+    name = jobs.new_job(Job("", jobs.new_scene("bear"), settings={"prompt": "gold"})).name
+    record = jobs.private / f"{name}.json"
+    record.write_bytes(json_bytes(rng, json.loads(record.read_text())))
+    (jobs.root / name).mkdir()
+    (jobs.root / name / "run.json").write_bytes(json_bytes(rng, given.trees["run"]))
+    (jobs.beside("bear") / "draft.json").write_bytes(json_bytes(rng, {"positive": [[0, 0.5, 0.5]], "form": {}}))
+    history = [job for job in jobs.jobs() if job.name == name]
+    assert len(history) == 1 and history[0].state == "done" and len(tree(history)) <= 1
+    undo(history, name), redo(history, name), jobs.scenes(), read_draft(jobs, "bear")
+
+
 DOORS: dict[str, Callable] = {
     door.__name__: door
     for door in (
         *(pictures, masks, cameras, yaml_files, assignments, checkpoints, resume_states, weights, plies, run_folders),
-        *(manifests, recipes, prompts, names, output_paths, service_answers, videos),
+        *(manifests, recipes, prompts, names, output_paths, service_answers, videos, uploads, app_records),
         *((exports,) if importlib.util.find_spec("gaussforge") else ()),
     )
 }

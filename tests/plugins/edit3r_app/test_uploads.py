@@ -59,6 +59,8 @@ HOSTILE = {
     "program by name": ("x.png.exe", picture()),
     "null in the name": ("x.png\0.sh", picture()),
     "playlist": ("x.m3u8", b"#EXTM3U\nfile:///etc/passwd"),
+    "playlist as video": ("x.mp4", b"#EXTM3U\nfile:///etc/passwd"),
+    "video that is none": ("x.mp4", b"\0\0\0\x18ftypisom" + bytes(200)),
     "heif without end": ("x.heic", b"\0\0\0\x18ftypheic" + bytes(40)),
     "nothing at all": ("", b""),
 }
@@ -166,3 +168,13 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
     uploads.remove(folder, scene, 0)
     uploads.discard(folder, scene)
     assert not (folder.root / scene).exists()
+
+
+def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
+    from edit3r.io.video import save_video
+
+    wide = np.random.default_rng(0).integers(0, 255, (60, 300, 3), dtype=np.uint8).repeat(4, 0).repeat(4, 1)
+    save_video(tmp_path / "pan.webm", [wide[:, 16 * step : 16 * step + 320] for step in range(20)], fps=10)
+    kept = send(folder, scene, "pan.webm", (tmp_path / "pan.webm").read_bytes())
+    assert kept.name == "pan-00.png" and 2 <= len(folder.photos(scene)) <= 8
+    assert not list(folder.private.iterdir())
