@@ -47,9 +47,7 @@ def register_losses() -> list[Component]:
     return [
         loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
         loss("center", "CenterLoss", "smooth L1 of Gaussian centres to the reference's"),
-        loss(
-            "points", "PointsLoss", "point distillation: distance of centres to the reference's, each in its own unit"
-        ),
+        loss("point-distillation", "PointsLoss", "distance of centres to the reference's, each in its own unit"),
         loss("geometry", "GeometryLoss", "pairwise Chamfer-L1 between the views' centres"),
         loss(
             "perceptual",

@@ -69,7 +69,7 @@ class PointsLoss(Loss):
         self.settings = settings
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
-        _require(inputs, "points", "gaussians", "reference")
+        _require(inputs, "point-distillation", "gaussians", "reference")
         ours, theirs = (
             c.means / c.means.norm(dim=-1).mean(1)[:, None, None] for c in (inputs.gaussians, inputs.reference)
         )

@@ -20,7 +20,7 @@ class TestCenter(LossContract):
 
 
 class TestPoints(LossContract):
-    component = "points"
+    component = "point-distillation"
 
 
 class TestGeometry(LossContract):
