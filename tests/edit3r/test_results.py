@@ -142,7 +142,8 @@ def test_reprs_are_short_and_hold_no_numbers_of_tensors(result):
     assert repr(Views(torch.zeros(1, 2, 3, 4, 5), torch.zeros(1, 2, 3, 3), ("a", "b"))) == (
         "Views(images=[1, 2, 3, 4, 5], intrinsics=[1, 2, 3, 3], names=('a', 'b'), c2w=None, assumed=())"
     )
-    assert repr(result).startswith("RunResult(") and f"{result.gaussians.count:,} Gaussians from 2 photos" in repr(result)
+    assert repr(result).startswith("RunResult(")
+    assert f"{result.gaussians.count:,} Gaussians from 2 photos" in repr(result)
 
 
 def test_python_m_edit3r_is_the_command():
