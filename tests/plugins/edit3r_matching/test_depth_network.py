@@ -142,7 +142,9 @@ def job(tmp_path):
 
 
 def trainer(**settings) -> DepthTrainer:
-    return build("trainer", "depth-network", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings})
+    return build(
+        "trainer", "depth-network", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings}
+    )
 
 
 def test_training_lowers_the_loss_and_leaves_weights_that_load(job):
