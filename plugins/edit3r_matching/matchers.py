@@ -1,6 +1,6 @@
 """The matchers `classical` and `posed`: where the photos were taken and how far every pixel is, without weights."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -103,10 +103,6 @@ class PosedMatcher(Matcher):
     class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
-        refine_poses: bool = Field(
-            False,
-            description="settle the given poses on the matches (bundle adjustment); else they stay to the last digit",
-        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -137,28 +133,10 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
-        if self.settings.refine_poses:
-            poses = self._refined(images, poses, features, pairs)
-            c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
         network = chosen_network(self.settings)
         maps = measure_depths(images, Registration(poses, placed, pairs), self.settings, network)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
-
-    def _refined(
-        self,
-        images: Sequence[CalibratedImage],
-        poses: Sequence[Pose],
-        features: FoundFeatures,
-        pairs: Mapping[tuple[int, int], PairView],
-    ) -> tuple[Pose, ...]:
-        """The known poses, settled on the matches that agree with them."""
-        from edit3r_matching.bundle_adjustment import adjust_poses
-
-        indices = {pair: view.indices for pair, view in pairs.items()}
-        points = [keys.points for keys in features.keypoints]
-        settled = adjust_poses(images, points, indices, dict(enumerate(poses)), 2 * self.settings.threshold)
-        return tuple(settled[view] for view in range(len(images)))
 
     def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
         """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""
