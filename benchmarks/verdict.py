@@ -50,7 +50,7 @@ def measure(folder: Path, chosen: list[int], between: list[int], size: int) -> d
     usable = [
         k for k in range(len(between)) if {k, k + 1} <= set(placed) and _lies_between(views.c2w[0], k, len(chosen))
     ]
-    verdict = {name: getattr(result.verdict, name) for name in ("label", "input_psnr", "placed", "filled")}
+    verdict = {name: getattr(result.verdict, name) for name in ("label", "input_psnr", "agreement", "placed", "filled")}
     return {**row, **verdict, "held_out": _held_out(result, views, placed, [len(chosen) + k for k in usable])}
 
 

@@ -1,5 +1,6 @@
 """What a run says while it works: a line per finished stage, a progress bar inside one, warnings as they come."""
 
+import json
 import sys
 import time
 from types import TracebackType
@@ -45,3 +46,20 @@ class StageConsole:
         for task in self.tasks.values():
             self.progress.remove_task(task)
         self.tasks.clear()
+
+
+class JsonLines:
+    """Listener that writes each event as one line of JSON to standard error, for programs that watch a run.
+
+    Keys: event (start, end, warn or progress), text, done, total, and at [seconds since 1970].
+    """
+
+    def __enter__(self) -> "JsonLines":
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        pass
+
+    def __call__(self, event: str, text: str, done: int, total: int) -> None:
+        line = {"event": event, "text": text, "done": done, "total": total, "at": round(time.time(), 3)}
+        print(json.dumps(line), file=sys.stderr, flush=True)

@@ -6,9 +6,10 @@ nothing is written there.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from edit3r.io.run_folder import RunFolder
 from edit3r.reporting import note
 from edit3r.types import Reconstruction, Views
 
+Read = TypeVar("Read")
 NOTE = "views"  # the note in run.json that holds what the images do not: intrinsics and known poses
 
 
@@ -52,6 +54,16 @@ def note_views(views: Views) -> None:
 
 def read_earlier_run(root: str | Path) -> EarlierRun:
     """Read a run folder. Raises InputError, naming the file, where it is not one or is damaged."""
+    return _read(root, _earlier_run)
+
+
+def read_views_of_run(root: str | Path) -> tuple[Views, Views]:
+    """The unedited and the edited views of a run folder, without its scene; errors are those of `read_earlier_run`."""
+    return _read(root, _views_of_run)
+
+
+def _read(root: str | Path, reader: Callable[[Path, dict[str, Any]], Read]) -> Read:
+    """What `reader` makes of the folder and the content of its run.json."""
     root = Path(root)
     if not root.is_dir():
         raise InputError(f"{root}: no such folder; --from takes the folder of an earlier run.")
@@ -64,7 +76,7 @@ def read_earlier_run(root: str | Path) -> EarlierRun:
             )
     try:
         manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
-        return _earlier_run(root, manifest)
+        return reader(root, manifest)
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
         raise InputError(
             f"{folder.manifest}: lacks what is needed to continue ({type(error).__name__}: {error}); "
@@ -74,14 +86,8 @@ def read_earlier_run(root: str | Path) -> EarlierRun:
 
 def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
     """The run that `manifest` (the content of run.json) and the files beside it describe."""
-    stored, run = manifest["notes"][NOTE], manifest["settings"]["run"]
-    names = tuple(stored["names"])
-    for name, safe in zip(names, unique_names([str(name) for name in names])):
-        if name != safe:  # the folder may come from a stranger
-            raise InputError(
-                f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name, or there twice."
-            )
-    photos, edited = (_views(root / folder, names, stored) for folder in ("inputs", "edited"))
+    run, (photos, edited) = manifest["settings"]["run"], _views_of_run(root, manifest)
+    names = photos.names
     cameras, _ = read_scene_cameras(root / "cameras.json")
     if cameras.count != len(names) or cameras.image_size != photos.image_size:
         raise ValueError(f"cameras.json has {cameras.count} cameras, expected one for each of {len(names)} views")
@@ -94,6 +100,19 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
         reconstructor={"name": run["reconstructor"]["name"], **run["reconstructor"]["settings"]},
         frames=int(run["frames"]),
     )
+
+
+def _views_of_run(root: Path, manifest: dict[str, Any]) -> tuple[Views, Views]:
+    """The images of `inputs/` and `edited/` as views."""
+    stored = manifest["notes"][NOTE]
+    names = tuple(stored["names"])
+    for name, safe in zip(names, unique_names([str(name) for name in names])):
+        if name != safe:  # the folder may come from a stranger
+            raise InputError(
+                f"{root / 'run.json'}: the view name {str(name)[:60]!r} is no plain file name, or there twice."
+            )
+    photos, edited = (_views(root / folder, names, stored) for folder in ("inputs", "edited"))
+    return photos, edited
 
 
 def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> Views:

@@ -48,6 +48,8 @@ class Editor(Configured, ABC):
     gives_attention: bool = False  # True: it has `attention`
     references: int = 0  # how many views, from the first, its other views look at; 0: each is edited by itself
     takes_depth: bool = False  # True: it reads depth from its part `matcher`, which another may take the place of
+    needs_masks: bool = False  # True: what it changes is told by masks alone
+    changes_shape: bool = False  # True: things come or go, so the edited views are matched, not the photos
 
     @abstractmethod
     def edit(self, views: Views, request: EditRequest) -> Views:
@@ -130,7 +132,7 @@ class Segmenter(Configured, ABC):
         A segmenter that does not implement this reads positive points and the box only: a prior alone is the answer.
         """
         if not marks.positive and marks.box is None:
-            return _as_proposal(marks.prior)
+            return as_proposal(marks.prior)
         if marks.negative:
             warn(f"segmenter {type(self).__name__} reads no negative points; brush them out of the mask instead.")
         return self.segment(image, marks.positive, marks.box)
@@ -140,7 +142,7 @@ class Segmenter(Configured, ABC):
         return None
 
 
-def _as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
+def as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
     """A mask that somebody gave, as a proposal that is sure of itself."""
     inside = mask > 0.5
     rows, columns = inside.any(1).nonzero()[:, 0], inside.any(0).nonzero()[:, 0]

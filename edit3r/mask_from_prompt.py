@@ -7,9 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.geometry.maps import dilate_softly
-from edit3r.interfaces import Proposal, Segmenter
+from edit3r.interfaces import Segmenter
 from edit3r.reporting import note, warn
-from edit3r.stage_checks import component_name
+from edit3r.selection import Selection, select_masks
 from edit3r.types import Views
 
 _DETERMINERS = "the|this|that|these|those|my|our|your|his|her|its|their"
@@ -35,42 +35,18 @@ def object_in_prompt(prompt: str) -> str:
 
 
 def masks_from_prompt(
-    prompt: str, views: Views, segmenter: Segmenter
+    prompt: str, views: Views, segmenter: Segmenter, guess: bool = False
 ) -> Float[Tensor, "batch view height width"] | None:
-    """Find soft masks around what a prompt is about; None, with a warning, when that cannot be found.
+    """Find soft masks around what a prompt is about; None, with a warning, when it is about no one thing.
 
     The segmenter is asked for its own `prompt` setting where it has one, else for the prompt's object. Each mask is 1
-    on the object, falls off within a small margin around it and is exactly 0 beyond.
+    on the object, falls off within a small margin around it and is exactly 0 beyond. Raises InputError for words that
+    it does not know, or does not find, unless a `guess` is allowed.
     """
     words = segmenter.prompt or object_in_prompt(prompt)
     if not words:
         warn("the instruction names no one object, so nothing confines the edit; name it with segmenter.prompt=...")
         return None
-    found = [segmenter.segment_text(scene[0], words) for scene in views.images]
-    if any(answer is None for answer in found):
-        warn(
-            f"segmenter {component_name(segmenter)!r} cannot look up {words!r}, so nothing confines the edit; use a "
-            "segmenter that reads words (edit3r list-plugins --kind segmenter), or --mask."
-        )
-        return None
-    if not all(found):
-        warn(f"{words!r} was not found on the first photo, so nothing confines the edit; use other words, or --mask.")
-        return None
-    masks = [_follow(scene, proposals, segmenter) for scene, proposals in zip(views.images, found)]
+    found = [select_masks(scene, Selection(words=words, guess=guess), segmenter) for scene in views.images]
     note("edit.confined_to", words)
-    return torch.stack(masks)
-
-
-def _follow(
-    images: Float[Tensor, "view 3 height width"], proposals: tuple[Proposal, ...], segmenter: Segmenter
-) -> Float[Tensor, "view height width"]:
-    """Follow all the proposals of view 0 together: one mask per view."""
-    first = torch.stack([proposal.soft_mask for proposal in proposals]).to(images)
-    if len(images) == 1:
-        return dilate_softly((first > 0.5).any(0, keepdim=True).to(images))
-    tracks = segmenter.track(images, first)
-    inside = ((tracks.logits > 0) & tracks.present[..., None, None]).any(1)
-    lost = [view for view in range(len(images)) if not inside[view].any()]
-    if lost:
-        warn(f"what the instruction names was not found again in views {lost}; they stay unedited.")
-    return dilate_softly(inside.to(images))
+    return torch.stack([dilate_softly((scene.masks[:, 0] > 0.5).to(scene.masks)) for scene in found])

@@ -9,6 +9,7 @@ Writing the results to disk is `edit3r.results`. The easy call from Python is `e
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -18,12 +19,14 @@ from torch import Tensor
 from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner
+from edit3r.errors import InputError, MatchingError, PromptError
+from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
+from edit3r.io.images import Photo
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
-from edit3r.run_config import RunConfig
+from edit3r.run_config import DEFAULTS, RunConfig
+from edit3r.selection import Selection, select_masks
 from edit3r.stage_checks import (
     check_edit,
     check_reconstruction,
@@ -38,9 +41,9 @@ from edit3r.verdict import Verdict, judge
 MIN_VISIBLE_CHANGE = 2 / 255  # mean absolute change under which an edit is reported as having done nothing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
-    """What a run made, in memory."""
+    """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
 
     photos: Views  # the views that were used and placed, unedited
     edited: Views  # after the 2D editor and the mask composite
@@ -50,19 +53,46 @@ class RunResult:
     editor: Editor
     reconstructor: Reconstructor
     rasterizer: Rasterizer
-    rendered: Rendering = field(repr=False)  # the scene from the input views
+    rendered: Rendering  # the scene from the input views
     verdict: Verdict  # how well that shows the edited images
-    report: Report = field(repr=False)
-    cache: Cache = field(repr=False)  # answers that a further run on the same photos need not compute again
+    report: Report
+    cache: Cache  # answers that a further run on the same photos need not compute again
+    config: RunConfig
     prompts: tuple[str, ...] = ()  # the edits so far, those of an earlier run first
-    left_out: Views | None = field(default=None, repr=False)  # photos that could not be placed
+    left_out: Views | None = None  # photos that could not be placed
+    records: tuple[Photo, ...] = ()  # how files became the views; () where none did
+    mask_files: Mapping[str, str] = field(default_factory=dict)  # file: sha256
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write what `edit3r run` leaves into `folder`, which appears whole or not at all, and return it."""
+        from edit3r import results
+        from edit3r.io.atomic import atomic_folder
+
+        with atomic_folder(folder, overwrite) as root:
+            results.write(root, self)
+        return Path(folder)
+
+    def view(self) -> Path:
+        """Open the scene in the browser; returns the page, a temporary file."""
+        from edit3r import results
+
+        return results.open_viewer(self)
+
+    def __repr__(self) -> str:
+        made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
+        return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
+
+    def _repr_html_(self) -> str:
+        from edit3r import results
+
+        return results.as_html(self)
 
 
 def run(
     views: Views,
     config: RunConfig,
     *,
-    masks: Float[Tensor, "batch view height width"] | None = None,
+    masks: Float[Tensor, "batch view height width"] | Selection | None = None,
     components: Mapping[str, Any] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
@@ -71,7 +101,8 @@ def run(
 ) -> RunResult:
     """Edit `views` as `config` says and reconstruct them in 3D. The same inputs and seed give the same result.
 
-    `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does.
+    `masks` in [0, 1] say where pixels may change: where a mask is 0 they stay bit-equal, whatever the editor does. A
+    Selection (clicks, boxes, masks of some views) is turned into them by the segmenter.
     `components` are built objects by kind; they are used instead of those that `config` names. `earlier` is a run whose
     edited views are `views`: the new edit goes into its scene. Raises InputError for views or masks that do not fit the
     reconstructor, and PluginError for a component that breaks its contract.
@@ -81,6 +112,7 @@ def run(
         require_device(config.device)
         with report.stage("load components"):
             parts = _Components(config, registry or default_registry(), components or {})
+            masks = _masks_of(masks, parts, views.to(config.device)) if isinstance(masks, Selection) else masks
             views, masks = _views_for(parts.reconstructor, views, masks, config.device)
         earlier = earlier.to(views.images.device) if earlier is not None else None
         source = views if earlier is None else earlier.photos
@@ -89,17 +121,18 @@ def run(
             edited = _edit(parts.editor, views, request, config.edit_views)
         with report.stage(f"reconstruct ({component_name(parts.reconstructor)})"), torch.no_grad():
             reconstruct = partial(_reconstruct, parts.reconstructor, source, request)
-            scene = reconstruct(edited)
+            scene = _reconstruct(parts.reconstructor, edited if parts.editor.changes_shape else source, request, edited)
             request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
             before = _scene_before(request, parts, reconstruct, source, earlier)
         scene = scene if before is None else replace(scene, cameras=before.cameras)
-        request = replace(request, before=None if before is None else before.gaussians)
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
-        gaussians = _refine(scene, parts, edited, request, config, report)
+        request = _with_before(request, before, parts, source.select(used), report, earlier)
+        # Views that were not edited would pull the edit back out.
+        shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
+        gaussians = _refine(scene, parts, shown, request, report)
         with report.stage("check"), torch.no_grad():
-            rendered = render_each(parts.rasterizer, gaussians, scene.cameras, "render input views")
-            verdict = judge(edited, rendered, [i in used for i in range(views.count)], scene.measured)
+            rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
     return RunResult(
         photos=source.select(used),
         edited=edited,
@@ -113,9 +146,25 @@ def run(
         verdict=verdict,
         report=report,
         cache=cache,
+        config=config,
         prompts=(*(earlier.prompts if earlier is not None else ()), config.prompt),
         left_out=source.select(lost) if lost else None,
     )
+
+
+def _with_before(
+    request: EditRequest,
+    before: Reconstruction | None,
+    parts: "_Components",
+    source: Views,
+    report: Report,
+    earlier: EarlierRun | None,
+) -> EditRequest:
+    """The request with the scene as it was before the edit, refined as the edited one is; an earlier run's has been."""
+    if before is None:
+        return request
+    kept = before.gaussians if earlier is not None else _refine(before, parts, source, request, report)
+    return replace(request, before=kept)
 
 
 class _Components:
@@ -137,6 +186,14 @@ class _Components:
         return self._built("rasterizer")
 
     @property
+    def any_segmenter(self) -> Segmenter:
+        """The segmenter asked for, else the editor's own, else the usual one."""
+        if self._config.segmenter is not None or "segmenter" in self._given:
+            return self._segmenter
+        own = getattr(self.editor, "parts", {}).get("segmenter")
+        return own or self._registry.build_choice("segmenter", PartChoice(name=DEFAULTS["segmenter"]), {})
+
+    @property
     def own_segmenter(self) -> Any | None:
         """The segmenter asked for, where the editor has no use for one; None otherwise."""
         offer = getattr(self.editor, "offer", None)
@@ -152,6 +209,19 @@ class _Components:
             return self._given[kind]
         choice: PartChoice = getattr(self._config, kind)
         return self._registry.build_choice(kind, choice, parts)
+
+
+def _masks_of(selection: Selection, parts: _Components, views: Views) -> Float[Tensor, "1 view height width"]:
+    """Masks of what a user selected, carried between views by the reconstructor's own matcher where it has one."""
+    matcher, geometry = getattr(parts.reconstructor, "parts", {}).get("matcher"), None
+    if matcher is not None and views.count > 1 and len(set(selection.masks)) < views.count:
+        try:
+            geometry = matcher.match(views)
+        except MatchingError as error:
+            warn(f"masks are carried by what the photos show, not by geometry: {error}")
+    with torch.no_grad():
+        selected = select_masks(views.images[0], selection, parts.any_segmenter, geometry, views.intrinsics)
+    return selected.masks.transpose(0, 1)
 
 
 def _views_for(recon: Reconstructor, views: Views, masks: Tensor | None, device: str) -> tuple[Views, Tensor | None]:
@@ -178,12 +248,17 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
     from edit3r.mask_from_prompt import masks_from_prompt
 
-    request = EditRequest(config.prompt, config.seed, masks)
+    request = EditRequest(config.prompt, config.seed, masks, config.guess)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
+        if masks is None and parts.editor.needs_masks:
+            raise PromptError(
+                f"editor {component_name(parts.editor)!r} changes what is masked, and nothing is: give --mask FILE for "
+                "each photo, or --segmenter NAME with a prompt that names the thing."
+            )
         return request
     with torch.no_grad():
-        return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter))
+        return replace(request, masks=masks_from_prompt(request.prompt, views, segmenter, config.guess))
 
 
 def _edit(editor: Editor, views: Views, request: EditRequest, edit_views: str) -> Views:
@@ -277,7 +352,7 @@ def _scene_before(
     earlier: EarlierRun | None,
 ) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and the edit may not change everything."""
-    needed = any(refiner.needs_before for refiner in parts.refiners)
+    needed = any(refiner.needs_before for refiner in parts.refiners) and not parts.editor.changes_shape
     if not needed or request.masks is None or bool((request.masks > 0).all()):
         return None
     if earlier is not None:
@@ -287,19 +362,23 @@ def _scene_before(
     return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
 
 
-def _refine(
-    scene: Reconstruction, parts: _Components, edited: Views, request: EditRequest, config: RunConfig, report: Report
-) -> Gaussians:
+def _refine(scene: Reconstruction, parts: _Components, shown: Views, request: EditRequest, report: Report) -> Gaussians:
     """Apply the refiners in order; one that needs the scene before the edit is left out where there is none."""
     gaussians = scene.gaussians
-    refiners = [refiner for refiner in parts.refiners if request.before is not None or not refiner.needs_before]
-    if not refiners:
-        return gaussians
-    # Views that were not edited would pull the edit back out.
-    shown = edited.select(range(edited.count if config.edit_views == "all" else 1))
-    rasterizer = parts.rasterizer
-    for refiner in refiners:
+    for refiner in parts.refiners:
+        if refiner.needs_before and request.before is None:
+            continue
         with report.stage(component_name(refiner)), errors_named_after(refiner):
-            gaussians = refiner(gaussians, scene.cameras, shown, request, rasterizer)
+            gaussians = refiner(gaussians, scene.cameras, shown, request, parts.rasterizer)
         check_refinement(refiner, scene.gaussians, gaussians)
     return gaussians
+
+
+def _judged(
+    parts: _Components, scene: Reconstruction, gaussians: Gaussians, edited: Views, placed: list[bool]
+) -> tuple[Rendering, Verdict]:
+    """The refined scene from its input views, and the verdict."""
+    first, rendered = (
+        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+    )
+    return rendered, judge(edited, first, rendered, placed, scene.measured)

@@ -1,10 +1,11 @@
 """How stages say what they are doing without knowing who listens: progress, facts for `run.json`, warnings.
 
 A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and the command line
-shows it. Outside a run the calls do nothing, so a component used on its own needs no set-up.
+shows it. Outside a run nothing is kept, so a component used on its own needs no set-up.
 """
 
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -70,9 +71,14 @@ def note(key: str, value: Any) -> None:
 
 
 def warn(text: str) -> None:
-    """Tell the user something that does not stop the run; once per text, also kept in the manifest."""
+    """Tell the user something that does not stop the run; once per text, also kept in the manifest.
+
+    Outside a run it is a warning of Python's.
+    """
     report = _current.get()
-    if report is not None and text not in report.warnings:
+    if report is None:
+        warnings.warn(text, stacklevel=2)
+    elif text not in report.warnings:
         report.warnings.append(text)
         report.emit("warn", text)
 

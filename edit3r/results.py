@@ -1,62 +1,103 @@
 """What a run leaves behind: one folder of files people can open. The names are those of `edit3r.io.run_folder`."""
 
+import base64
+import html
+import io
 import math
 import os
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
 
 from edit3r.earlier_run import note_views
 from edit3r.interfaces import Rasterizer
 from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, Pixels, save_pixels, to_bytes
+from edit3r.io.export import FORMATS, export_scene
+from edit3r.io.images import Pixels, save_pixels, to_bytes
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.run_folder import PluginRecord, RunFolder, RunManifest, WeightsRecord, write_manifest
-from edit3r.io.sheet import save_before_after
+from edit3r.io.sheet import draw_before_after
 from edit3r.io.video import save_video
-from edit3r.io.viewer import save_viewer
+from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.rendering import path_around, render_one
 from edit3r.reporting import collecting, note, track, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, Gaussians
+from edit3r.verdict import WORST_PSNR
 
 if TYPE_CHECKING:
     from edit3r.pipeline import RunResult
-    from edit3r.run_config import RunConfig
 
 VIDEO_FPS = 18
 CACHE = "cache"  # folder of the run's cache inside its results
 
 
-def write(
-    root: Path,
-    result: "RunResult",
-    photos: LoadedPhotos,
-    masks: dict[str, str],
-    config: "RunConfig",
-) -> None:
-    """Render and write everything into the existing folder `root`; `masks` is mask file to sha256."""
-    folder = RunFolder(root)
-    report = result.report
+def write(root: Path, result: "RunResult") -> None:
+    """Render and write what the run's `outputs` ask for into the existing folder `root`, and `run.json`."""
+    folder, report = RunFolder(root), result.report
+    wanted = set(result.config.outputs)
     with collecting(report), torch.no_grad():
+        frames: list[Pixels] = []
         with report.stage("render"), ThreadPoolExecutor(1) as pool:
-            saving = pool.submit(result.cache.save, root / CACHE)  # compresses while the frames are drawn
-            path = path_around(result.cameras, result.rendered, config.frames)
-            frames = _frames(result.rasterizer, result.gaussians, path)
-            saving.result()
+            # Compresses while the frames are drawn.
+            saving = pool.submit(result.cache.save, root / CACHE) if "cache" in wanted else None
+            if wanted & {"video", "frames"}:
+                path = path_around(result.cameras.select(_good_views(result)), result.rendered, result.config.frames)
+                frames = _frames(result.rasterizer, result.gaussians, path)
+            if saving is not None:
+                saving.result()
         with report.stage("write files"):
-            _write_images(folder, result, frames)
+            _write_images(folder, result, frames if "frames" in wanted else [])
             _write_scene(folder, result)
-            names = [f"inputs/{name}.png" for name in result.photos.names]
-            write_cameras(folder.cameras, posed_cameras(result.cameras, names))
-            save_video(folder.video, frames, VIDEO_FPS)
-            title = config.prompt or "edit3r scene"
-            save_viewer(folder.viewer, result.gaussians, result.cameras, title=title, names=result.photos.names)
+            if "video" in wanted:
+                save_video(folder.video, frames, VIDEO_FPS)
+            if "viewer" in wanted:
+                save_viewer(folder.viewer, result.gaussians, result.cameras, **_look(result))
             note_views(result.photos)
             note("edits", list(result.prompts))
-    write_manifest(folder.manifest, _manifest(result, photos, masks, config))
+    write_manifest(folder.manifest, _manifest(result))
+
+
+def as_html(result: "RunResult") -> str:
+    """The sheet and the viewer as one piece of HTML that needs no other file, for notebooks."""
+    picture = io.BytesIO()
+    _sheet(result).save(picture, "WEBP", quality=85)
+    code = base64.b64encode(picture.getvalue()).decode("ascii")
+    page = html.escape(viewer_page(result.gaussians, result.cameras, **_look(result)))
+    return (
+        f'<p>{html.escape(repr(result))}</p><img style="max-width:100%" src="data:image/webp;base64,{code}">'
+        f'<iframe style="width:100%;height:520px;border:0" srcdoc="{page}"></iframe>'
+    )
+
+
+def open_viewer(result: "RunResult") -> Path:
+    """Write the viewer's page to a temporary file and open it in the browser."""
+    import webbrowser
+
+    page = Path(tempfile.mkdtemp(prefix="edit3r-")) / "viewer.html"
+    save_viewer(page, result.gaussians, result.cameras, **_look(result))
+    webbrowser.open(page.as_uri())
+    return page
+
+
+def _look(result: "RunResult") -> dict[str, Any]:
+    """Texts and second look of the viewer's page."""
+    before = colours_before(result.gaussians, result.cameras, result.photos, result.edited, result.rendered)
+    return {"title": result.config.prompt or "edit3r scene", "names": result.photos.names, "before": before}
+
+
+def _good_views(result: "RunResult") -> list[int]:
+    """View 0 and the views whose photos fit the others; the camera path stays near these."""
+    agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
+    good = [view for view, psnr in enumerate(agreement) if view == 0 or psnr >= WORST_PSNR["fair"]]
+    return good if len(good) > 1 else list(range(result.cameras.count))
 
 
 def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
@@ -67,37 +108,54 @@ def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list
 
 def _write_scene(folder: RunFolder, result: "RunResult") -> None:
     """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
-    if result.gaussians.degree > VIEWER_DEGREE:
-        warn(
-            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {result.gaussians.degree}: viewers refuse more."
-        )
-    prompt = " ".join(result.request.prompt.split())
-    save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
+    if "scene" in result.config.outputs:
+        if result.gaussians.degree > VIEWER_DEGREE:
+            was = result.gaussians.degree
+            warn(f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers refuse more.")
+        prompt = " ".join(result.request.prompt.split())
+        save_ply(folder.scene, result.gaussians, degree=VIEWER_DEGREE, comment_lines=[f"prompt: {prompt}"])
+        names = [f"inputs/{name}.png" for name in result.photos.names]
+        write_cameras(folder.cameras, posed_cameras(result.cameras, names))
+    for form in result.config.export:
+        export_scene(folder.scene.with_suffix(FORMATS[form]), result.gaussians, form)
 
 
 def _write_images(folder: RunFolder, result: "RunResult", frames: list[Pixels]) -> None:
-    views = [result.photos.images[0].cpu(), result.edited.images[0].cpu(), result.rendered.images[0].clamp(0, 1).cpu()]
-    jobs = [
-        (to_bytes(picture), directory / f"{name}.png")
-        for pictures, directory in zip(views, (folder.inputs, folder.edited, folder.renders))
-        for name, picture in zip(result.photos.names, pictures)
-    ]
-    jobs += [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(frames)]
+    jobs = [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(frames)]
+    if "images" in result.config.outputs:
+        jobs += [
+            (to_bytes(picture), directory / f"{name}.png")
+            for pictures, directory in zip(_pictures(result), (folder.inputs, folder.edited, folder.renders))
+            for name, picture in zip(result.photos.names, pictures)
+        ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
         list(pool.map(lambda job: save_pixels(*job), jobs))
+    if "sheet" in result.config.outputs:
+        save_pixels(np.asarray(_sheet(result)), folder.before_after)
+
+
+def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"], ...]:
+    """Photos, 2D edits and the scene from the photos' places."""
+    return tuple(view.images[0].clamp(0, 1).cpu() for view in (result.photos, result.edited, result.rendered))
+
+
+def _sheet(result: "RunResult") -> Image.Image:
     subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}; "
     subtitle += f"verdict: {result.verdict.label}"
     if result.left_out is not None:
         subtitle += f"; left out: {', '.join(result.left_out.names)}"
     title = result.request.prompt or "no prompt"
-    save_before_after(folder.before_after, *views, names=result.photos.names, title=title, subtitle=subtitle)
+    return draw_before_after(*_pictures(result), names=result.photos.names, title=title, subtitle=subtitle)
 
 
-def _manifest(result: "RunResult", photos: LoadedPhotos, masks: dict[str, str], config: "RunConfig") -> RunManifest:
-    report = result.report
+def _manifest(result: "RunResult") -> RunManifest:
+    report, config = result.report, result.config
     components = {"editor": result.editor, "reconstructor": result.reconstructor, "rasterizer": result.rasterizer}
     weights = [WeightsRecord(**value) for key, value in report.notes.items() if key.startswith("weights.")]
-    settings: dict[str, Any] = {"run": config.model_dump(), **{k: c.settings for k, c in components.items()}}
+    settings: dict[str, Any] = {
+        "run": config.model_dump(),
+        **{k: getattr(c, "settings", None) for k, c in components.items()},
+    }
     used = set(result.photos.names)
     return RunManifest(
         prompt=config.prompt,
@@ -105,8 +163,8 @@ def _manifest(result: "RunResult", photos: LoadedPhotos, masks: dict[str, str], 
         device=config.device,
         settings=settings,
         plugins=[record for component in components.values() for record in plugin_records(component)],
-        inputs=[photo for photo in photos.photos if photo.name in used],
-        masks=masks,
+        inputs=[photo for photo in result.records if photo.name in used],
+        masks=result.mask_files,
         weights=weights,
         verdict=result.verdict,
         gaussians=result.gaussians.count,
@@ -131,15 +189,18 @@ def summary(out: Path, result: "RunResult") -> str:
     """Where to look first, for the end of a run on the command line."""
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
-    made = f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in {seconds:.1f} s"
-    return (
-        f"{result.verdict.label}: {result.verdict.reason}\n"
-        f"{made}; {_field_of_view(result)}\n"
-        f"  look first   {folder.before_after}\n"
-        f"  walk around  {folder.viewer} (opens in a browser, no network needed)\n"
-        f"  scene        {folder.scene}\n"
-        f"  how it was   {folder.manifest}"
-    )
+    height, width = result.cameras.image_size
+    preset = result.report.notes.get("quality", {}).get("preset") or "default"
+    made = f"{preset} settings at {width}x{height}: {result.gaussians.count:,} Gaussians from "
+    made += f"{result.photos.count} photos in {seconds:.1f} s"
+    places = {
+        "look first   {}": folder.before_after,
+        "walk around  {} (opens in a browser, no network needed)": folder.viewer,
+        "scene        {}": folder.scene,
+        "how it was   {}": folder.manifest,
+    }
+    lines = [f"{result.verdict.label}: {result.verdict.reason}", f"{made}; {_field_of_view(result)}"]
+    return "\n".join([*lines, *(f"  {text.format(place)}" for text, place in places.items() if place.exists())])
 
 
 def _field_of_view(result: "RunResult") -> str:

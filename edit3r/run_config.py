@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
 from edit3r.quality import with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
@@ -26,9 +27,12 @@ class RunConfig(Settings):
     segmenter: PartChoice | None = Field(
         None, description="finds what the prompt is about, if it reads words; default: the editor's own"
     )
+    guess: bool = Field(
+        False, description="take what stands out most where the segmenter does not know the words for the object"
+    )
     refiners: tuple[PartChoice, ...] = Field(
         tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
-        description="steps after reconstruction, in order; --gaussians and --refine add theirs at the end",
+        description="steps after reconstruction, in order; --gaussians and --refine add theirs before them",
     )
     edit_views: Literal["all", "first"] = Field(
         "all", description="edit every view, or the first only (as in training) and let the reconstructor carry it over"
@@ -39,17 +43,23 @@ class RunConfig(Settings):
         None, gt=1, lt=170, description="horizontal field of view [degrees] of photos that do not tell their own"
     )
     views: int | None = Field(
-        None, ge=2, description="most photos that are used, evenly spaced among those given; default: all"
+        None,
+        ge=2,
+        description="most photos that are used: those that together show most; default: all (of a video, 8 frames)",
     )
     device: str = Field("cpu", description="torch device of the learned parts, such as cpu or cuda")
     frames: int = Field(36, ge=2, le=2000, description="frames of the camera path between and around the input views")
+    outputs: tuple[Literal[OUTPUTS], ...] = Field(
+        OUTPUTS[:-1], description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}"
+    )
+    export: tuple[str, ...] = Field((), description="further formats of the scene, such as spz,glb (see edit3r export)")
     gaussians: int | Literal["all", "auto"] = Field(
-        "all", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
+        "auto", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
     max_gaussians: int | None = Field(
         None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
     )
-    refine: int = Field(0, ge=0, le=10000, description="most photometric steps on the input views after reconstruction")
+    refine: int = Field(15, ge=0, le=10000, description="most photometric steps towards the edited views")
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
     )
@@ -59,6 +69,19 @@ class RunConfig(Settings):
     max_memory: float | None = Field(
         None, gt=0, description="take the best measured settings expected to need no more memory [MiB]"
     )
+
+    @field_validator("outputs", "export", mode="before")
+    @classmethod
+    def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
+        """Accept names in one text with commas, and refuse formats that nobody writes."""
+        value = [name.strip() for name in value.split(",") if name.strip()] if isinstance(value, str) else value
+        if info.field_name == "outputs":
+            return OUTPUTS if value == ["all"] else value
+        from edit3r.io.export import FORMATS
+
+        if not isinstance(value, list | tuple) or not all(name in FORMATS for name in value):
+            raise ValueError(f"expected some of {','.join(FORMATS)}")
+        return value
 
     @field_validator("gaussians", mode="before")
     @classmethod
@@ -70,18 +93,20 @@ class RunConfig(Settings):
         return value
 
     def all_refiners(self) -> tuple[PartChoice, ...]:
-        """The refiners of the run in order: those listed, completed by what `gaussians` and `refine` stand for."""
-        fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+        """The refiners of the run in order: what `gaussians` and `refine` stand for, then those listed."""
+        shorthands = DEFAULTS["shorthands"]
         wanted: dict[str, dict[str, Any]] = {}
         if self.gaussians != "all" or self.max_gaussians is not None:
-            wanted[DEFAULTS["shorthands"]["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
+            fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+            fewer |= shorthands["gaussians_before_refine"] if self.refine else {}
+            wanted[shorthands["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
         if self.refine:
-            wanted[DEFAULTS["shorthands"]["refine"]] = {"steps": self.refine}
+            wanted[shorthands["refine"]] = {"steps": self.refine}
         listed = [
-            PartChoice(name=choice.name, settings={**choice.settings, **wanted.pop(choice.name, {})})
+            PartChoice(name=choice.name, settings={**wanted.pop(choice.name, {}), **choice.settings})
             for choice in self.refiners
         ]
-        return (*listed, *(PartChoice(name=name, settings=settings) for name, settings in wanted.items()))
+        return (*(PartChoice(name=name, settings=settings) for name, settings in wanted.items()), *listed)
 
 
 def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:

@@ -22,6 +22,7 @@ Box = tuple[float, float, float, float]
 BRUSH_POINTS = 12  # a stroke speaks to a segmenter through so many points of it
 SAME_SURFACE = 0.08  # relative difference in depth within which two views show the same surface
 MIN_SHARE = 0.2  # of an object's pixels that must lie in another view for geometry to say where it is there
+FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
@@ -78,7 +79,7 @@ def select_masks(
         if view not in work.masks:
             work.carry(view)
     how = tuple(work.how[view] for view in range(len(images)))
-    note("selection.how", list(how))
+    note("selection", {"points": selection.positive, "not": selection.negative, "boxes": selection.boxes, "how": how})
     for text in work.warnings:
         warn(text)
     return Selected(torch.stack([work.masks[view] for view in range(len(images))])[:, None], how, tuple(work.warnings))
@@ -196,7 +197,8 @@ class _Work:
         return moved if float((moved > 0.5).sum()) >= least else None
 
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
-        self.masks[view], self.how[view] = mask.to(self.images).clamp(0, 1), how
+        mask = mask.to(self.images).clamp(0, 1)
+        self.masks[view], self.how[view] = torch.where(mask < FAINT, 0, mask), how
 
 
 def _places(points: tuple[tuple[int, float, float], ...], view: int) -> tuple[tuple[float, float], ...]:

@@ -25,7 +25,7 @@ MAX_DEGREE = 4
 Moved = TypeVar("Moved", bound="_Tensors")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _Tensors:
     """Shared by the classes below: move all tensors at once."""
 
@@ -41,8 +41,14 @@ class _Tensors:
                 changes[field.name] = value.to(*args, **kwargs)
         return replace(self, **changes)
 
+    def __repr__(self) -> str:
+        """Name and fields; of tensors the shape alone."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        shown = (f"{k}={list(v.shape) if isinstance(v, Tensor) else repr(v)}" for k, v in values.items())
+        return f"{type(self).__name__}({', '.join(shown)})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Views(_Tensors):
     """Input pictures of B scenes with their intrinsics; poses only where somebody knows them."""
 
@@ -82,13 +88,14 @@ class Views(_Tensors):
         return Views(self.images[:, index], self.intrinsics[:, index], names, c2w, assumed)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EditRequest(_Tensors):
     """What an editor is asked to do with a set of views."""
 
     prompt: str
     seed: int = 0  # one for all views, so that every view gets the same edit
     masks: Float[Tensor, "batch view height width"] | None = None  # in [0, 1]; 1: may change; None: everywhere
+    guess: bool = False  # True: the user allows a guess at what is meant, where nobody can tell
     before: "Gaussians | None" = None  # the scene before this edit, same cameras, for refiners that ask for it
 
     def __post_init__(self) -> None:
@@ -100,7 +107,7 @@ class EditRequest(_Tensors):
         return self if self.masks is None else replace(self, masks=self.masks[:, list(indices)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Cameras(_Tensors):
     """Posed pinhole cameras that share a picture size."""
 
@@ -126,7 +133,7 @@ class Cameras(_Tensors):
         return Cameras(self.c2w[:, index], self.intrinsics[:, index], self.image_size)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Features(_Tensors):
     """What a backbone hands to a head: token maps of several depths on one patch grid.
 
@@ -146,7 +153,7 @@ class Features(_Tensors):
         return Features(tuple(level.to(*args, **kwargs) for level in self.levels), self.grid)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Gaussians(_Tensors):
     """3D Gaussians of B scenes in the frame of view 0 (OpenCV axes)."""
 
@@ -207,7 +214,7 @@ class Gaussians(_Tensors):
         return Gaussians(**joined, view_index=torch.cat([p.view_index for p in parts]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reconstruction(_Tensors):
     """A reconstructor's answer."""
 
@@ -217,7 +224,7 @@ class Reconstruction(_Tensors):
     measured: Float[Tensor, "batch view"] | None = None  # share of pixels whose depth was measured; None: unknown
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rendering(_Tensors):
     """A rasterizer's answer for C cameras."""
 

@@ -34,52 +34,72 @@ class Verdict:
     label: Label
     reason: str  # one sentence that says what was found and what to do
     input_psnr: tuple[float | None, ...]  # [dB] of each view's rendering against its edited image; None: left out
+    agreement: tuple[float | None, ...]  # [dB] the same before any refiner: how well the photos' geometry fits together
     placed: tuple[bool, ...]  # False: the photo could not be placed and is left out
     coverage: tuple[float | None, ...]  # share of the view's pixels that show Gaussians, in [0, 1]
     filled: tuple[float | None, ...]  # share of the view's pixels whose depth was guessed; None: not known
 
 
 def judge(
-    edited: Views, rendered: Rendering, placed: Sequence[bool], measured: Float[Tensor, "batch view"] | None
+    edited: Views,
+    first: Rendering,
+    rendered: Rendering,
+    placed: Sequence[bool],
+    measured: Float[Tensor, "batch view"] | None,
 ) -> Verdict:
     """Judge the rendering of the placed views against their edited images.
 
-    `placed` has one entry for each photo used; `edited`, `rendered` and `measured` (share of pixels with measured
-    depth, None where nobody knows it) hold the placed ones only. Of several scenes the worst counts.
+    `first` shows the scene before any refiner and decides, unless `rendered`, the final one, is worse: photometric
+    steps make every scene show its own photos, whether other viewpoints gain or not. `placed` has one entry for each
+    photo used; `edited`, the renderings and `measured` (share of pixels with measured depth, None where nobody knows
+    it) hold the placed ones only. Of several scenes the worst counts.
     """
-    difference = rendered.images.clamp(0, 1) - edited.images
-    error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
-    psnr = (-10 * torch.log10(error)).tolist()
+    before, psnr = (_psnr(rendering, edited) for rendering in (first, rendered))
     coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
     filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
-    label, reason = _label(edited, psnr, filled, placed)
-    return Verdict(label, reason, *(_with_gaps(values, placed) for values in (psnr, placed, coverage, filled)))
+    label, reason = _label(edited, [min(pair) for pair in zip(before, psnr)], psnr, filled, placed)
+    return Verdict(label, reason, *(_with_gaps(values, placed) for values in (psnr, before, placed, coverage, filled)))
 
 
-def _label(edited: Views, psnr: list[float], filled: list[float | None], placed: Sequence[bool]) -> tuple[Label, str]:
-    """The best label whose conditions hold, and one sentence for it."""
-    mean, worst = sum(psnr) / len(psnr), min(psnr)
+def _psnr(rendered: Rendering, edited: Views) -> list[float]:
+    """PSNR [dB] of each view; of several scenes the worst counts."""
+    difference = rendered.images.clamp(0, 1) - edited.images
+    error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
+    return (-10 * torch.log10(error)).tolist()
+
+
+def _label(
+    edited: Views, evidence: list[float], psnr: list[float], filled: list[float | None], placed: Sequence[bool]
+) -> tuple[Label, str]:
+    """The best label whose conditions hold, and one sentence for it; `evidence` and `psnr` of the placed views [dB]."""
+    mean, worst = sum(evidence) / len(evidence), min(evidence)
     guessed = max((share for share in filled if share is not None), default=0.0)
     left_out = sum(not there for there in placed)
 
     def holds(label: Label) -> bool:
-        shown = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
-        return shown and guessed <= MOST_FILLED[label] and left_out <= MOST_LEFT_OUT[label] * len(placed)
+        agrees = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
+        return agrees and guessed <= MOST_FILLED[label] and left_out <= MOST_LEFT_OUT[label] * len(placed)
 
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
-    name = edited.names[psnr.index(worst)] if edited.names else f"view {psnr.index(worst)}"
-    shown = f"the scene shows its photos at {mean:.1f} dB on average, the worst ({name}) at {worst:.1f} dB"
+    names = [edited.names[view] if edited.names else f"view {view}" for view in range(len(psnr))]
+    name = names[evidence.index(worst)]
+    shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
+    if found != "good":
+        shown += f", and they fit together at {mean:.1f} dB, the worst ({name}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
     if guessed > MOST_FILLED["good"]:
         shown += f"; up to {guessed:.0%} of a photo's depth is guessed"
-    return found, shown + _way_out(found, name, len(psnr)) + "."
+    return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 
-def _way_out(label: Label, worst: str, views: int) -> str:
+def _way_out(label: Label, worst: str, first: str, evidence: list[float], left_out: int) -> str:
+    """What to do; the first photo is to blame where the others do not find to it."""
     if label == "good":
         return ""
-    if views > 2:
+    if left_out > len(evidence):
+        return f"; the others are placed by what they share with {first}: begin with another photo"
+    if len(evidence) > 2:
         return f"; leave {worst} out, or add photos between it and the others"
     return "; take photos nearer to each other, or add some in between"
 

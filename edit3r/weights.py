@@ -4,10 +4,15 @@ A component names its weights in `Component.weights`. `edit3r weights get NAME` 
 does, and nothing is downloaded by `find`. Imports no torch and no foreign library.
 """
 
+import json
 import os
 import re
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from edit3r.errors import InputError, MissingDependencyError, suggest
 
@@ -15,6 +20,9 @@ VARIABLE = "EDIT3R_WEIGHTS"
 """Environment variable that names the folder of all weights."""
 
 COMMERCIAL = ("yes", "no", "unclear")
+RECORD = "source.json"
+"""In the folder of fetched weights: where they came from, at which revision, and every file's SHA-256."""
+
 NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 """Names of components and of weights."""
 
@@ -58,6 +66,11 @@ class Weights:
         return PurePosixPath(path).name if self.source.startswith("package:") else path
 
     @property
+    def get(self) -> str:
+        """The command that fetches them."""
+        return f"edit3r weights get {self.name}"
+
+    @property
     def terms(self) -> str:
         """Licence, commercial use and size in a few words."""
         return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB"
@@ -69,20 +82,20 @@ def folder(chosen: str | Path | None = None) -> Path:
     return Path(chosen or os.environ.get(VARIABLE) or cache).expanduser().absolute()
 
 
-def declared() -> dict[str, Weights]:
-    """All weights that installed components name, by name."""
+def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
+    """All weights that installed components name, by name; those of plugins in local files too."""
     from edit3r.registry import default_registry
 
     found: dict[str, Weights] = {}
-    for offer in default_registry().offers():
+    for offer in default_registry(local_files).offers():
         for weights in offer.component.weights:
             found.setdefault(weights.name, weights)
     return dict(sorted(found.items()))
 
 
-def named(name: str) -> Weights:
+def named(name: str, known: Mapping[str, Weights] | None = None) -> Weights:
     """The weights called `name`; raises InputError for a name that no installed component declares."""
-    known = declared()
+    known = declared() if known is None else known
     if name not in known:
         raise InputError(f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list")
     return known[name]
@@ -97,17 +110,56 @@ def find(name: str | Weights, chosen: str | Path | None = None) -> Path:
     place = at_hand(weights, chosen)
     if place is None:
         raise MissingDependencyError(
-            f"the weights {weights.name!r} ({weights.purpose}) are not on this machine; fetch them with: "
-            f"edit3r weights get {weights.name} ({weights.terms})"
+            f"the weights {weights.name!r} ({weights.purpose}) are not on this machine; fetch them with: {weights.get} "
+            f"({weights.terms})"
         )
     return place
 
 
 def at_hand(weights: Weights, chosen: str | Path | None = None) -> Path | None:
-    """Where these weights lie, as `find` returns it; None where they do not."""
-    own = folder(chosen) / weights.name
-    stored = [weights.stored(path) for path, _ in weights.files]
-    if not own.is_dir() or not all(any(own.glob(path)) for path in stored):
+    """Where these weights lie, as `find` returns it; None where they do not.
+
+    They are looked for in `folder` and, for those of the hub, in the cache that its own client keeps.
+    """
+    for place in (folder(chosen) / weights.name, _in_hub_cache(weights)):
+        stored = [weights.stored(path) for path, _ in weights.files]
+        if place is None:
+            continue
+        fetched = record_of(place).get("revision", weights.revision)
+        if weights.revision not in ("", fetched):
+            continue
+        if all(any(place.glob(path)) for path in stored):
+            single = len(stored) == 1 and not set("*?[") & set(stored[0])
+            return place / stored[0] if single else place
+    return None
+
+
+def matches(path: str, pattern: str) -> bool:
+    """Whether a file of the source is meant by a pattern; `*` stays within one folder."""
+    return path.count("/") == pattern.count("/") and fnmatchcase(path, pattern)
+
+
+def of_hub(repository: str) -> Weights | None:
+    """The declared weights that come from this repository of the hub; None where nobody declares them."""
+    return next((weights for weights in declared().values() if weights.source == f"hub:{repository}"), None)
+
+
+def record_of(place: Path) -> dict[str, Any]:
+    """What was noted beside fetched weights (see RECORD); nothing for files that were put there by other means."""
+    with suppress(OSError, ValueError):
+        record = json.loads((place / RECORD).read_text(encoding="utf-8"))
+        return record if isinstance(record, dict) else {}
+    return {}
+
+
+def _in_hub_cache(weights: Weights) -> Path | None:
+    """The folder of the declared revision in the cache of the hub's client, found without loading the client."""
+    if not weights.source.startswith("hub:"):
         return None
-    single = len(stored) == 1 and not set("*?[") & set(stored[0])
-    return own / stored[0] if single else own
+    home = Path(os.environ.get("HF_HOME") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "huggingface"))
+    cache = Path(os.environ.get("HF_HUB_CACHE") or home / "hub").expanduser()
+    model = cache / f"models--{weights.source.removeprefix('hub:').replace('/', '--')}"
+    revision = weights.revision
+    with suppress(OSError):
+        revision = revision or (model / "refs" / "main").read_text(encoding="utf-8").strip()
+    return model / "snapshots" / revision if revision else None

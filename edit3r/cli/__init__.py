@@ -22,6 +22,11 @@ COMMANDS = (
         "edit3r.cli.doctor:DoctorCommand",
         "check versions, devices, memory, plugins and rasterizers, and run a tiny job",
     ),
+    Component(
+        "weights",
+        "edit3r.cli.weights:WeightsCommand",
+        "learned weights that components can load: list them with licences, fetch them, find them",
+    ),
     Component("new-plugin", "edit3r.cli.new_plugin:NewPluginCommand", "write a working plugin package to start from"),
 )
 """The core's own commands; all others come from plugins."""

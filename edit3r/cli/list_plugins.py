@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import sys
+from collections.abc import Sequence
 
 from edit3r.command import Command
 from edit3r.component import KINDS
@@ -47,6 +49,7 @@ class ListPluginsCommand(Command):
 
 def _row(registry, offer, problem: str) -> dict[str, str]:
     from edit3r.registry import install_hint
+    from edit3r.weights import at_hand
 
     missing = registry.missing(offer)
     return {
@@ -57,8 +60,13 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "summary": offer.component.summary,
         "licence": offer.component.licence,
         "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
+        "weights": [_fetching(weights) for weights in offer.component.weights if at_hand(weights) is None],
         "problem": problem,
     }
+
+
+def _fetching(weights) -> str:
+    return f"{weights.get} ({weights.terms})"
 
 
 def _slow_imports(registry) -> list[str]:
@@ -72,24 +80,28 @@ def _slow_imports(registry) -> list[str]:
     ]
 
 
-def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
-    """The table, then one line for everything that is wrong, so that grep finds it whole."""
-    import sys
-
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()) -> None:
+    """Print a table; columns in `whole` are not wrapped, and nothing is where the output is piped."""
     from rich.console import Console
     from rich.table import Table
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for column in COLUMNS:
-        table.add_column(column, overflow="fold", no_wrap=column in ("kind", "name", "plugin", "version"))
+    shown = Table(box=None, header_style="bold", pad_edge=False)
+    for column in columns:
+        shown.add_column(column, overflow="fold", no_wrap=column in whole)
     for row in rows:
-        table.add_row(*(row[column] + ("*" if column == "name" and row["missing"] else "") for column in COLUMNS))
-    console.print(table, markup=False)
+        shown.add_row(*row)
+    console.print(shown, markup=False)
+
+
+def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
+    """The table, then one line for everything that is wrong, so that grep finds it whole."""
+    marked = [{**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows]
+    table(COLUMNS, [[row[column] for column in COLUMNS] for row in marked], ("kind", "name", "plugin", "version"))
     lines = [f"* {row['kind']} {row['name']} needs {row['missing']}" for row in rows if row["missing"]]
+    lines += [f"weights: {row['kind']} {row['name']} can load: {get}" for row in rows for get in row["weights"]]
     lines += [f"problem: {row['problem']}" for row in rows if row["problem"]]
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
         lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")
-    for line in [*lines, *(f"note: {remark}" for remark in remarks)]:
-        console.print(line, markup=False, soft_wrap=True)
+    print("\n".join([*lines, *(f"note: {remark}" for remark in remarks)]))

@@ -4,19 +4,25 @@ import argparse
 import hashlib
 import types
 import typing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic.fields import FieldInfo
 
+from edit3r.cli.marks import add_mark_flags, selection_from
 from edit3r.command import Command
 from edit3r.config import PartChoice
 from edit3r.errors import RunError
 from edit3r.run_config import DEFAULTS, PART_KEYS, RunConfig, make_run_config
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from edit3r.earlier_run import EarlierRun
+    from edit3r.io.images import LoadedPhotos
     from edit3r.registry import Registry
+    from edit3r.selection import Selection
 
 SHORT_FLAGS = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
@@ -30,19 +36,12 @@ class RunCommand(Command):
         add(
             "images",
             nargs="*",
-            metavar="IMAGE|FOLDER",
-            help="two or more photos of one scene; default: a packaged pair",
+            metavar="IMAGE|FOLDER|VIDEO",
+            help="two or more photos of one scene, or a video of it; default: a packaged pair",
         )
         add("--from", dest="earlier", metavar="DIR", help="edit the scene of an earlier run again (its --out folder)")
         add_setting_flags(parser)
-        add(
-            "--mask",
-            nargs="+",
-            action="extend",
-            default=[],
-            metavar="FILE",
-            help="one mask per photo; white may change",
-        )
+        add_mark_flags(parser)
         add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="one setting, such as editor.strength=0.5")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
@@ -53,35 +52,44 @@ class RunCommand(Command):
         )
         add("--strict", action="store_true", help="end with exit code 1 when the verdict on the result is 'failed'")
         add("--quiet", action="store_true", help="print errors only")
+        add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import pipeline, results
         from edit3r.cache import Cache
-        from edit3r.console import StageConsole
+        from edit3r.console import JsonLines, StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
-        from edit3r.io.images import LoadedPhotos, evenly, find_photos, load_photos, packaged_pair
-        from edit3r.io.masks import load_masks
+        from edit3r.io.coverage import USUAL_FRAMES, choose_photos
+        from edit3r.io.images import LoadedPhotos, find_photos, load_photos, packaged_pair
         from edit3r.quality import note_quality
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
 
-        earlier = read_earlier_run(args.earlier) if args.earlier else None
-        continued = earlier if not args.images else None  # photos that are given are edited from the start
-        images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
-        paths = [Path(record.file) for record in continued.records] if continued else find_photos(images)
+        report = Report()
+        with collecting(report):
+            earlier = read_earlier_run(args.earlier) if args.earlier else None
+            continued = earlier if not args.images else None  # photos that are given are edited from the start
+            images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
+            found = None if continued else find_photos(images, max(USUAL_FRAMES, args.views or 0))
+            paths = found or [Path(record.file) for record in continued.records]
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
         _check_names(registry, config)
-        with StageConsole(quiet=args.quiet) as console:
-            report = Report(on_event=console)
+        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
+            report.on_event = console
+            for text in report.warnings:
+                report.emit("warn", text)
             with collecting(report), report.stage("read photos"):
-                given = args.mask if len(args.mask) != len(paths) else evenly(args.mask, config.views)
+                used = paths if continued else choose_photos(paths, config.views)
+                given = args.mask
+                if len(given) == len(paths):  # one for each photo, used or not
+                    given = [mask for mask, path in zip(given, paths) if path in used]
                 if continued:
                     photos = LoadedPhotos(continued.edited, continued.records)
                 else:
-                    photos = load_photos(evenly(paths, config.views), fov=config.fov, size=config.size, cameras=cameras)
-                masks = load_masks(given, photos) if given else None
+                    photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
+                masks = _masks_or_marks(args, given, photos, config)
                 hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
                 note_quality(config.model_dump(), len(paths))
             with atomic_folder(args.out, args.overwrite) as folder:
@@ -94,12 +102,31 @@ class RunCommand(Command):
                     cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
                     earlier=continued,
                 )
-                results.write(folder, result, photos, hashes, config)
+                result = replace(result, records=photos.photos, mask_files=hashes)
+                results.write(folder, result)
         if not args.quiet:
             print(results.summary(Path(args.out), result))
         if args.strict and result.verdict.label == "failed":
             raise RunError(f"the verdict is failed: {result.verdict.reason}")
         return 0
+
+
+def _masks_or_marks(
+    args: argparse.Namespace, files: list[str], photos: "LoadedPhotos", config: RunConfig
+) -> "Tensor | Selection | None":
+    """Masks of all photos, or what is marked on some of them; the packaged pair brings a mask of its own subject."""
+    from edit3r.io.masks import load_masks, read_mask
+    from edit3r.reporting import note
+    from edit3r.selection import Selection
+
+    if files and len(files) == len(photos.photos):
+        return load_masks(files, photos)
+    marked = selection_from(args, photos)
+    if marked is None and not args.images and not args.earlier and DEFAULTS["subject"] in config.prompt.lower():
+        note("selection.mask", "the packaged pair brings a mask of its " + DEFAULTS["subject"])
+        own = Path(__file__).parents[1] / "io" / "motorcycle_mask.png"
+        return Selection(masks={0: read_mask(own, photos.photos[0].frame)})
+    return marked
 
 
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:
@@ -121,6 +148,8 @@ def _flag_form(field: FieldInfo) -> dict[str, Any]:
     choices = [word for kind in kinds if typing.get_origin(kind) is typing.Literal for word in typing.get_args(kind)]
     if choices:
         return {"choices": choices} if len(kinds) == 1 else {"metavar": "|".join([*choices, "N"])}
+    if kinds == [bool]:
+        return {"action": "store_const", "const": True}
     if PartChoice in kinds:
         return {"metavar": "NAME"}
     if kinds[0] in (int, float):

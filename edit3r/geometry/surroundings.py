@@ -30,11 +30,15 @@ BLURS = 3  # passes of a 3x3 mean, in blocks
 
 
 def apron(views: Views, geometry: MatchedGeometry, width: float, opacity: float) -> Gaussians:
-    """Rims `width` (of the long side) wide around every registered view, in the colours of `views`."""
+    """Rims `width` (of the long side) wide around every registered view, in the colours of `views`.
+
+    They fade outwards, from `opacity` at the image's border to nothing: the scene ends softly.
+    """
     pad = APRON_BLOCK * math.ceil(width * max(views.image_size) / APRON_BLOCK)
     wide, depths = _widened(views, geometry.depths, pad)
     outside = _outside_all(wide, depths, views, geometry)
-    return _layer(wide, depths, geometry, opacity * outside.to(depths.dtype), APRON_FOOTPRINT)
+    fading = opacity * _towards_rim(views.image_size, pad, depths.shape[-2:]).to(depths)
+    return _layer(wide, depths, geometry, fading * outside, APRON_FOOTPRINT)
 
 
 def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussians:
@@ -80,6 +84,15 @@ def _widened(
     intrinsics = to_pixels(views.intrinsics, views.image_size)
     intrinsics[..., :2, 2] += pad
     return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
+
+
+def _towards_rim(image_size: tuple[int, int], pad: int, blocks: tuple[int, int]) -> Float[Tensor, "rows columns"]:
+    """How much of the apron is left in each block: 1 at the image's border, falling linearly to 0 at the outer rim."""
+    beyond = []
+    for side, count in zip(image_size, blocks):
+        centre = (torch.arange(count) + 0.5) * (side + 2 * pad) / count - pad  # [pixels] from the image's first
+        beyond.append(torch.maximum(-centre, centre - side).clamp(min=0) / pad)
+    return (1 - torch.maximum(beyond[0][:, None], beyond[1])).clamp(min=0)
 
 
 def _running_mean(

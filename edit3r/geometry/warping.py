@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.geometry.cameras import project, unproject
+from edit3r.geometry.maps import dilate
 from edit3r.interfaces import MatchedGeometry
 
 __all__ = [
     "Correspondences",
+    "contradicted",
     "find_correspondences",
-    "in_front_of_others",
     "partner_views",
     "seen_by",
     "seen_by_others",
@@ -23,7 +24,7 @@ __all__ = [
 ]
 
 TOLERANCE = 0.03
-"""Relative difference in depth by which a pixel must stand before a measured surface to hide it."""
+"""Relative difference in depth by which a pixel must stand before a surface to hide it; below, it shows it too."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,26 @@ def warp(
     return sampled.reshape(*images.shape[:-2], *coordinates.shape[-3:-1])
 
 
-def in_front_of_others(
+def contradicted(
     geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
 ) -> Bool[Tensor, "batch view height width"]:
-    """Guessed pixels (confidence below 0.5) that would hide a surface that another registered view measured."""
+    """Pixels that other registered views show better or see through.
+
+    Guesses (confidence below 0.5) on or before a surface that another view measured, and measured pixels that more
+    views see through than confirm.
+    """
     points = unproject(geometry.depths, intrinsics, geometry.c2w)
-    measured = (geometry.confidence > 0.5) & geometry.registered[..., None, None]
-    surfaces = (1 - TOLERANCE) * geometry.depths * measured
-    return stands_before_others(points, surfaces, intrinsics, geometry.c2w) & (geometry.confidence < 0.5)
+    guessed = geometry.confidence < 0.5
+    surfaces = geometry.depths * (~guessed & geometry.registered[..., None, None])
+    nearest = -dilate(-surfaces, 1)  # at a depth edge neither of two surfaces is seen through
+    through, confirmed = (torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2))
+    for view, other in permutations(range(points.shape[1]), 2):
+        seen, z = _seen_there(points[:, view], surfaces[:, other], intrinsics[:, other], geometry.c2w[:, other])
+        close, _ = _seen_there(points[:, view], nearest[:, other], intrinsics[:, other], geometry.c2w[:, other])
+        edge = torch.where(guessed[:, view], seen, close)
+        through[:, view] += (z > 0) & (z < (1 - TOLERANCE) * edge)
+        confirmed[:, view] += (z > 0) & ((z - seen).abs() <= TOLERANCE * seen)
+    return torch.where(guessed, through + confirmed > 0, through > confirmed)
 
 
 def stands_before_others(
@@ -96,12 +109,22 @@ def stands_before_others(
     """
     hides = torch.zeros(points.shape[:4], dtype=torch.bool, device=points.device)
     for view, other in permutations(range(points.shape[1]), 2):
-        coordinates, z = project(points[:, view].flatten(1, 2), intrinsics[:, other], c2w[:, other])
-        grid = coordinates.unflatten(1, points.shape[2:4])
-        seen = warp(surfaces[:, other, None], grid, mode="nearest", padding="zeros")[:, 0]
-        z = z.view_as(seen)
+        seen, z = _seen_there(points[:, view], surfaces[:, other], intrinsics[:, other], c2w[:, other])
         hides[:, view] |= (z > 0) & (z < seen)
     return hides
+
+
+def _seen_there(
+    points: Float[Tensor, "batch rows columns 3"],
+    surface: Float[Tensor, "batch height width"],
+    intrinsics: Float[Tensor, "batch 3 3"],
+    c2w: Float[Tensor, "batch 4 4"],
+) -> tuple[Float[Tensor, "batch rows columns"], Float[Tensor, "batch rows columns"]]:
+    """Camera z of the surface that a view shows where world points lie in it (0: none), and of the points."""
+    coordinates, z = project(points.flatten(1, 2), intrinsics, c2w)
+    grid = coordinates.unflatten(1, points.shape[1:3])
+    seen = warp(surface[:, None], grid, mode="nearest", padding="zeros")[:, 0]
+    return seen, z.view_as(seen)
 
 
 def seen_by_others(

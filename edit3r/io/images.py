@@ -22,6 +22,7 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
+from edit3r.io.coverage import USUAL_FRAMES, VIDEO_SUFFIXES, choose_photos, frame_origins, take_frames
 from edit3r.io.decode import decode, image_size, read_image
 from edit3r.io.framing import Frame, common_size, frame_for
 from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder, known_poses
@@ -89,9 +90,10 @@ def load_views(
     cameras: str | Path | None = None,
     size: int | None = 512,
     names: Sequence[str] | None = None,
+    most: int | None = None,
 ) -> Views:
     """The views of `load_photos`, without the record."""
-    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names).views
+    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names, most=most).views
 
 
 def load_photos(
@@ -101,16 +103,17 @@ def load_photos(
     cameras: str | Path | None = None,
     size: int | None = 512,
     names: Sequence[str] | None = None,
+    most: int | None = None,
 ) -> LoadedPhotos:
     """Read photos, given as files and folders (a folder's images come in natural order).
 
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov` (horizontal [degrees]),
     else EXIF, else a stated default. Poses come along where one camera file has them for all photos. `size` bounds the
-    longer side [pixels]; None keeps the photos' own. Raises InputError for anything that cannot be used, in one
-    sentence that names the file.
+    longer side [pixels]; None keeps the photos' own. At most `most` are used, those that cover the scene. Raises
+    InputError for anything that cannot be used, in one sentence that names the file.
     """
     _check_arguments(fov, size)
-    files = find_photos(paths)
+    files = choose_photos(find_photos(paths, max(USUAL_FRAMES, most or 0)), most)
     finder = IntrinsicsFinder(cameras, fov)
     finder.check_all_used(files)
     # Headers first, so that no more than one photo is ever in memory at full size.
@@ -132,14 +135,17 @@ def load_photos(
     return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed), photos)
 
 
-def find_photos(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+def find_photos(paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES) -> list[Path]:
     """The image files named by `paths`; each folder stands for its images in natural order (img2 before img10),
-    or for those of its `images` folder when it has none itself. Raises InputError when a path is not there."""
+    or for those of its `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
+    InputError when a path is not there."""
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
             files += _images_in(path)
+        elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+            files += take_frames(path, frames)
         elif path.exists():
             files.append(path)
         else:
@@ -282,7 +288,7 @@ def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...
 def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
     height, width = frame.source
     focal = (float(intrinsics.normalised[0, 0]) * width, float(intrinsics.normalised[1, 1]) * height)
-    return Photo(name, str(file), _sha256(file), frame.source, frame, intrinsics.source, focal)
+    return Photo(name, frame_origins.get(file, str(file)), _sha256(file), frame.source, frame, intrinsics.source, focal)
 
 
 def _sha256(file: Path) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
 LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
@@ -24,12 +25,12 @@ LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
 
 
 @dataclass(frozen=True)
-class Weights:
+class ChosenWeights:
     """Which weights to load, and under which setting the user names them."""
 
     model: str  # id on the Hugging Face hub, or a folder
     key: str  # the setting, such as 'editor.model'
-    revision: str = ""  # branch, tag or commit; '': the newest
+    revision: str = ""  # branch, tag or commit; '': the declared one, or the newest of what nobody declares
     variant: str = ""  # such as 'fp16'; '': the full-precision files
     local_files_only: bool = False  # never download
 
@@ -52,12 +53,16 @@ def foreign(library: str, name: str) -> Any:
         raise MissingDependencyError(f"{library}.{name} does not import here ({reason}); try: {cure}") from error
 
 
-def load_pretrained(cls: type, weights: Weights, **given: Any) -> Any:
-    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else MissingDependencyError."""
+def load_pretrained(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else MissingDependencyError.
+
+    Weights that a component declares are read from where `edit3r weights get` puts them and never downloaded here.
+    """
     _check_folder(weights)
-    chosen = {"revision": weights.revision, "variant": weights.variant}
+    declared = _declared(weights)
+    chosen = {"revision": weights.revision, "variant": weights.variant} if declared is None else {}
     given.update({name: value for name, value in chosen.items() if value})
-    model = str(Path(weights.model).expanduser())
+    model = str(Path(weights.model).expanduser() if declared is None else find(declared))
     with quiet():
         try:
             return cls.from_pretrained(model, local_files_only=weights.local_files_only, **given)
@@ -65,9 +70,12 @@ def load_pretrained(cls: type, weights: Weights, **given: Any) -> Any:
             raise loading_error(error, cls, weights) from error
 
 
-def identity(weights: Weights) -> dict[str, str]:
+def identity(weights: ChosenWeights) -> dict[str, str]:
     """What to note in a run's manifest: model, revision asked for, and for a downloaded one the commit it is at."""
     told = {"model": weights.model, "revision": weights.revision or "newest"}
+    if declared := _declared(weights):
+        fetched = record_of(find(declared)).get("revision", declared.revision)
+        return {**told, "revision": fetched or "newest", "name": declared.name}
     if not Path(weights.model).expanduser().is_dir() and importlib.util.find_spec("huggingface_hub"):
         from huggingface_hub import try_to_load_from_cache
 
@@ -78,7 +86,13 @@ def identity(weights: Weights) -> dict[str, str]:
     return told
 
 
-def _check_folder(weights: Weights) -> None:
+def _declared(weights: ChosenWeights) -> Weights | None:
+    """The declared weights that are meant; None for a folder, and for another revision or variant of them."""
+    known = None if Path(weights.model).expanduser().is_dir() else of_hub(weights.model)
+    return known if known and not weights.variant and weights.revision in ("", known.revision) else None
+
+
+def _check_folder(weights: ChosenWeights) -> None:
     """Something that can only be meant as a folder must be one."""
     model = weights.model
     looks_local = model.startswith(("/", "~", ".")) or model.count("/") > 1 or "\\" in model
@@ -86,7 +100,7 @@ def _check_folder(weights: Weights) -> None:
         raise InputError(f"{weights.key}: no folder {model!r}; give one written by save_pretrained, or a model id.")
 
 
-def loading_error(error: Exception, cls: type, weights: Weights) -> Edit3rError:
+def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3rError:
     """The sentence for what `from_pretrained` raised."""
     reason = " ".join(str(error).split())[:300].rstrip(".")
     model, key = weights.model, weights.key

@@ -4,17 +4,14 @@ import bisect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from edit3r.io.images import save_pixels, to_bytes
+from edit3r.io.images import to_bytes
 
-__all__ = ["COLUMNS", "draw_before_after", "save_before_after"]
+__all__ = ["COLUMNS", "draw_before_after"]
 
 COLUMNS = ("photo", "2D edit", "3D result")
 
@@ -42,17 +39,6 @@ class _Layout:
     def body(self) -> tuple[int, int]:
         width = self.across * self.block[0] + (self.across - 1) * _BLOCK_GAP
         return width, self.down * self.block[1] + (self.down - 1) * _GAP * 2
-
-
-def save_before_after(
-    path: str | Path,
-    photos: Float[Tensor, "view 3 height width"],
-    edited: Float[Tensor, "view 3 height width"],
-    rendered: Float[Tensor, "view 3 height width"],
-    **captions: Any,
-) -> None:
-    """Write the sheet of `draw_before_after`, which explains the captions, as PNG."""
-    save_pixels(np.asarray(draw_before_after(photos, edited, rendered, **captions)), path)
 
 
 def draw_before_after(

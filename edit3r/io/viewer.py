@@ -1,13 +1,14 @@
-"""The scene as one HTML page that opens from disk without a network: turn, move and zoom by mouse or touch.
+"""The scene as one HTML page that opens from disk without a network: turn, enlarge and compare by mouse or touch.
 
 The page is ours (`viewer.html`, WebGL 2) because the ready-made exporters ask for a pinned web server stack or Node.
-It draws each Gaussian in the plain colour it has seen from the photo it came from; harmonics are not evaluated again.
+The same page serves the result's folder, notebooks and the app.
 """
 
 import base64
 import html
 import json
 import re
+import zlib
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -15,48 +16,59 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from edit3r.geometry.cameras import to_pixels
-from edit3r.geometry.harmonics import basis
+from edit3r.geometry.cameras import project, to_pixels
+from edit3r.geometry.harmonics import C1, C2, C3, C4, dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
 from edit3r.io.ply import LEAST_OPACITY
 from edit3r.reporting import warn
-from edit3r.types import Cameras, Gaussians
+from edit3r.types import Cameras, Gaussians, Rendering, Views
 
-__all__ = ["save_viewer"]
+__all__ = ["colours_before", "save_viewer", "viewer_page"]
 
-MOST_GAUSSIANS = 1_500_000  # about 46 MB of page: six photos of 512 pixels; beyond it browsers get slow to sort
-SCALE_LEVELS = 255
+EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; beyond it browsers get slow to sort
+LEAST_STEP = 0.01  # of a harmonic: one of this size changes a colour by less than a step of 8 bits
+SAME_DEPTH = 1.05  # what lies farther than so many times the depth seen is hidden
+SAME_COLOUR = 0.1  # largest difference to the edited photo of what was made from that pixel
+LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 
 
-def save_viewer(
-    path: str | Path,
+def save_viewer(path: str | Path, gaussians: Gaussians, cameras: Cameras, **texts: Any) -> None:
+    """Write the page of `viewer_page`, which explains the arguments."""
+    page = viewer_page(gaussians, cameras, **texts)
+    with atomic_write(path) as partial:
+        partial.write_text(page, encoding="utf-8", errors="replace")  # a file name in the title may be no UTF-8
+
+
+def viewer_page(
     gaussians: Gaussians,
     cameras: Cameras,
     *,
     names: Sequence[str] = (),
     title: str = "",
     subtitle: str = "",
-) -> None:
-    """Write the page for one scene (batch 1); it opens at camera 0 and has a button for each camera.
+    before: Float[Tensor, "gaussian 3"] | None = None,
+) -> str:
+    """Return the page for one scene (batch 1); it opens at camera 0 and flies to any camera.
 
-    23 bytes a Gaussian before base64: float32 centres, scales in 255 steps of their logarithm, quaternions and colours
-    of 8 bits. Above 1,500,000 Gaussians those that look largest are kept, and a warning says so.
+    Every Gaussian that can be drawn is in it. `before` holds the colours (sRGB) of a second look that a switch shows
+    from the same place, see `colours_before`.
     """
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
         raise ValueError("save_viewer writes one scene, got a batch")
-    shown = _shown(gaussians, cameras)
-    gaussians = (gaussians if len(shown) == gaussians.count else gaussians.select(shown)).to("cpu", torch.float32)
+    drawn = torch.nonzero(gaussians.opacities[0] >= LEAST_OPACITY)[:, 0]
+    if len(drawn) > EASY_GAUSSIANS:
+        warn(f"The viewer page holds {len(drawn):,} Gaussians and may turn slowly; --gaussians auto leaves fewer.")
+    before = before if before is None else before[drawn.to(before.device)].cpu()
+    gaussians = gaussians.select(drawn).to("cpu", torch.float32)
     cameras = cameras.to("cpu", torch.float64)
-    scale_low, scale_step, data = _pack(gaussians, cameras)
+    facts, data = _pack(gaussians, cameras, before)
     distance = _typical_distance(gaussians, cameras)
     meta = {
-        "count": gaussians.count,
-        "scaleLow": scale_low,
-        "scaleStep": scale_step,
+        **facts,
         "distance": distance,
         "near": 1e-3 * distance,
         "up": _up(cameras),
@@ -71,53 +83,92 @@ def save_viewer(
     }
     template = files("edit3r.io").joinpath("viewer.html").read_text(encoding="utf-8")
     # In one pass: what a title says is never taken for a place to fill.
-    page = re.sub("__(TITLE|META|DATA)__", lambda place: parts[place[1]], template)
-    with atomic_write(path) as partial:
-        partial.write_text(page, encoding="utf-8", errors="replace")  # a file name in the title may be no UTF-8
+    return re.sub("__(TITLE|META|DATA)__", lambda place: parts[place[1]], template)
 
 
-def _shown(gaussians: Gaussians, cameras: Cameras) -> Int[Tensor, "shown"]:
-    """Indices of the Gaussians that go into the page, in their order."""
-    opacities = gaussians.opacities[0]
-    index = torch.nonzero(opacities >= LEAST_OPACITY)[:, 0]
-    if len(index) > MOST_GAUSSIANS:
-        # Opacity times the angular area of the largest face, as its own photo sees it. By the area in the scene's units
-        # near surfaces would go first: their Gaussians are small.
-        sizes = gaussians.scales[0, index].sort(-1, descending=True).values[:, :2].prod(-1)
-        centres = cameras.c2w[0, _own_view(gaussians, cameras)[index], :3, 3].to(gaussians.means)
-        distances = (gaussians.means[0, index] - centres).norm(dim=-1).clamp(min=1e-12)
-        index = index[torch.topk(opacities[index] * sizes / distances**2, MOST_GAUSSIANS).indices].sort().values
-        warn(f"The viewer shows {MOST_GAUSSIANS} of {gaussians.count} Gaussians; scene.ply has all.")
-    return index
+def colours_before(
+    gaussians: Gaussians, cameras: Cameras, photos: Views, edited: Views, rendered: Rendering
+) -> Float[Tensor, "gaussian 3"]:
+    """Return the colours that the Gaussians of an edited scene would have without the edit (sRGB, one scene).
+
+    To a Gaussian's colour comes the difference, photo less edited photo, at the pixel where the view it came from shows
+    it, or the first view that does for those of no view. One counts as shown where nothing lies before it, or where it
+    has the pixel's colour. What no view shows keeps the colour it has: a stand-in, not the scene before the edit, whose
+    shapes may have been others.
+    """
+    colours = dc_to_colour(gaussians.harmonics[0, :, 0])
+    left = torch.ones_like(gaussians.view_index, dtype=torch.bool)
+    for view in range(cameras.count):
+        pixels, depths = project(gaussians.means[0], cameras.intrinsics[0, view], cameras.c2w[0, view])
+        grid = (2 * pixels - 1)[None, None].to(colours)
+        values = torch.cat((photos.images[:, view], edited.images[:, view], rendered.depths[:, view]), 1).to(colours)
+        found = torch.nn.functional.grid_sample(values, grid, padding_mode="border", align_corners=False)[0, :, 0].T
+        photo, edit, depth = found.split((3, 3, 1), 1)
+        alike = (depths < SAME_DEPTH * depth[:, 0]) | ((colours - edit).abs().amax(-1) < SAME_COLOUR)
+        inside = (pixels > 0).all(-1) & (pixels < 1).all(-1) & (depths > 0)
+        mine = alike & inside & left & ((gaussians.view_index == view) | (gaussians.view_index < 0))
+        colours = torch.where(mine[:, None], colours + photo - edit, colours)
+        left = left & ~mine
+    return colours
 
 
-def _pack(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float, bytes]:
-    """Lowest log scale, its step, and the bytes: all centres, then all colours, scales and quaternions."""
-    logs = gaussians.scales[0].clamp(min=1e-12).log()
-    low, high = (float(logs.min()), float(logs.max())) if logs.numel() else (0.0, 0.0)
-    step = max((high - low) / SCALE_LEVELS, 1e-9)
-    quats = normalise_quats(gaussians.quats[0])
-    colours = torch.cat((_seen_colours(gaussians, cameras), gaussians.opacities[0][:, None]), 1)
-    parts = (
-        gaussians.means[0].numpy().astype("<f4"),
-        (colours.clamp(0, 1) * 255).round().numpy().astype(np.uint8),
-        ((logs - low) / step).round().numpy().astype(np.uint8),
-        (quats * 127).round().numpy().astype(np.int8),
-    )
-    return low, step, b"".join(part.tobytes() for part in parts)
+def _pack(
+    gaussians: Gaussians, cameras: Cameras, before: Float[Tensor, "gaussian 3"] | None
+) -> tuple[dict[str, Any], bytes]:
+    """What the page must know to unpack the data, and the data: planes of one byte a Gaussian, compressed.
+
+    Centres are directions (octahedral, 2 x 16 bits) and logarithmic distances (16 bits) from the middle of the cameras,
+    so errors are small as the photos see them: 1/60 of a pixel at 512 pixels. Colours, scales (logarithmic), opacities
+    and quaternions have 8 bits, harmonics steps of 0.01 where 8 bits reach. Neighbours in a photo are neighbours in the
+    data: of what is alike there, differences are stored.
+    """
+    eye = cameras.c2w[0, :, :3, 3].mean(0).numpy()
+    offsets = gaussians.means[0].double().numpy() - eye
+    far = np.linalg.norm(offsets, axis=1).clip(1e-9)
+    distances, distance_low, distance_step = _in_steps(np.log(far), 65535)
+    plane = offsets / np.abs(offsets).sum(1, keepdims=True).clip(1e-12)
+    folded = (1 - np.abs(plane[:, 1::-1])) * np.where(plane[:, :2] < 0, -1, 1)
+    corners = np.where(plane[:, 2:] < 0, folded, plane[:, :2])
+    centres = np.column_stack(((corners + 1) * 32767.5, distances)).round().astype("<u2")
+    centres = np.diff(centres, axis=0, prepend=np.zeros((1, 3), "<u2"))  # wraps around, as all sums on the page do
+
+    colours = dc_to_colour(gaussians.harmonics[0, :, 0]).clamp(-0.5, 1.5).numpy()
+    low = min(0.0, float(colours.min(initial=0)))
+    step = (max(1.0, float(colours.max(initial=1))) - low) / 255
+    shown = ((colours - low) / step).round().astype(np.uint8)
+    scales, scale_low, scale_step = _in_steps(gaussians.scales[0].clamp(min=1e-12).log().numpy(), 255)
+    harmonics = gaussians.harmonics[0, :, 1:].flatten(1).numpy()
+    harmonics_step = max(LEAST_STEP, float(np.abs(harmonics).max(initial=0)) / 127)
+    planes = [
+        centres & 255,
+        centres >> 8,
+        _differences(shown),
+        (gaussians.opacities[0][:, None].numpy() * 255).round(),
+        _differences(scales.round().astype(np.uint8)),
+        (normalise_quats(gaussians.quats[0]) * 127).round().numpy().astype(np.int8).view(np.uint8),
+    ]
+    if before is not None:
+        planes.append(((before.clamp(-0.5, 1.5).numpy() - low) / step).round().clip(0, 255).astype(np.uint8) - shown)
+    planes.append((harmonics / harmonics_step).round().astype(np.int8).view(np.uint8))
+    facts = {
+        **{"count": gaussians.count, "degree": gaussians.degree, "before": before is not None, "eye": eye.tolist()},
+        **{"distanceLow": distance_low, "distanceStep": distance_step, "scaleLow": scale_low, "scaleStep": scale_step},
+        **{"colourLow": low, "colourStep": step, "harmonicsStep": harmonics_step},
+        "factors": [-C1, C1, -C1, *C2, *C3, *C4],
+    }
+    data = b"".join(np.ascontiguousarray(part.astype(np.uint8).T).tobytes() for part in planes)
+    return facts, zlib.compress(data, LEVEL)
 
 
-def _seen_colours(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "gaussian 3"]:
-    """sRGB of each Gaussian as seen from the camera of its own view, camera 0 for those without one."""
-    directions = gaussians.means[0] - cameras.c2w[0, _own_view(gaussians, cameras), :3, 3].float()
-    directions = directions / directions.norm(dim=-1, keepdim=True).clamp(min=1e-12)
-    values = basis(directions, gaussians.degree)  # [G, K]
-    return torch.einsum("gk,gkc->gc", values, gaussians.harmonics[0]) + 0.5
+def _in_steps(values: np.ndarray, levels: int) -> tuple[np.ndarray, float, float]:
+    """The values in steps from their lowest, that lowest, and the step."""
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    step = max((high - low) / levels, 1e-9)
+    return (values - low) / step, low, step
 
 
-def _own_view(gaussians: Gaussians, cameras: Cameras) -> Int[Tensor, "gaussian"]:
-    """The view that each Gaussian came from; view 0 for one without."""
-    return torch.where(gaussians.view_index < cameras.count, gaussians.view_index, 0).clamp(min=0)
+def _differences(rows: UInt8[np.ndarray, "gaussian column"]) -> UInt8[np.ndarray, "gaussian column"]:
+    return np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
 
 
 def _typical_distance(gaussians: Gaussians, cameras: Cameras) -> float:

@@ -28,6 +28,8 @@ class EditorContract(Contract):
     def edit(self, views: Views, seed: int = 3, masks: Float[Tensor, "batch view height width"] | None = None) -> Views:
         """One edit; what it raises or returns that is no Views becomes a violation."""
         batch, count, _, height, width = views.images.shape
+        if masks is None and self.subject.needs_masks:
+            masks = views.images.new_ones(batch, count, height, width)
         what = f"edit() of {batch} x {count} photos of {height}x{width}"
         edited = self.call(what, self.subject.edit, views, EditRequest(self.prompt, seed, masks))
         self.require_type("edit() returned", edited, Views, "edit3r.Views")

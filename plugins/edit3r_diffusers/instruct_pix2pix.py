@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 from edit3r_diffusers import attention, latents, loading
+from edit3r_diffusers.consistency import References, edit_consistently
 from edit3r_diffusers.images import ViewJob, edit_one_by_one
 from edit3r_diffusers.loading import DiffusionSettings
 
@@ -33,6 +34,9 @@ class InstructPix2PixEditor(Editor):
     class Settings(DiffusionSettings):
         model: str = Field("timbrooks/instruct-pix2pix", description="model id on the hub, or a saved folder")
         guidance: float = Field(7.5, ge=1, le=50, description="how strongly the instruction is followed; 1: not raised")
+        consistency: Literal["independent", "grid"] = Field(
+            "independent", description="independent: each view alone; grid: all views as one picture"
+        )
         image_guidance: float = Field(1.5, ge=1, le=50, description="how closely the photo is kept")
 
     def __init__(self, settings: Settings) -> None:
@@ -41,7 +45,10 @@ class InstructPix2PixEditor(Editor):
 
     @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:
-        return self._edited(views, request, None, 1.0)
+        def alone(views: Views, request: EditRequest, _: References) -> Views:
+            return self._edited(views, request, None, 1.0)
+
+        return edit_consistently(self.settings.consistency, False, alone, views, request)
 
     def edit_from(
         self, views: Views, start: Float[Tensor, "batch view 3 height width"], request: EditRequest, strength: float

@@ -1,5 +1,7 @@
 """The settings that every diffusion editor shares, and how a diffusers pipeline is loaded by them."""
 
+import importlib.util
+import inspect
 from contextlib import AbstractContextManager
 from typing import Any, Literal
 
@@ -9,7 +11,7 @@ from pydantic import Field
 from edit3r.config import Settings
 from edit3r.errors import SettingsError
 from edit3r.io import pretrained
-from edit3r.io.pretrained import Weights
+from edit3r.io.pretrained import ChosenWeights
 from edit3r.reporting import note
 
 NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
@@ -49,7 +51,7 @@ def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, ha
     """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its own."""
     device = pretrained.pick_device(settings.device, photos_on, "editor.device")
     dtype = pick_dtype(settings.dtype, device, half)
-    weights = Weights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
+    weights = main_weights(settings)
     loaded = pretrained.load_pretrained(pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts)
     loaded.set_progress_bar_config(disable=True)
     _place(loaded, settings, device)
@@ -57,9 +59,49 @@ def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, ha
     return loaded
 
 
-def part_weights(model: str, key: str, settings: DiffusionSettings) -> Weights:
+def picture_processors(pipeline: type, settings: DiffusionSettings) -> dict[str, Any]:
+    """The parts of class Qwen2VLProcessor for pictures alone: its own loading demands torchvision, for videos.
+
+    Empty for pipelines without such a part, and where torchvision is installed.
+    """
+    annotations = inspect.get_annotations(pipeline.__init__)
+    names = [name for name, cls in annotations.items() if getattr(cls, "__name__", "") == "Qwen2VLProcessor"]
+    if not names or importlib.util.find_spec("torchvision"):
+        return {}
+
+    class PictureProcessor(pretrained.foreign("transformers", "Qwen2VLProcessor")):
+        def check_argument_for_proper_class(self, name: str, given: Any) -> Any:
+            return None if given is None else super().check_argument_for_proper_class(name, given)
+
+    def made(name: str) -> PictureProcessor:
+        parts = [
+            pretrained.load_pretrained(
+                pretrained.foreign("transformers", cls), main_weights(settings), subfolder=folder
+            )
+            for cls, folder in (("Qwen2VLImageProcessor", name), ("Qwen2Tokenizer", "tokenizer"))
+        ]
+        return PictureProcessor(*parts, None)
+
+    return {name: made(name) for name in names}
+
+
+def same_parts(pipeline: type, of: Any) -> Any:
+    """Make another class of diffusers of the parts and flags of a loaded pipeline, without a second copy."""
+    names = [name for name in inspect.signature(pipeline.__init__).parameters if name != "self"]
+    parts = {name: vars(of).get(name, of.config.get(name)) for name in names if name in (*vars(of), *of.config)}
+    made = pipeline(**parts)
+    made.set_progress_bar_config(disable=True)
+    return made
+
+
+def main_weights(settings: DiffusionSettings) -> ChosenWeights:
+    """Name the weights that the settings ask for."""
+    return ChosenWeights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
+
+
+def part_weights(model: str, key: str, settings: DiffusionSettings) -> ChosenWeights:
     """Name the weights of a part beside the main model; `key` is the setting that says which."""
-    return Weights(model, f"editor.{key}", local_files_only=settings.local_files_only)
+    return ChosenWeights(model, f"editor.{key}", local_files_only=settings.local_files_only)
 
 
 def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> None:

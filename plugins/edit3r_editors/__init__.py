@@ -26,4 +26,11 @@ def register_editors():
             supports_seed=False,
             licence="that of the program you name",
         ),
+        Component(
+            "retouch",
+            "edit3r_editors.retouch:RetouchEditor",
+            "removes what is masked and shows what the other photos see behind it; the rest is inpainted",
+            parts=("matcher",),
+            min_views=2,
+        ),
     )

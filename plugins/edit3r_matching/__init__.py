@@ -25,6 +25,35 @@ _ALIKED = Weights(
     ),
 )
 
+_DEPTH_ANYTHING_3 = (
+    Weights(
+        "da3-small",
+        "depth and poses (Depth Anything 3, small); for a matcher of your own, none here reads them yet",
+        137_250_142,
+        "Apache-2.0",
+        "yes",
+        "hub:depth-anything/DA3-SMALL",
+        "e08cab65ca0ec38e7826075418411ab90cab4da3",
+        (
+            ("config.json", "a486e29e82b7ab4a7d4cefc1ea4526cfe2ae438a572c8ca98917cfbcde7447d2"),
+            ("model.safetensors", "364492e38a3a06d221ac75da7f6621ada3f2361cd24fde11ba79091e9f40efcf"),
+        ),
+    ),
+    Weights(
+        "da3-base",
+        "depth and poses (Depth Anything 3, base); for a matcher of your own, none here reads them yet",
+        540_000_000,
+        "Apache-2.0",
+        "yes",
+        "hub:depth-anything/DA3-BASE",
+        "f4a6c9b3c95e41c82048423d3493a81ec3fa810e",
+        (
+            ("config.json", ""),
+            ("model.safetensors", "e01067dc1659613083d9145a9a2547ccdbe6ccbbf83c4fe7b3e8a4e2bdae78b5"),
+        ),
+    ),
+)
+
 
 @hookimpl
 def register_matchers():
@@ -42,6 +71,7 @@ def register_matchers():
             "depth by plane sweep from the poses that the views carry; without poses, what its matcher says",
             parts=("matcher",),
             min_views=2,
+            weights=_DEPTH_ANYTHING_3,
         ),
     ]
 
@@ -55,5 +85,16 @@ def register_reconstructors():
             "one Gaussian a pixel at the depth a matcher measured; no learned weights",
             parts=("matcher",),
             min_views=2,
+        )
+    ]
+
+
+@hookimpl
+def register_trainers():
+    return [
+        Component(
+            "depth",
+            "edit3r_matching.depth_trainer:DepthTrainer",
+            "teaches the network of matcher 'classical' which depth is right, from data with depths",
         )
     ]

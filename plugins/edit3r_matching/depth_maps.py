@@ -1,6 +1,7 @@
 """Depth of every pixel of every registered view: plane sweep, cross-check, completion, and back to the images' size."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,7 +16,15 @@ from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plan
 from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import aggregate, best_plane
 
-__all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
+if TYPE_CHECKING:
+    from edit3r_matching.depth_network import DepthNetwork
+
+__all__ = ["DepthSettings", "chosen_network", "inverse_depth_range", "measure_depths", "sweep_depth"]
+
+PRIOR = 0.1
+"""What the network's -log probability of a plane adds to its matching cost."""
+TRUSTED = 0.3
+"""Probability around a depth from which on it is kept although no other view confirms it."""
 
 
 class DepthSettings(config.Settings):
@@ -26,10 +35,25 @@ class DepthSettings(config.Settings):
     )
     planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
     neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
+    depth_weights: str = Field(
+        "none", description="network that weighs the hypotheses: 'none', or a file of `edit3r train training/depth`"
+    )
+
+
+def chosen_network(settings: DepthSettings) -> "DepthNetwork | None":
+    """The network that the settings name; None for 'none'."""
+    if settings.depth_weights == "none":
+        return None
+    from edit3r_matching.depth_network import load_depth_network  # torch's layers, only where they are used
+
+    return load_depth_network(settings.depth_weights)
 
 
 def measure_depths(
-    images: Sequence[CalibratedImage], registration: Registration, settings: DepthSettings
+    images: Sequence[CalibratedImage],
+    registration: Registration,
+    settings: DepthSettings,
+    network: "DepthNetwork | None" = None,
 ) -> tuple[Float[np.ndarray, "view height width"], Float[np.ndarray, "view height width"]]:
     """Inverse depth (1 / camera z) and confidence of every pixel, measured at the settings' working size.
 
@@ -41,7 +65,9 @@ def measure_depths(
     raw: dict[int, RawDepth] = {}
     for view in reporting.track(np.flatnonzero(registration.registered).tolist(), "measuring depth"):
         depths = np.concatenate([registration.shared_depths(view, other) for other in around[view]])
-        raw[view] = sweep_depth(small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes)
+        raw[view] = sweep_depth(
+            small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes, network
+        )
     measured = {view: _measured(small[view], around[view], view, raw) for view in raw}
     maps = [_blank(image.size) for image in images]
     for view in raw:
@@ -74,13 +100,30 @@ def inverse_depth_range(depths: Float[np.ndarray, "point"]) -> tuple[float, floa
 
 
 def sweep_depth(
-    reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_range: tuple[float, float], planes: int
+    reference: CalibratedImage,
+    neighbours: Sequence[Neighbour],
+    inverse_range: tuple[float, float],
+    planes: int,
+    network: "DepthNetwork | None" = None,
 ) -> RawDepth:
-    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes` hypotheses."""
+    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes` hypotheses.
+
+    What the network finds unlikely costs more, and costs are then aggregated anew.
+    """
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
-    position = best_plane(aggregate(matching_cost(reference, neighbours, inverse_depths), reference.grey))
+    cost = matching_cost(reference, neighbours, inverse_depths)
+    total = aggregate(cost, reference.grey)
     first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
-    return RawDepth((first + position * step).astype(np.float32), first, step)
+    trusted = None
+    if network is None:
+        position = best_plane(total)
+    else:
+        from edit3r_matching.depth_network import certainty, log_probabilities
+
+        logs = log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
+        position = best_plane(aggregate(cost - PRIOR * logs, reference.grey))
+        trusted = certainty(logs, position) > TRUSTED
+    return RawDepth((first + position * step).astype(np.float32), first, step, trusted)
 
 
 def _measured(
@@ -100,7 +143,8 @@ def _completed(
 ) -> Float[np.ndarray, "height width"]:
     """Inverse depth everywhere: spread what was measured, then push back what would hide a neighbour's surface."""
     own, sure = raw[view], measured[view]
-    inverse = fill(own.inverse, sure, own.step, image.pixels)
+    kept = sure if own.trusted is None else sure | own.trusted
+    inverse = fill(own.inverse, kept, own.step, image.pixels)
     for other, neighbour in around.items():
-        inverse = push_back(inverse, sure, own, image, neighbour, raw[other], measured[other])
-    return np.where(sure, inverse, cv2.medianBlur(inverse, 5))
+        inverse = push_back(inverse, kept, own, image, neighbour, raw[other], measured[other])
+    return np.where(kept, inverse, cv2.medianBlur(inverse, 5))

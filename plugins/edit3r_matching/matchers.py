@@ -18,7 +18,7 @@ from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
-from edit3r_matching.depth_maps import DepthSettings, measure_depths
+from edit3r_matching.depth_maps import DepthSettings, chosen_network, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
 from edit3r_matching.relative_pose import Matches
 
@@ -50,6 +50,7 @@ class ClassicalMatcher(Matcher):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self.depth_network = chosen_network(settings)
 
     @remembered
     def match(self, views: Views) -> MatchedGeometry:
@@ -73,7 +74,7 @@ class ClassicalMatcher(Matcher):
         registration = register(images, names, features, chosen.threshold, chosen.seed)
         _report(registration, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
-        maps = (c2w, *measure_depths(images, registration, chosen))
+        maps = (c2w, *measure_depths(images, registration, chosen, self.depth_network))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         in_pixels = torch.from_numpy(np.stack([image.intrinsics for image in images]))
         intrinsics = from_pixels(in_pixels, views.image_size).to(c2w)
@@ -127,7 +128,8 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
-        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
+        network = chosen_network(self.settings)
+        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings, network)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return 1 / inverse, confidence, torch.from_numpy(placed)
 

@@ -7,7 +7,7 @@ from edit3r import config
 from edit3r.config import PartChoice
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.warping import in_front_of_others, seen_by_others
+from edit3r.geometry.warping import contradicted, seen_by_others
 from edit3r.interfaces import Matcher, Reconstructor
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
@@ -17,8 +17,8 @@ __all__ = ["ClassicalReconstructor"]
 class ClassicalReconstructor(Reconstructor):
     """Geometry from the unedited photos, colours from the edited ones.
 
-    Pixels whose depth was guessed are less opaque, and left out where they float in front of what another view
-    surely saw.
+    Pixels whose depth was guessed are less opaque, and left out where another view measured the same surface or sees
+    through them.
     """
 
     class Settings(config.Settings):
@@ -47,7 +47,7 @@ class ClassicalReconstructor(Reconstructor):
         chosen = self.settings
         guessed = torch.where(seen_by_others(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
         opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
-        kept = geometry.registered[..., None, None] & ~in_front_of_others(geometry, views.intrinsics)
+        kept = geometry.registered[..., None, None] & ~contradicted(geometry, views.intrinsics)
         cameras = Cameras(geometry.c2w, views.intrinsics, views.image_size)
         scales = pixel_scales(geometry.depths, views.intrinsics, chosen.footprint)
         gaussians = pixels_to_gaussians(views.images, geometry.depths, cameras, scales, opacities * kept)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.io.pretrained import Weights, foreign, load_pretrained
+from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
 CROPS = 5
@@ -89,7 +89,7 @@ class ClipSimilarity:
     """
 
     def __init__(self, model: str = CLIP_MODEL, local_files_only: bool = False) -> None:
-        weights = Weights(model, "clip.model", local_files_only=local_files_only)
+        weights = ChosenWeights(model, "clip.model", local_files_only=local_files_only)
         model_class = foreign("transformers", "CLIPModel")
         self.model = load_pretrained(model_class, weights, dtype=torch.float32).eval().requires_grad_(False)
         self.tokenizer = load_pretrained(foreign("transformers", "CLIPTokenizerFast"), weights)

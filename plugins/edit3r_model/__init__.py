@@ -27,6 +27,15 @@ OFFICIAL = Weights(
 )
 OFFICIAL_RESOLUTION = 512
 """Side of the square that these weights were trained for [pixels]; the file does not tell."""
+_NOPOSPLAT = Weights(
+    "noposplat",
+    "NoPoSplat trained on RealEstate10K, for two views of 256x256",
+    2_500_000_000,
+    "not stated; starts from MASt3R's weights, which are CC BY-NC-SA 4.0",
+    "no",
+    "hub:botaoye/NoPoSplat",
+    files=(("re10k.ckpt", ""),),
+)
 
 _CITATION = (
     "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
@@ -73,7 +82,7 @@ def register_reconstructors():
         "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,
-        weights=(OFFICIAL,),
+        weights=(OFFICIAL, _NOPOSPLAT),
         citation=_CITATION,
     )
     return (edit3r, noposplat)

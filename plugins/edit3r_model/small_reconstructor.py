@@ -19,7 +19,7 @@ from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_pos
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.warping import Correspondences, find_correspondences, in_front_of_others, partner_views, warp
+from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, partner_views, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.registry import build
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
@@ -261,8 +261,8 @@ def _opacity_logits(
     partners = geometry.confidence[:, partner_views(filled.shape[1]), None]
     seen = warp(partners, matches.coordinates, mode="nearest")[:, :, 0]
     floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
-    if filled.shape[1] > 2:  # each view has one partner, and its guesses may stand before what any other view measured
-        floating |= in_front_of_others(geometry, intrinsics)
+    if filled.shape[1] > 2:  # each view has one partner, and other views know more
+        floating |= contradicted(geometry, intrinsics)
     return torch.logit(torch.where(floating, FLOATING_OPACITY, opacity))
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from edit3r import reporting
 from edit3r.config import PartChoice, Settings
 from edit3r.interfaces import Editor, Segmenter
+from edit3r.selection import Selection
 from edit3r.types import EditRequest, Views
 from edit3r_recolor.prompt import Instruction, parse_prompt
 from edit3r_recolor.recoloring import RecolorParameters, RecolorRanges, blend_regions, sample_parameters
@@ -53,7 +54,7 @@ class RecolorEditor(Editor):
         images = []
         for index, scene in enumerate(views.images):
             given = None if request.masks is None else request.masks[index]
-            images.append(self._recolor_scene(scene, given, instruction, parameters))
+            images.append(self._recolor_scene(scene, given, instruction, parameters, request.guess))
         return replace(views, images=torch.stack(images))
 
     def _recolor_scene(
@@ -62,9 +63,11 @@ class RecolorEditor(Editor):
         given: Float[Tensor, "view height width"] | None,
         instruction: Instruction,
         parameters: RecolorParameters,
+        guess: bool,
     ) -> Float[Tensor, "view 3 height width"]:
         point, box = self.settings.point, self.settings.box
-        region = choose_region(images, given, instruction, self.segmenter, point, box)
+        marks = Selection(((0, *point),) if point else (), boxes={0: box} if box else {}, guess=guess)
+        region = choose_region(images, given, instruction, self.segmenter, marks)
         reporting.note("editor.region", region.source)
         reporting.note("editor.region_share", [round(float(share), 4) for share in region.masks.mean((1, 2))])
         recolored = images

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import torch
@@ -10,18 +10,13 @@ from jaxtyping import Bool, Float
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from edit3r import reporting
 from edit3r.config import Settings
-from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.stage_checks import component_name
+from edit3r.selection import Selection, select_masks
 from edit3r_recolor.prompt import Instruction
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
-
-Box = tuple[float, float, float, float]
-ADVICE = "mark it with --mask, editor.point=[x,y] or editor.box=[x,y,w,h] to be sure"
 
 
 class ProposalFilter(Settings):
@@ -123,52 +118,21 @@ def choose_region(
     given: Float[Tensor, "view height width"] | None,
     instruction: Instruction,
     segmenter: Segmenter,
-    point: tuple[float, float] | None = None,
-    box: Box | None = None,
+    marks: Selection,
 ) -> Region:
-    """Take the given masks, else a point or box on view 0 (normalised), else what the instruction says."""
+    """Take the given masks, else the marks (a point or box), else what the instruction says.
+
+    `marks.guess` allows the most salient object where the segmenter cannot look up what the instruction names.
+    """
     if given is not None:
         return Region(given.to(images), "masks")
-    if point is not None or box is not None:
-        first = segmenter.segment(images[0], [point] if point is not None else (), box)
-        how = "point" if point is not None else "box"
-    elif instruction.scope == "everything":
+    if instruction.scope == "everything" and not marks.views:
         return Region(torch.ones_like(images[:, 0]), "everything")
-    else:
-        first, how = _object(images[0], instruction, segmenter)
-    masks = _follow(images, first, segmenter)
-    return Region(1 - masks, f"all but the {how}") if instruction.scope == "background" else Region(masks, how)
-
-
-def _object(
-    image: Float[Tensor, "3 height width"], instruction: Instruction, segmenter: Segmenter
-) -> tuple[Proposal, str]:
-    """Find the object on view 0 by its name where the segmenter reads text, else by salience, and say which."""
-    named = segmenter.prompt or " ".join(instruction.subject)
-    found = segmenter.segment_text(image, named) if named else None
-    if found:
-        return found[0], "named object"
-    if found is not None:
-        raise InputError(f"{named!r} was not found on the first view; use other words, or {ADVICE}.")
-    proposals = segmenter.propose(image)
-    if not proposals:
-        raise InputError(f"No object stands out on the first view; {ADVICE}.")
-    name = component_name(segmenter)
-    why = f"Segmenter {name!r} does not understand {named!r}" if named else "No object is named or marked"
-    reporting.warn(f"{why}: the most salient object is taken, which is a guess; {ADVICE}.")
-    return proposals[0], "most salient object"
-
-
-def _follow(
-    images: Float[Tensor, "view 3 height width"], first: Proposal, segmenter: Segmenter
-) -> Float[Tensor, "view height width"]:
-    """Follow the object of view 0 through all views; its mask is zero, with a warning, where it is lost."""
-    if len(images) == 1:
-        return first.soft_mask[None].to(images)
-    tracks = segmenter.track(images, first.soft_mask[None].to(images))
-    lost = [str(view + 1) for view in range(len(images)) if not bool(tracks.present[view, 0])]
-    if lost:
-        reporting.warn(f"The object was not found again in view {', '.join(lost)}; it keeps its colours there.")
-    masks = soft_masks(tracks)[0].to(images)
-    masks[0] = first.soft_mask.to(images)
-    return masks
+    words = segmenter.prompt or ("background" if instruction.scope == "background" else " ".join(instruction.subject))
+    selected = select_masks(images, replace(marks, words=words), segmenter)
+    found = {"words": "named object", "guess": "most salient object"}
+    how = found.get(selected.how[0], "point" if marks.positive else "box")
+    masks = selected.masks[:, 0]
+    if instruction.scope == "background" and how != "named object":
+        return Region(1 - masks, f"all but the {how}")
+    return Region(masks, how)

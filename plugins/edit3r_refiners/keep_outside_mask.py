@@ -19,9 +19,8 @@ from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, warn
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.importance import contributions
-from edit3r_refiners.merging import place
+from edit3r_refiners.merging import Region, own_pixel_inside
 
-Region = Bool[Tensor, "view height width"]
 SHAPE = ("means", "scales", "quats", "opacities")
 FIELDS = (*SHAPE, "harmonics")
 
@@ -91,7 +90,7 @@ def _replace_counterparts(
     before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
 ) -> Gaussians:
     """Replace Gaussians one by one, for scenes of the same structure."""
-    wanted = differing(before, after) & _own_pixel_inside(before, region, cameras)
+    wanted = differing(before, after) & own_pixel_inside(before, region, cameras)
     replaced = wanted & ~_show_in(before, ~region, cameras, rasterizer)
     # Equal shapes have equal weights. Otherwise the new one may show further out, and what it hid may appear.
     reshaped = bool((replaced & differing(before, after, SHAPE)).any())
@@ -131,14 +130,6 @@ def _show_in(
     return contributions(gaussians, cameras, rasterizer, pixels)[0] > 0
 
 
-def _own_pixel_inside(gaussians: Gaussians, region: Region, cameras: Cameras) -> Bool[Tensor, "gaussian"]:
-    """Tell which lie on a pixel of the region in their own view; outside the image the nearest pixel counts."""
-    placement = place(gaussians, cameras)
-    height, width = cameras.image_size
-    row, column = placement.row.clamp(0, height - 1), placement.column.clamp(0, width - 1)
-    return region[placement.view, row, column] & (placement.depth > 0)
-
-
 def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Cameras) -> Gaussians:
     """Bring `after` to the unit of length of `before`: networks without poses choose one per answer.
 
@@ -146,7 +137,7 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
     """
     if not differing(before, after, ("means",)).any():
         return after
-    still = ~_own_pixel_inside(before, region, cameras)
+    still = ~own_pixel_inside(before, region, cameras)
     if not still.any():
         return after
     factor = float(median_scale(after.means[0, still], before.means[0, still]))

@@ -12,6 +12,8 @@ from edit3r.geometry.rotations import covariances, matrices_to_quats
 from edit3r.types import Cameras, Gaussians
 from edit3r_refiners.settings import SimplifySettings
 
+Region = Bool[Tensor, "view height width"]
+
 FAR_OUTSIDE = 1e6  # positions are clamped to this [pixels]
 OPAQUE = 0.5
 AS_FINE = 1.25  # an earlier view may show the surface with pixels this much larger
@@ -47,6 +49,14 @@ def place(gaussians: Gaussians, cameras: Cameras) -> Placement:
         x[mine], y[mine], depth[mine] = _project_to_view(gaussians.means[0, mine], cameras, index)
     focal = cameras.intrinsics[0, view, 0, 0] * cameras.image_size[1]
     return Placement(view, x, y, depth, depth.clamp(min=0) / focal)
+
+
+def own_pixel_inside(gaussians: Gaussians, region: Region, cameras: Cameras) -> Bool[Tensor, "gaussian"]:
+    """Tell which lie on a pixel of the region in their own view; outside the image the nearest pixel counts."""
+    placement = place(gaussians, cameras)
+    height, width = cameras.image_size
+    row, column = placement.row.clamp(0, height - 1), placement.column.clamp(0, width - 1)
+    return region[placement.view, row, column] & (placement.depth > 0)
 
 
 def _project_to_view(

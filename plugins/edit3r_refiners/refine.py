@@ -27,10 +27,10 @@ BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam; torch's defaults
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and when to stop."""
 
-    colour: float = Field(0.01, ge=0, le=1, description="step of the harmonics")
-    opacity: float = Field(0.03, ge=0, le=1, description="step of the opacities' logits")
-    scale: float = Field(0.01, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.03, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
+    opacity: float = Field(0.25, ge=0, le=1, description="step of the opacities' logits")
+    scale: float = Field(0.08, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.04, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
     held_back: float = Field(0.1, gt=0, lt=1, description="share of pixels kept out of the loss, to know when to stop")
     patience: int = Field(5, ge=1, description="steps without improvement of the held-back pixels before stopping")
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
@@ -94,7 +94,7 @@ class RefineRefiner(Refiner):
     """Sharpens the Gaussians by photometric steps on the views that show the edit."""
 
     class Settings(RefineSettings):
-        steps: int = Field(10, ge=0, le=10000, description="most photometric steps")
+        steps: int = Field(15, ge=0, le=10000, description="most photometric steps")
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

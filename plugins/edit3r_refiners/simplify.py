@@ -13,7 +13,7 @@ from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.importance import drop_unneeded_harmonics, first_focal, viewpoints, visible_weight
-from edit3r_refiners.merging import Placement, duplicates, merge_groups, place
+from edit3r_refiners.merging import Placement, Region, duplicates, merge_groups, own_pixel_inside, place
 from edit3r_refiners.partition import measure_cells, partition, price_for_count, scene_price
 from edit3r_refiners.refine import RefineSettings, refine
 from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
@@ -43,9 +43,14 @@ class SimplifyRefiner(Refiner):
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:
-        """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer."""
+        """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
+
+        Where only a part of the scene is edited, that part stays fine, so that it can be exchanged up to its border.
+        """
+        fine = request.masks[0] > 0 if request.masks is not None and not bool((request.masks > 0).all()) else None
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
-            gaussians = simplify(gaussians, cameras, rasterizer, most, self.settings).gaussians
+            gaussians = simplify(gaussians, cameras, rasterizer, most, self.settings, fine).gaussians
+            fine = None
         return gaussians
 
 
@@ -68,11 +73,13 @@ def simplify(
     rasterizer: Rasterizer,
     most: int | None = None,
     settings: SimplifySettings | None = None,
+    fine: Region | None = None,
 ) -> Simplified:
     """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of `view_index`.
 
     `most` is a budget: the price of a Gaussian is searched so that at most so many are left. With None the price
-    follows from the scene's detail, see `scene_price`. Raises InputError for a batch of several scenes.
+    follows from the scene's detail, see `scene_price`, and Gaussians on pixels of `fine` are not merged. Raises
+    InputError for a batch of several scenes.
     """
     settings = settings or SimplifySettings()
     if gaussians.means.shape[0] != 1:
@@ -84,7 +91,7 @@ def simplify(
     kept = kept.select(~twice)
     seen = visible_weight(kept, cameras, rasterizer) >= settings.contribution
     kept = kept.select(seen)
-    fewer = _merge(kept, cameras, most, settings)
+    fewer = _merge(kept, cameras, most, settings, fine)
     if most is not None and fewer.count > most:
         fewer = _most_visible(fewer, cameras, rasterizer, most)
     merged = kept.count - fewer.count
@@ -108,14 +115,20 @@ def _note(result: Simplified) -> None:
     note("simplify.psnr_of_input_views_against_all", round(result.psnr, 3) if isfinite(result.psnr) else None)
 
 
-def _merge(gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings) -> Gaussians:
+def _merge(
+    gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings, fine: Region | None
+) -> Gaussians:
     """Merge the Gaussians that share a cell of the best partition of the views."""
     placement = place(gaussians, cameras)
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     parallax = _parallax(placement, cameras)
     cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
     price = scene_price(cells, settings) if most is None else price_for_count(cells, most)
-    return merge_groups(gaussians, partition(cells, price), cameras, settings)
+    groups = partition(cells, price)
+    if fine is not None and most is None:
+        groups[own_pixel_inside(gaussians, fine, cameras)] = -1
+        groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
+    return merge_groups(gaussians, groups, cameras, settings)
 
 
 def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, most: int) -> Gaussians:

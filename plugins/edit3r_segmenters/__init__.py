@@ -5,7 +5,7 @@ from edit3r.weights import Weights
 
 EDIT3R_API = 1
 
-_U2NETP = Weights(
+U2NETP = Weights(
     "u2netp",
     "what stands out in a photo (U²-Net, small)",
     4_574_861,
@@ -16,6 +16,34 @@ _U2NETP = Weights(
     (("rembg/u2netp.onnx", "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8"),),
 )
 
+_SAM2 = Weights(
+    "sam2",
+    "masks and tracks of objects (SAM 2.1, large)",
+    897_903_121,
+    "Apache-2.0",
+    "yes",
+    "hub:facebook/sam2.1-hiera-large",
+    "665f8e2ad61cf5f53d65644ff27c8ee525124610",
+    (
+        ("config.json", "00446988cf4d617118d2d347eabe2c46aebed744628facdd540508be30b69ec3"),
+        ("model.safetensors", "dc407dce21301fd94abb395c5099b4f2c455fdc8a8f261ac3d0ea6d4cd197230"),
+    ),
+)
+_GROUNDING_DINO = Weights(
+    "grounding-dino",
+    "boxes of what words name (Grounding DINO, base)",
+    934_000_000,
+    "Apache-2.0",
+    "yes",
+    "hub:IDEA-Research/grounding-dino-base",
+    "12bdfa3120f3e7ec7b434d90674b3396eccf88eb",
+    (
+        ("*.json", ""),
+        ("vocab.txt", ""),
+        ("model.safetensors", "5548f844c928c4b6f411fa8cbcc2bfa8dbbba437cb1d513975519f93c2a9ed21"),
+    ),
+)
+
 
 @hookimpl
 def register_segmenters():
@@ -23,7 +51,7 @@ def register_segmenters():
         name="classical",
         target="edit3r_segmenters.classical:ClassicalSegmenter",
         summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
-        weights=(_U2NETP,),
+        weights=(U2NETP,),
     )
     sam2 = Component(
         name="sam2",
@@ -34,9 +62,19 @@ def register_segmenters():
         parts=("detector",),
         licence="Apache-2.0, default weights too",
         needs_network=True,
+        weights=(_SAM2,),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
     )
     return (classical, sam2)
+
+
+@hookimpl
+def register_commands():
+    return Component(
+        name="mask",
+        target="edit3r_segmenters.command:MaskCommand",
+        summary="masks of the object that clicks, a box or words mean, before anything is reconstructed",
+    )
 
 
 @hookimpl
@@ -49,5 +87,6 @@ def register_detectors():
         extra="transformers",
         licence="Apache-2.0, default weights too",
         needs_network=True,
+        weights=(_GROUNDING_DINO,),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )

@@ -5,8 +5,10 @@ judged by its outline, its difference from what surrounds it, and its place in t
 edges, not things: an object of several colours comes in parts, and words mean nothing to it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -17,15 +19,24 @@ from torch import Tensor
 
 from edit3r.cache import remembered
 from edit3r.config import Settings
-from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r_segmenters import tracking
+from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.reporting import warn
+from edit3r.weights import at_hand
+from edit3r_segmenters import U2NETP, tracking
+from edit3r_segmenters.interactive import Glimpse, Picture, find
+from edit3r_segmenters.learned_salience import salience
 from edit3r_segmenters.masks import graph_cut, overlap, reduced, snapped, softened, tidied, to_bytes
 from edit3r_segmenters.salience import MAX_AREA, MIN_AREA, Objectness, measure
+from edit3r_segmenters.stuff import ground, plain, sky
 from edit3r_segmenters.superpixels import Superpixels, background_weights, merge_tree, superpixels
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
 SNAP = (0.06, 0.25)  # how far an outline may move in and out when it is refined [square roots of the area]
 SNAP_FINE = (0.04, 0.04)  # the same for the second time, on the larger image
+CROPS = (0.5, 0.35, 0.25, 0.16)  # sides of the crops around a click [longer sides of the picture]
+WHOLE_SIDE, CROP_SIDE = 320, 160  # what the learned network sees of a picture and of a crop [pixels]
+MOST_KEPT = 64  # pictures and glimpses that stay in memory between clicks
+Known = TypeVar("Known")
 
 
 @dataclass(frozen=True)
@@ -55,22 +66,38 @@ class ClassicalSegmenter(Segmenter):
         )
         max_objects: int = Field(24, ge=1, le=500, description="how many candidates `propose` returns at most")
         refined: int = Field(4, ge=0, le=500, description="how many of the most salient get their outline refined")
+        learned: bool = Field(True, description="use learned salience where the weights u2netp are at hand")
         track_size: int = Field(512, ge=64, le=4096, description="longer side of the picture while following [pixels]")
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self._memory: dict[Hashable, Any] = {}
 
     @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         rgb = _to_numpy(image)
-        analysis = _analyse(rgb, self.settings.size)
+        analysis = self._analysis(rgb)
+        subject = self._subject(rgb, analysis)
         scored = [(mask, analysis.measure(mask, (MIN_AREA, MAX_AREA))) for mask in analysis.masks()]
         scored = _distinct([(mask, cues) for mask, cues in scored if cues is not None], self.settings.max_objects)
         refined = [_refined(analysis, *candidate) for candidate in scored[: self.settings.refined]]
         chosen = _distinct(refined + scored[self.settings.refined :], self.settings.max_objects)
         masks = [mask for mask, _ in chosen]
         masks[: self.settings.refined] = [self._fine(rgb, mask) for mask in masks[: self.settings.refined]]
-        return tuple(_proposal(rgb, mask, cues.quality, image) for mask, (_, cues) in zip(masks, chosen))
+        found = tuple(_proposal(rgb, mask, cues.quality, image) for mask, (_, cues) in zip(masks, chosen))
+        if subject is None:
+            return found
+        first = _proposal(rgb, self._fine(rgb, subject), 1.0, image)
+        others = [p for p in found if overlap(*(q.soft_mask.numpy(force=True) > 0.5 for q in (p, first))) < SAME_OBJECT]
+        return (first, *others)[: self.settings.max_objects]
+
+    def _subject(self, rgb: np.ndarray, analysis: _Analysis) -> np.ndarray | None:
+        """The subject of a picture by learned salience, bool at working size; None without weights or subject."""
+        glimpses = self._glimpses(rgb, analysis.pixels.shape[:2], Marks())
+        if not glimpses or (glimpses[0].values > 0.5).mean() < MIN_AREA:
+            return None
+        mask = glimpses[0].values > 0.5
+        return tidied(mask, mask)
 
     def segment(
         self,
@@ -80,12 +107,85 @@ class ClassicalSegmenter(Segmenter):
     ) -> Proposal:
         if not points and box is None:
             raise ValueError("ClassicalSegmenter.segment: expected at least one point or a box, got neither")
+        return self.segment_marks(image, Marks(tuple(points), box=box))
+
+    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         rgb = _to_numpy(image)
-        analysis = _analyse(rgb, self.settings.size)
-        seeds = _seeds(points, analysis.pixels.shape[:2])
-        mask = _in_box(analysis, box, seeds) if box is not None else _at_points(analysis, seeds)
+        analysis = self._analysis(rgb)
+        shape = analysis.pixels.shape[:2]
+        positive, negative = _seeds(marks.positive, shape), _seeds(marks.negative, shape)
+        glimpses = self._glimpses(rgb, shape, marks)
+        picture = Picture(analysis.pixels, analysis.superpixels, analysis.members, analysis.measure, glimpses)
+        prior = None
+        if marks.prior is not None:
+            prior = cv2.resize(marks.prior.detach().cpu().numpy().astype(np.float32), shape[::-1]) > 0.5
+        elif marks.box is not None:
+            prior = _in_box(picture, marks.box, positive)
+        mask = find(picture, positive, negative, prior)
         cues = analysis.measure(mask)
-        return _proposal(rgb, self._fine(rgb, mask), cues.quality if cues is not None else 0.0, image)
+        fine = self._fine(rgb, mask)
+        said = [(spot, True) for spot in _seeds(marks.positive, fine.shape)]
+        said += [(spot, False) for spot in _seeds(marks.negative, fine.shape)]
+        if any(fine[spot] != wanted for spot, wanted in said):
+            fine = cv2.resize(mask.astype(np.uint8), fine.shape[::-1]) > 0
+        return _proposal(rgb, fine, cues.quality if cues is not None else 0.0, image)
+
+    def _glimpses(self, rgb: np.ndarray, shape: tuple[int, int], marks: Marks) -> tuple[Glimpse, ...]:
+        """Learned salience of the picture and of what surrounds the first mark; none without weights."""
+        weights = at_hand(U2NETP) if self.settings.learned else None
+        if weights is None:
+            if self.settings.learned:
+                warn(
+                    "objects are told by colours and edges alone; a small learned network finds whole things much more "
+                    f"often: edit3r weights get {U2NETP.name} ({U2NETP.terms})"
+                )
+            return ()
+        if marks.prior is not None:
+            return ()
+        pixels, longer, key = to_bytes(rgb), max(rgb.shape[:2]), (rgb.shape, hash(rgb.tobytes()))
+        windows = [(0, 0, longer, WHOLE_SIDE)]
+        if marks.box is not None:
+            x, y, width, height = marks.box
+            places, sides = [(x + width / 2, y + height / 2)], (1.4 * max(width * rgb.shape[1], height * rgb.shape[0]),)
+        else:
+            places, sides = marks.positive[:1], [share * longer for share in CROPS]
+        for x, y in places:
+            for side in (max(16, round(side)) for side in sides):
+                top = int(np.clip(y * rgb.shape[0] - side / 2, 0, max(0, rgb.shape[0] - side)))
+                left = int(np.clip(x * rgb.shape[1] - side / 2, 0, max(0, rgb.shape[1] - side)))
+                windows.append((top, left, side, CROP_SIDE))
+        return tuple(
+            self._kept((key, window), lambda window=window: _glimpse(weights, pixels, window, shape))
+            for window in windows
+        )
+
+    def _kept(self, key: Hashable, compute: Callable[[], Known]) -> Known:
+        """What was computed for the same picture before: clicks follow each other on one picture."""
+        if key not in self._memory:
+            if len(self._memory) >= MOST_KEPT:
+                self._memory.clear()
+            self._memory[key] = compute()
+        return self._memory[key]
+
+    @remembered
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...] | None:
+        """Look up the sky, the ground, the background and everything; None for any other words."""
+        word = plain(text)
+        if word in ("everything", "picture", "image", "photo", "scene"):
+            return (as_proposal(torch.ones_like(image[0])),)
+        if word == "background":
+            subjects = self.propose(image)[:1]
+            warn("the background is taken to be all but what stands out most on the photo.")
+            return tuple(as_proposal(1 - subject.soft_mask) for subject in subjects)
+        if word not in ("sky", "ground", "floor"):
+            return None
+        rgb = _to_numpy(image)
+        analysis = self._analysis(rgb)
+        mask = sky(analysis.pixels, analysis.superpixels) if word == "sky" else ground(analysis.pixels)
+        return () if mask is None or not mask.any() else (_proposal(rgb, self._fine(rgb, mask), 0.5, image),)
+
+    def _analysis(self, rgb: np.ndarray) -> _Analysis:
+        return self._kept((rgb.shape, hash(rgb.tobytes())), lambda: _analyse(rgb, self.settings.size))
 
     def _fine(self, rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Snap the outline of a bool mask `[h, w]` found at working size once more, at tracking size."""
@@ -132,38 +232,42 @@ def _refined(analysis: _Analysis, mask: np.ndarray, cues: Objectness) -> tuple[n
     return (moved, moved_cues) if moved_cues is not None and moved_cues.salience > 0.8 * cues.salience else (mask, cues)
 
 
-def _seeds(points: Sequence[tuple[float, float]], shape: tuple[int, int]) -> np.ndarray:
-    """Find row and column `[P, 2]` of points (x, y) that are normalised to [0, 1]."""
+def _seeds(points: Sequence[tuple[float, float]], shape: tuple[int, int]) -> list[tuple[int, int]]:
+    """Find row and column of points (x, y) that are normalised to [0, 1]."""
     height, width = shape
-    rows = [min(int(y * height), height - 1) for _, y in points]
-    columns = [min(int(x * width), width - 1) for x, _ in points]
-    return np.array([rows, columns], dtype=np.int64).T.reshape(-1, 2)
+    return [(min(int(y * height), height - 1), min(int(x * width), width - 1)) for x, y in points]
 
 
-def _at_points(analysis: _Analysis, seeds: np.ndarray) -> np.ndarray:
-    """Take the region that holds all points `[P, 2]` and is most of a thing; the points' own superpixels if none is."""
-    cells = analysis.superpixels.labels[seeds[:, 0], seeds[:, 1]]
-    best, best_score = np.isin(analysis.superpixels.labels, cells), 0.0
-    for row in analysis.members[analysis.members[:, cells].all(1)]:
-        mask = row[analysis.superpixels.labels]
-        cues = analysis.measure(mask)
-        if cues is not None and cues.as_part > best_score:
-            best, best_score = mask, cues.as_part
-    moved = snapped(analysis.pixels, best, *SNAP)
-    return moved if moved[seeds[:, 0], seeds[:, 1]].all() else best
+def _glimpse(weights: Path, pixels: np.ndarray, window: tuple[int, int, int, int], shape: tuple[int, int]) -> Glimpse:
+    """Learned salience of a window (top, left, side, side as the network sees it) of `pixels`, at working size."""
+    top, left, side, seen = window
+    values, known = np.zeros(pixels.shape[:2], np.float32), np.zeros(pixels.shape[:2], np.uint8)
+    crop = np.s_[top : top + side, left : left + side]
+    values[crop], known[crop] = salience(weights, np.ascontiguousarray(pixels[crop]), seen), 1
+    values = cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA)
+    return Glimpse(values, cv2.resize(known, shape[::-1], interpolation=cv2.INTER_NEAREST) > 0)
 
 
-def _in_box(analysis: _Analysis, box: tuple[float, float, float, float], seeds: np.ndarray) -> np.ndarray:
-    """Cut the object out of a box by graph cut, all outside being background; points `[P, 2]` inside are kept."""
-    height, width = analysis.pixels.shape[:2]
+def _in_box(picture: Picture, box: tuple[float, float, float, float], seeds: list[tuple[int, int]]) -> np.ndarray:
+    """The object in a box: of a graph cut with all outside as background, and of what stands out there, the better."""
+    height, width = picture.pixels.shape[:2]
     left, top = int(box[0] * width), int(box[1] * height)
     right, bottom = round((box[0] + box[2]) * width), round((box[1] + box[3]) * height)
     inside = np.zeros((height, width), dtype=bool)
     inside[top : max(bottom, top + 1), left : max(right, left + 1)] = True
     trimap = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
-    trimap[seeds[:, 0], seeds[:, 1]] = cv2.GC_FGD
-    mask = tidied(graph_cut(analysis.pixels, trimap, rounds=5), inside)
-    return mask if mask.sum() > 0.05 * inside.sum() else inside  # nothing in the box stands out: all of it
+    for seed in seeds:
+        trimap[seed] = cv2.GC_FGD
+    candidates = [graph_cut(picture.pixels, trimap, rounds=5)]
+    candidates += [inside & (glimpse.values > 0.5) for glimpse in picture.glimpses]
+    candidates = [tidied(mask, inside) for mask in candidates if mask.sum() > 0.05 * inside.sum()]
+    filled = [overlap(_bounds(mask), inside) * picture.quality(mask, ()) for mask in candidates]
+    return candidates[int(np.argmax(filled))] if candidates else inside  # nothing in the box stands out: all of it
+
+
+def _bounds(mask: np.ndarray) -> np.ndarray:
+    """The smallest box around a bool mask, as one."""
+    return mask.any(1)[:, None] & mask.any(0)[None]
 
 
 def _proposal(rgb: np.ndarray, mask: np.ndarray, quality: float, like: Float[Tensor, "3 height width"]) -> Proposal:

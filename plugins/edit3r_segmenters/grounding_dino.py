@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.config import Settings
 from edit3r.errors import PromptError
 from edit3r.interfaces import Detection, Detector
-from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
+from edit3r.io.pretrained import ChosenWeights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
 from edit3r.reporting import note
 
 
@@ -51,7 +51,9 @@ class GroundingDinoDetector(Detector):
     def _model(self, photos_on: torch.device) -> tuple[Any, Any]:
         if self._loaded is None:
             chosen = self.settings
-            weights = Weights(chosen.model, "detector.model", chosen.revision, local_files_only=chosen.local_files_only)
+            weights = ChosenWeights(
+                chosen.model, "detector.model", chosen.revision, local_files_only=chosen.local_files_only
+            )
             model = load_pretrained(
                 foreign("transformers", "GroundingDinoForObjectDetection"), weights, dtype=torch.float32
             )

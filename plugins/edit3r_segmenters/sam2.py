@@ -19,7 +19,7 @@ from edit3r.cache import remembered
 from edit3r.config import PartChoice, Settings
 from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Detector, Proposal, Segmenter, Tracks
-from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
+from edit3r.io.pretrained import ChosenWeights, foreign, identity, load_pretrained, out_of_memory_told, pick_device
 from edit3r.reporting import note, progress
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -142,7 +142,7 @@ class Sam2Segmenter(Segmenter):
         """Load one of transformers' two SAM2 classes when it is first needed; both read the same weights."""
         if name not in self._models:
             chosen = self.settings
-            weights = Weights(
+            weights = ChosenWeights(
                 chosen.model, "segmenter.model", chosen.revision, local_files_only=chosen.local_files_only
             )
             model = load_pretrained(foreign("transformers", name), weights, dtype=torch.float32)

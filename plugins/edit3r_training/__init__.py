@@ -1,8 +1,20 @@
 """Training plugin: the data, losses and recipe of the paper's recolor training."""
 
 from edit3r import Component, hookimpl
+from edit3r.weights import Weights
 
 EDIT3R_API = 1
+
+_CLIP = Weights(
+    "clip",
+    "likeness of images and texts (CLIP ViT-B/32), for loss clip and metric CLIP t2i",
+    608_000_000,
+    "MIT (code); its model card calls deployed use out of scope",
+    "unclear",
+    "hub:openai/clip-vit-base-patch32",
+    "3d74acf9a28c67741b2f4f2ea7635f0aaf6f0268",
+    (("*.json", ""), ("merges.txt", ""), ("pytorch_model.bin", "")),
+)
 
 
 @hookimpl
@@ -52,6 +64,7 @@ def register_losses() -> list[Component]:
             requires=("transformers",),
             extra="transformers",
             needs_network=True,
+            weights=(_CLIP,),
         ),
     ]
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from edit3r.config import Settings
 from edit3r.errors import MissingDependencyError, SettingsError
 from edit3r.interfaces import Loss, LossInputs
+from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
@@ -208,15 +209,9 @@ def _lpips_vgg() -> nn.Module:
 
 
 def _frozen_clip(name: str) -> nn.Module:
-    from transformers import CLIPVisionModelWithProjection
-
-    try:
-        return CLIPVisionModelWithProjection.from_pretrained(name).eval().requires_grad_(False)
-    except OSError as error:
-        reason = str(error).splitlines()[0]
-        raise MissingDependencyError(
-            f"loss 'clip' could not load {name!r} ({reason}); give model=FOLDER of a downloaded CLIP model."
-        ) from error
+    chosen = ChosenWeights(name, "losses.clip.model")
+    network = load_pretrained(foreign("transformers", "CLIPVisionModelWithProjection"), chosen)
+    return network.eval().requires_grad_(False)
 
 
 def _require(inputs: LossInputs, loss: str, *names: str) -> None:

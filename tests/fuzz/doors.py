@@ -6,6 +6,7 @@ with an `Edit3rError`; it names the file, the setting or the thing in `names`.
 """
 
 import dataclasses
+import importlib.util
 import io
 import json
 import shutil
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import torch
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, mangled_tree, nasty
@@ -25,6 +27,8 @@ from edit3r.earlier_run import read_earlier_run
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io.atomic import atomic_folder
 from edit3r.io.cameras import posed_cameras, read_cameras, read_scene_cameras, write_cameras
+from edit3r.io.coverage import take_frames
+from edit3r.io.export import FORMATS, export_scene, load_scene
 from edit3r.io.images import load_photos, save_image, unique_names
 from edit3r.io.masks import load_masks
 from edit3r.io.ply import load_ply, save_ply
@@ -66,6 +70,10 @@ def make_originals(folder: Path) -> Originals:
     cameras, scene = _cameras(), _scene()
     save_ply(folder / "scene.ply", scene, comment_lines=["prompt: paint it red"])
     files["scene.ply"] = (folder / "scene.ply").read_bytes()
+    for form in ("spz", "sog", "splat", "compressed-ply") if importlib.util.find_spec("gaussforge") else ():
+        export_scene(folder / "exported", scene, form)
+        files[f"export{FORMATS[form]}"] = (folder / "exported").read_bytes()
+    files["clip.mp4"] = _video(folder / "clip.mp4")
     files["mask.png"] = _png((x > 10).astype(np.uint8) * 255)
     write_cameras(folder / "cameras.json", posed_cameras(cameras, ["a.png", "b.png"]))
     trees = {"cameras": json.loads((folder / "cameras.json").read_text())}
@@ -183,6 +191,19 @@ def plies(rng, folder, given):
         rows = mangled_bytes(rng, rows)
     (folder / "scene.ply").write_bytes(head + end + rows)
     _sound(load_ply(folder / "scene.ply"))
+
+
+def videos(rng, folder, given):
+    (folder / "clip.mp4").write_bytes(mangled_bytes(rng, given.files["clip.mp4"]))
+    for file in take_frames(folder / "clip.mp4", 3):
+        assert load_photos([given.photos[0], file], size=32).views.count == 2
+
+
+def exports(rng, folder, given):
+    """Files of other programs; those of PLY have a door of their own."""
+    name = rng.choice([name for name in given.files if name.startswith("export")])
+    (folder / name).write_bytes(mangled_bytes(rng, given.files[name]))
+    _sound(load_scene(folder / name))
 
 
 def run_folders(rng, folder, given):
@@ -303,7 +324,8 @@ DOORS: dict[str, Callable] = {
     door.__name__: door
     for door in (
         *(pictures, masks, cameras, yaml_files, assignments, checkpoints, resume_states, weights, plies, run_folders),
-        *(manifests, recipes, prompts, names, output_paths, service_answers),
+        *(manifests, recipes, prompts, names, output_paths, service_answers, videos),
+        *((exports,) if importlib.util.find_spec("gaussforge") else ()),
     )
 }
 
@@ -322,6 +344,16 @@ def _built(config) -> None:
     assert config.prompt.encode() is not None
     for kind in ("editor", "rasterizer"):
         default_registry().build_choice(kind, getattr(config, kind))
+
+
+def _video(file: Path) -> bytes:
+    """Six frames of a pattern that moves."""
+    pixels = np.random.default_rng(0).integers(0, 255, (12, 30, 3), dtype=np.uint8).repeat(8, 0).repeat(8, 1)
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"mp4v"), 12, (128, 96))
+    for x in range(0, 96, 16):
+        writer.write(np.ascontiguousarray(pixels[:, x : x + 128]))
+    writer.release()
+    return file.read_bytes()
 
 
 def _png(pixels: np.ndarray) -> bytes:

@@ -17,6 +17,7 @@ from edit3r.io.images import save_image
 
 PLUGIN = Path(__file__).parent / "planted.py"
 PARTS = ("--recon", "planted", "--editor", "inverted", "--rasterizer", "numba", "--plugin", str(PLUGIN), "--quiet")
+PLAIN = ("--gaussians", "all", "--refine", "0")  # the Gaussians of the pixels
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def render(rasterizer, gaussians, cameras):
 
 def test_with_masks_pixels_outside_render_as_the_unedited_photos_do(planted, rasterizer, edit):
     masks = planted.masks[0]
-    plain = planted.reconstruct(planted.views).gaussians
+    plain = edit(masks=masks, editor="none").gaussians
     result = edit(masks=masks)
     outside = masks[0] == 0
     change = render(rasterizer, result.gaussians, result.cameras) - render(rasterizer, plain, result.cameras)
@@ -73,7 +74,7 @@ def folders(planted, tmp_path):
             mask.save(tmp_path / f"ball{ball}_{name}.png")
     photos = [str(tmp_path / f"{name}.png") for name in ("a", "b")]
     first = tmp_path / "first"
-    command = ["run", *photos, *PARTS, "--prompt", "A", "--fov", "51.57", "--frames", "3", "--out", str(first)]
+    command = ["run", *photos, *PARTS, *PLAIN, "--prompt", "A", "--fov", "51.57", "--frames", "3", "--out", str(first)]
     assert main([*command, "--mask", *masks_of(tmp_path, 0)]) == 0
     return tmp_path
 
@@ -84,7 +85,7 @@ def masks_of(folder, ball):
 
 def again(folder, *more, start="first", out="second"):
     command = ["run", "--from", str(folder / start), "--editor", "inverted", "--rasterizer", "numba", "--quiet"]
-    return main([*command, "--plugin", str(PLUGIN), "--out", str(folder / out), *more])
+    return main([*command, "--plugin", str(PLUGIN), *PLAIN, "--out", str(folder / out), *more])
 
 
 def test_a_second_edit_computes_only_the_edit_and_one_reconstruction(planted, folders):

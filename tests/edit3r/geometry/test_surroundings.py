@@ -32,6 +32,19 @@ def test_the_rim_stays_out_of_every_photo(pair, truth):
         assert not shown.any()
 
 
+def test_the_rim_fades_outwards_to_nothing(pair, truth):
+    rim = apron(pair.views.select([0]), dataclasses.replace(truth, **_first(truth)), 0.2, 0.6)
+    places, _ = project(rim.means, pair.views.intrinsics[:, 0], truth.c2w[:, 0])
+    height, width = pair.views.image_size
+    beyond = (torch.maximum(-places, places - 1) * torch.tensor([width, height])).amax(-1)[0]
+    near, far = (rim.opacities[0][part] for part in (beyond < beyond.quantile(0.2), beyond > beyond.quantile(0.8)))
+    assert near.min() > far.max() and far.min() < 0.1 and near.max() > 0.5
+
+
+def _first(truth):
+    return {name: getattr(truth, name)[:, :1] for name in ("c2w", "depths", "confidence", "registered")}
+
+
 def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
     grey = dataclasses.replace(pair.views, images=torch.full_like(pair.views.images, 0.25))
     rim = apron(grey, truth, 0.1, 0.6)

@@ -5,8 +5,8 @@ import torch
 
 from edit3r.geometry.cameras import unproject
 from edit3r.geometry.warping import (
+    contradicted,
     find_correspondences,
-    in_front_of_others,
     partner_views,
     seen_by,
     seen_by_others,
@@ -57,13 +57,22 @@ def truth():
     return MatchedGeometry(SCENE.cameras.c2w, SCENE.depths, torch.ones_like(SCENE.depths), registered)
 
 
-def test_a_guess_before_what_another_view_measured_stands_in_front_of_it(truth):
+def test_guesses_before_or_on_what_another_view_measured_are_contradicted(truth):
     depths, confidence = truth.depths.clone(), truth.confidence.clone()
-    depths[0, 0, 20:24, 30:34] *= 0.5
+    depths[0, 0, 20:24, 30:32] *= 0.5
     confidence[0, 0, 20:24, 30:34] = 0
-    found = in_front_of_others(dataclasses.replace(truth, depths=depths, confidence=confidence), INTRINSICS)
-    assert found[0, 0, 20:24, 30:34].all() and found.sum() == 16
-    assert not in_front_of_others(dataclasses.replace(truth, depths=depths), INTRINSICS).any()
+    found = contradicted(dataclasses.replace(truth, depths=depths, confidence=confidence), INTRINSICS)
+    assert found[0, 0, 20:24, 30:32].all() and 12 <= found.sum() <= 16
+    assert not contradicted(truth, INTRINSICS).any()
+
+
+def test_what_was_measured_falls_only_where_more_views_see_through_it_than_confirm_it():
+    scene = photograph(3, (48, 64))
+    depths = scene.depths.clone()
+    depths[0, 0, 20:26, 30:36] *= 0.5
+    geometry = MatchedGeometry(scene.cameras.c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool))
+    found = contradicted(geometry, scene.views.intrinsics)
+    assert found[0, 0, 21:25, 31:35].all() and found.sum() < 60
 
 
 def test_views_see_their_own_points_and_most_of_the_others(truth):

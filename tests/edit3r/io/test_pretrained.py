@@ -6,7 +6,15 @@ import pytest
 import torch
 
 from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
-from edit3r.io.pretrained import Weights, foreign, identity, load_pretrained, out_of_memory_told, pick_device, quiet
+from edit3r.io.pretrained import (
+    ChosenWeights,
+    foreign,
+    identity,
+    load_pretrained,
+    out_of_memory_told,
+    pick_device,
+    quiet,
+)
 
 
 class Model:
@@ -26,29 +34,29 @@ class Missing(Model):
 
 
 def test_revision_and_variant_are_passed_only_when_given():
-    assert load_pretrained(Model, Weights("a/b", "k")) == ("a/b", {"local_files_only": False})
-    _, given = load_pretrained(Model, Weights("a/b", "k", "v1", "fp16", True), dtype=torch.float32)
+    assert load_pretrained(Model, ChosenWeights("a/b", "k")) == ("a/b", {"local_files_only": False})
+    _, given = load_pretrained(Model, ChosenWeights("a/b", "k", "v1", "fp16", True), dtype=torch.float32)
     assert given == {"local_files_only": True, "revision": "v1", "variant": "fp16", "dtype": torch.float32}
 
 
 def test_an_id_that_cannot_be_had_names_the_download_command():
     with pytest.raises(MissingDependencyError, match=r"editor\.model: 'a/b' .*no such repository.* `hf download a/b`"):
-        load_pretrained(Missing, Weights("a/b", "editor.model"))
+        load_pretrained(Missing, ChosenWeights("a/b", "editor.model"))
 
 
 @pytest.mark.parametrize("model", ["/nowhere/at/all", "./nothing", "~/nothing-here", "one/two/three"])
 def test_a_path_that_is_no_folder_is_told_before_anything_is_tried(model):
     with pytest.raises(InputError, match=r"editor\.model: no folder"):
-        load_pretrained(Missing, Weights(model, "editor.model"))
+        load_pretrained(Missing, ChosenWeights(model, "editor.model"))
 
 
 def test_a_folder_of_something_else_names_what_it_should_hold(tmp_path):
     with pytest.raises(InputError, match="does not hold a Missing"):
-        load_pretrained(Missing, Weights(str(tmp_path), "k"))
+        load_pretrained(Missing, ChosenWeights(str(tmp_path), "k"))
 
 
 def test_a_folder_is_noted_without_a_commit(tmp_path):
-    assert identity(Weights(str(tmp_path), "k")) == {"model": str(tmp_path), "revision": "newest"}
+    assert identity(ChosenWeights(str(tmp_path), "k")) == {"model": str(tmp_path), "revision": "newest"}
 
 
 def test_auto_is_where_the_photos_are_and_nonsense_is_refused():

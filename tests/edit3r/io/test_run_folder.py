@@ -29,7 +29,7 @@ def manifest(tmp_path):
         inputs=load_photos(tmp_path / "a.png", fov=60).photos,
         masks={},
         weights=[WeightsRecord("small.safetensors", "ab" * 32, "Apache-2.0")],
-        verdict=Verdict("good", "well", (30.0, None), (True, False), (1.0, None), (0.1, None)),
+        verdict=Verdict("good", "well", (30.0, None), (25.0, None), (True, False), (1.0, None), (0.1, None)),
         gaussians=131072,
         harmonics_degree=0,
         stages=[StageRecord("edit", 1.5, 1.25, 300.0)],

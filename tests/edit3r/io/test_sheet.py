@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
-from edit3r.io.sheet import draw_before_after, save_before_after
+from edit3r.io.sheet import draw_before_after
 
 
 def flat(views, size, colour):
@@ -49,10 +48,3 @@ def test_extreme_shapes_are_drawn(size):
 def test_mismatched_counts_are_an_error():
     with pytest.raises(ValueError, match="as many edits and results as photos"):
         draw_before_after(flat(2, (4, 4), [0.0] * 3), flat(1, (4, 4), [0.0] * 3), flat(2, (4, 4), [0.0] * 3))
-
-
-def test_sheet_is_saved_as_a_picture(tmp_path):
-    pictures = flat(2, (32, 48), [0.5, 0.5, 0.5])
-    save_before_after(tmp_path / "sheet.png", pictures, pictures, pictures, title="grey")
-    with Image.open(tmp_path / "sheet.png") as sheet:
-        assert sheet.mode == "RGB"

@@ -14,6 +14,19 @@ pytest.importorskip("transformers")
 SIZE = 32  # pixels; a tiny VAE halves it once
 
 
+@pytest.fixture(scope="session", autouse=True)
+def small_pictures():
+    """Keep the classes that enlarge every picture to a megapixel at the size of the tests."""
+    from diffusers.pipelines.longcat_image import pipeline_longcat_image_edit as longcat
+    from diffusers.pipelines.qwenimage import pipeline_qwenimage_edit_plus as qwen
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(longcat, "calculate_dimensions", lambda area, ratio: (64, 64))
+        patch.setattr(qwen, "VAE_IMAGE_SIZE", 32 * 32)
+        patch.setattr(qwen, "CONDITION_IMAGE_SIZE", 56 * 56)
+        yield
+
+
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory) -> "TinyModels":
     return TinyModels(tmp_path_factory.mktemp("models"))
@@ -55,6 +68,172 @@ class TinyModels:
         from diffusers import FluxKontextPipeline
 
         return self._saved("flux-kontext", lambda: FluxKontextPipeline(**self.flux_parts()))
+
+    def qwen_image_edit(self) -> Path:
+        from diffusers import AutoencoderKLQwenImage, FlowMatchEulerDiscreteScheduler, QwenImageTransformer2DModel
+
+        parts = {
+            "transformer": lambda: QwenImageTransformer2DModel(
+                patch_size=2,
+                in_channels=16,
+                out_channels=4,
+                num_layers=1,
+                attention_head_dim=16,
+                num_attention_heads=2,
+                joint_attention_dim=16,
+                guidance_embeds=False,
+                axes_dims_rope=(8, 4, 4),
+            ),
+            "vae": lambda: AutoencoderKLQwenImage(
+                base_dim=8,
+                z_dim=4,
+                dim_mult=[1, 2, 4],
+                num_res_blocks=1,
+                temperal_downsample=[False, True],
+                latents_mean=[0.0] * 4,
+                latents_std=[1.0] * 4,
+            ),
+            "scheduler": FlowMatchEulerDiscreteScheduler,
+            "text_encoder": self.qwen_vl,
+            "tokenizer": self.qwen_tokenizer,
+            "processor": self.qwen_pictures,
+        }
+        return self._saved_by_parts("qwen-image-edit", "QwenImageEditPlusPipeline", parts)
+
+    def longcat_image_edit(self) -> Path:
+        """With a VAE that halves three times, as theirs: the class enlarges every picture to a megapixel."""
+        from diffusers import AutoencoderKL, FlowMatchEulerDiscreteScheduler, LongCatImageTransformer2DModel
+
+        parts = {
+            "transformer": lambda: LongCatImageTransformer2DModel(
+                in_channels=64,
+                num_layers=1,
+                num_single_layers=1,
+                attention_head_dim=16,
+                num_attention_heads=2,
+                joint_attention_dim=16,
+                pooled_projection_dim=16,
+                axes_dims_rope=[4, 4, 8],
+            ),
+            "vae": lambda: AutoencoderKL(
+                block_out_channels=(8,) * 4,
+                down_block_types=("DownEncoderBlock2D",) * 4,
+                up_block_types=("UpDecoderBlock2D",) * 4,
+                norm_num_groups=8,
+                latent_channels=16,
+                layers_per_block=1,
+                shift_factor=0.1,
+                use_quant_conv=False,
+                use_post_quant_conv=False,
+                mid_block_add_attention=False,
+            ),
+            "scheduler": FlowMatchEulerDiscreteScheduler,
+            "text_encoder": self.qwen_vl,
+            "tokenizer": self.qwen_tokenizer,
+            "text_processor": self.qwen_pictures,
+        }
+        return self._saved_by_parts("longcat-image-edit", "LongCatImageEditPipeline", parts)
+
+    def flux2_klein(self) -> Path:
+        from diffusers import AutoencoderKLFlux2, FlowMatchEulerDiscreteScheduler, Flux2Transformer2DModel
+        from transformers import Qwen3Config, Qwen3ForCausalLM
+
+        text = Qwen3Config(
+            intermediate_size=16,
+            hidden_size=16,
+            num_hidden_layers=28,  # three of which, up to number 27, are read
+            num_attention_heads=2,
+            num_key_value_heads=2,
+            head_dim=8,
+            vocab_size=300,
+            max_position_embeddings=512,
+        )
+        parts = {
+            "transformer": lambda: Flux2Transformer2DModel(
+                patch_size=1,
+                in_channels=16,
+                num_layers=1,
+                num_single_layers=1,
+                attention_head_dim=16,
+                num_attention_heads=2,
+                joint_attention_dim=48,
+                timestep_guidance_channels=32,
+                axes_dims_rope=[4, 4, 4, 4],
+                guidance_embeds=False,
+            ),
+            "vae": lambda: self.vae(
+                AutoencoderKLFlux2, latent_channels=4, use_quant_conv=False, use_post_quant_conv=False
+            ),
+            "scheduler": FlowMatchEulerDiscreteScheduler,
+            "text_encoder": lambda: Qwen3ForCausalLM(text).eval(),
+            "tokenizer": self.qwen_tokenizer,
+        }
+        return self._saved_by_parts("flux2-klein", "Flux2KleinPipeline", parts, is_distilled=True)
+
+    def qwen_vl(self):
+        from transformers import Qwen2_5_VLConfig, Qwen2_5_VLForConditionalGeneration
+
+        config = Qwen2_5_VLConfig(
+            text_config={
+                "hidden_size": 16,
+                "intermediate_size": 16,
+                "num_hidden_layers": 1,
+                "num_attention_heads": 2,
+                "num_key_value_heads": 2,
+                "vocab_size": 300,
+                "rope_parameters": {"mrope_section": [1, 1, 2], "rope_type": "default", "rope_theta": 10000.0},
+            },
+            vision_config={
+                "depth": 1,
+                "hidden_size": 16,
+                "intermediate_size": 16,
+                "num_heads": 2,
+                "out_hidden_size": 16,
+            },
+            vision_start_token_id=259,
+            vision_end_token_id=260,
+            image_token_id=261,
+            video_token_id=262,
+        )
+        return Qwen2_5_VLForConditionalGeneration(config).eval()
+
+    def qwen_tokenizer(self):
+        """A byte-level tokenizer with the special tokens that the Qwen family reads."""
+        from transformers import Qwen2Tokenizer
+        from transformers.convert_slow_tokenizer import bytes_to_unicode
+
+        folder = self.root / "qwen-vocabulary"
+        folder.mkdir(exist_ok=True)
+        letters = bytes_to_unicode().values()
+        (folder / "vocab.json").write_text(json.dumps({letter: index for index, letter in enumerate(letters)}))
+        (folder / "merges.txt").write_text("#version: 0.2\n")
+        names = ("im_start", "im_end", "vision_start", "vision_end", "image_pad", "video_pad")
+        special = [f"<|{name}|>" for name in names]
+        tokenizer = Qwen2Tokenizer.from_pretrained(folder, additional_special_tokens=special)
+        tokenizer.chat_template = (
+            "{% for m in messages %}<|im_start|>{{ m.role }}\n{{ m.content }}<|im_end|>\n{% endfor %}"
+            "<|im_start|>assistant\n"
+        )
+        return tokenizer
+
+    def qwen_pictures(self):
+        from transformers import Qwen2VLImageProcessor
+
+        return Qwen2VLImageProcessor(min_pixels=56 * 56, max_pixels=56 * 56)
+
+    def _saved_by_parts(self, name: str, pipeline: str, parts: dict, **flags) -> Path:
+        """A pipeline's folder written part by part; its processor of class Qwen2VLProcessor cannot be made here."""
+        folder = self.root / name
+        if not folder.is_dir():
+            torch.manual_seed(0)
+            index = {"_class_name": pipeline, "_diffusers_version": "0.42.0", **flags}
+            for part, make in parts.items():
+                made = make()
+                made.save_pretrained(folder / part)
+                library = type(made).__module__.partition(".")[0]
+                index[part] = [library, "Qwen2VLProcessor" if "processor" in part else type(made).__name__]
+            (folder / "model_index.json").write_text(json.dumps(index))
+        return folder
 
     def depth_anything(self) -> Path:
         from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation, Dinov2Config

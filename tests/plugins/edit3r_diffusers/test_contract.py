@@ -17,6 +17,7 @@ def contracts(tiny):
     settings = {
         "instruct-pix2pix": {"model": str(tiny.instruct_pix2pix()), **cheap},
         "flux-kontext": {"model": str(tiny.flux_kontext()), **cheap},
+        "flux2-klein": {"model": str(tiny.flux2_klein()), **cheap, "resolution": 96},
         "controlnet-depth": {"model": str(tiny.stable_diffusion()), **depth, **cheap},
     }
     bound = {name: contract_for("editor", name, **chosen) for name, chosen in settings.items()}
@@ -27,6 +28,6 @@ def contracts(tiny):
 
 
 @pytest.mark.parametrize("claim", claims(CONTRACTS["editor"]))
-@pytest.mark.parametrize("editor", ["instruct-pix2pix", "flux-kontext", "controlnet-depth"])
+@pytest.mark.parametrize("editor", ["instruct-pix2pix", "flux-kontext", "flux2-klein", "controlnet-depth"])
 def test_contract(contracts, editor, claim):
     getattr(contracts[editor](), claim)()

@@ -33,6 +33,9 @@ def choices(tiny):
     return {
         "instruct-pix2pix": [f"editor.model={tiny.instruct_pix2pix()}"],
         "flux-kontext": [f"editor.model={tiny.flux_kontext()}"],
+        "qwen-image-edit": [f"editor.model={tiny.qwen_image_edit()}"],
+        "flux2-klein": [f"editor.model={tiny.flux2_klein()}"],
+        "longcat-image-edit": [f"editor.model={tiny.longcat_image_edit()}"],
         "controlnet-depth": [
             f"editor.model={tiny.stable_diffusion()}",
             f"editor.controlnet={tiny.controlnet()}",
@@ -43,7 +46,7 @@ def choices(tiny):
 
 def run(photos, out: Path, editor: str, settings: list[str], *flags: str) -> tuple[np.ndarray, dict]:
     """Edited pictures of one run, and its manifest."""
-    settings = [*settings, "editor.steps=2", "editor.resolution=0", "editor.local_files_only=true"]
+    settings = [*settings, "editor.steps=2", "editor.resolution=64", "editor.local_files_only=true"]
     chosen = [word for setting in settings for word in ("--set", setting)]
     code = main(["run", *photos[:2], "--editor", editor, *CHEAP, *chosen, "--out", str(out), "--quiet", *flags])
     assert code == 0
@@ -51,13 +54,17 @@ def run(photos, out: Path, editor: str, settings: list[str], *flags: str) -> tup
     return np.stack(edited), json.loads((out / "run.json").read_text())
 
 
-@pytest.mark.parametrize("editor", ["instruct-pix2pix", "flux-kontext", "controlnet-depth"])
+EDITORS = ("instruct-pix2pix", "flux-kontext", "qwen-image-edit", "flux2-klein", "longcat-image-edit")
+
+
+@pytest.mark.parametrize("editor", [*EDITORS, "controlnet-depth"])
 def test_a_two_view_edit_runs_end_to_end(photos, choices, tmp_path, editor):
     first, manifest = run(photos, tmp_path / "1", editor, choices[editor])
     again, _ = run(photos, tmp_path / "2", editor, choices[editor])
     other, _ = run(photos, tmp_path / "3", editor, choices[editor], "--seed", "4")
     assert np.array_equal(first, again) and not np.array_equal(first, other)
-    assert "editor.weights" in json.dumps(manifest)
+    noted = json.dumps(manifest)
+    assert "editor.weights" in noted and ("editor.consistency" in noted) == (editor != "controlnet-depth")
 
     mask = photos[2]
     masked, _ = run(photos, tmp_path / "4", editor, choices[editor], "--mask", mask, mask)

@@ -16,7 +16,7 @@ def edit_with(views, **settings):
 
 
 def test_a_model_that_was_never_downloaded_is_one_sentence_with_the_command(two_views):
-    with pytest.raises(MissingDependencyError, match=r"hf download timbrooks/instruct-pix2pix"):
+    with pytest.raises(MissingDependencyError, match=r"edit3r weights get instruct-pix2pix"):
         edit_with(two_views, local_files_only=True)
 
 
@@ -28,7 +28,7 @@ def test_a_missing_folder_and_a_folder_of_something_else_are_told_apart(two_view
 
 
 def test_a_gated_model_names_the_login_command():
-    weights = pretrained.Weights("x/y", "editor.model")
+    weights = pretrained.ChosenWeights("x/y", "editor.model")
     error = pretrained.loading_error(OSError("Access to model x/y is gated"), object, weights)
     assert "hf auth login" in str(error) and isinstance(error, MissingDependencyError)
 

@@ -10,7 +10,7 @@ from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.surroundings import backdrop
-from edit3r.geometry.warping import in_front_of_others, seen_by_others
+from edit3r.geometry.warping import contradicted, seen_by_others
 from edit3r.interfaces import MatchedGeometry, Matcher
 
 
@@ -88,7 +88,8 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     expected = [settings.guessed_opacity, settings.opacity, settings.lone_opacity]
     assert opacities.unique().tolist() == pytest.approx(expected)
     shown = seen_by_others(geometry, pair.views.intrinsics)
-    assert opacities[0].view(half.shape)[shown & (half == 0)].unique().tolist() == pytest.approx(expected[:1])
+    kept = ~contradicted(geometry, pair.views.intrinsics)
+    assert opacities[0][(shown & (half == 0))[kept]].unique().tolist() == pytest.approx(expected[:1])
 
 
 def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
@@ -96,7 +97,7 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     depths[0, 0, 60:64, 80:84] = 0.5 * depths[0, 0, 60:64, 80:84]
     confidence[0, 0, 60:64, 80:84] = 0
     geometry = dataclasses.replace(truth, depths=depths, confidence=confidence)
-    floating = in_front_of_others(geometry, pair.views.intrinsics)
+    floating = contradicted(geometry, pair.views.intrinsics)
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
     assert build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count == truth.depths.numel() - 16

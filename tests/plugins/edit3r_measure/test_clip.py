@@ -84,7 +84,7 @@ def test_a_very_long_text_is_cut(similarity, images):
 
 
 def test_missing_weights_are_a_sentence():
-    with pytest.raises(MissingDependencyError, match="hf download openai/clip"):
+    with pytest.raises(MissingDependencyError, match="edit3r weights get clip"):
         ClipSimilarity(local_files_only=True)
 
 

@@ -51,5 +51,5 @@ def test_corner_boxes_are_clipped_sorted_and_empty_ones_dropped():
 
 
 def test_missing_weights_are_a_sentence(photo):
-    with pytest.raises(MissingDependencyError, match=r"detector\.model.*hf download IDEA-Research"):
+    with pytest.raises(MissingDependencyError, match=r"edit3r weights get grounding-dino"):
         edit3r.build("detector", "grounding-dino", local_files_only=True).detect(photo, "the bike")

@@ -147,7 +147,7 @@ def test_progress_and_weights_are_reported(build_sam2, photo, sam2_folder):
 
 
 def test_missing_weights_and_memory_are_sentences(build_sam2, photo):
-    with pytest.raises(MissingDependencyError, match=r"segmenter\.model.*hf download facebook/sam2.1-hiera-large"):
+    with pytest.raises(MissingDependencyError, match=r"edit3r weights get sam2"):
         edit3r.build("segmenter", "sam2", local_files_only=True).propose(photo)
     segmenter = build_sam2()
     segmenter.propose(photo)

@@ -1,0 +1,48 @@
+"""`edit3r app`: the whole way from photos to an edited scene in the browser."""
+
+import argparse
+import os
+import secrets
+from pathlib import Path
+from urllib.parse import quote
+
+from edit3r.command import Command
+from edit3r.errors import InputError
+
+
+class AppCommand(Command):
+    """Edit in the browser: drop photos, click the object, say what to change, and see before and after in 3D."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add(
+            "photos", nargs="*", metavar="PHOTO|FOLDER", help="photos to begin with; more can be dropped in the browser"
+        )
+        add("--jobs", default="edit3r-jobs", metavar="FOLDER", help="where everything is kept (default edit3r-jobs)")
+        add("--host", default="127.0.0.1", help="address to listen on; any but this machine's own asks for a token")
+        add("--port", type=int, metavar="N", help="port to listen on; default: 8090, or the next that is free")
+        add("--no-browser", action="store_true", help="print the address and open nothing")
+        add("--size", type=int, default=512, metavar="N", help="longer side that photos are reduced to (default 512)")
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r_app.jobs import JobsFolder
+
+        folder = JobsFolder(args.jobs)
+        # Before the page library is imported: it would keep its files in the current folder.
+        os.environ.setdefault("NICEGUI_STORAGE_PATH", str(folder.private / "pages"))
+        from edit3r.io.images import find_photos
+        from edit3r_app.server import free_port, serve
+        from edit3r_app.uploads import copied
+
+        if not 8 <= args.size <= 8192 or not 0 <= (args.port or 0) < 65536:
+            raise InputError("--size: expected 8 to 8192 pixels; --port: expected 0 to 65535.")
+        host = "127.0.0.1" if args.host == "localhost" else args.host
+        token = (
+            None if host in ("127.0.0.1", "::1") else os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
+        )
+        start = "/"
+        if args.photos:
+            start = f"/s/{quote(copied(folder, Path(args.photos[0]).resolve().stem, find_photos(args.photos)))}"
+        port = free_port(host, args.port)
+        serve(folder, host=host, port=port, token=token, size=args.size, start=start, show=not args.no_browser)
+        return 0

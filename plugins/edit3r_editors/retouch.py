@@ -1,0 +1,137 @@
+"""The editor `retouch`: takes away what is masked and shows what the other photos see behind it.
+
+What another photo sees is carried over by the matched geometry, which no editor of single pictures can do; only what
+no photo sees is invented, from what surrounds it, by OpenCV's inpainting.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import PartChoice, Settings
+from edit3r.errors import MatchingError
+from edit3r.geometry.cameras import project, unproject
+from edit3r.geometry.maps import dilate
+from edit3r.geometry.warping import warp
+from edit3r.interfaces import Editor, MatchedGeometry, Matcher
+from edit3r.reporting import note, warn
+from edit3r.types import EditRequest, Views
+
+SAME_SURFACE = (
+    0.03  # relative difference in depth within which a carried pixel is the surface that the other view shows
+)
+REACH = 3  # [pixels] how far the carried depths of neighbours fill gaps between them
+
+
+class RetouchEditor(Editor):
+    """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
+
+    needs_masks = True
+    changes_shape = True
+
+    class Settings(Settings):
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="measures poses and depth of the photos")
+        margin: int = Field(2, ge=0, le=20, description="pixels around the mask that are not trusted as background")
+        radius: float = Field(5, gt=0, le=50, description="inpainting: how far known pixels reach [pixels]")
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings, self.matcher = settings, matcher
+
+    def edit(self, views: Views, request: EditRequest) -> Views:
+        geometry = self._geometry(views)
+        scenes = [self._scene(views, request.masks > 0, geometry, scene) for scene in range(len(views.images))]
+        return replace(views, images=torch.stack(scenes))
+
+    def _scene(
+        self, views: Views, holes: Bool[Tensor, "b view height width"], geometry: MatchedGeometry | None, scene: int
+    ) -> Float[Tensor, "view 3 height width"]:
+        """The images of one scene of the batch, with its holes filled."""
+        images, hole = views.images[scene], holes[scene]
+        seen = torch.zeros_like(hole)
+        if geometry is not None:
+            images, seen = behind(geometry.calibrated(views), hole, geometry, scene, self.settings.margin)
+        shares = [round(float(s[h].float().mean()), 3) if h.any() else None for s, h in zip(seen, hole)]
+        note("retouch.seen_by_other_photos", shares)
+        if max((share for share in shares if share is not None), default=1) < 0.5:
+            warn("most of what is taken away hides what no other photo shows; what is behind it is invented.")
+        return torch.stack([_inpainted(*one, self.settings.radius) for one in zip(images, hole & ~seen)])
+
+    def _geometry(self, views: Views) -> MatchedGeometry | None:
+        """Geometry of the photos; None where they cannot be placed."""
+        try:
+            return self.matcher.match(views)
+        except MatchingError as error:
+            warn(f"retouch: what is behind the object is invented, since the photos could not be matched: {error}")
+            return None
+
+
+def behind(
+    views: Views, holes: Bool[Tensor, "view height width"], geometry: MatchedGeometry, scene: int, margin: int
+) -> tuple[Float[Tensor, "view 3 height width"], Bool[Tensor, "view height width"]]:
+    """Images of one scene of the batch whose holes show what its other views see there, and where that was so.
+
+    A view lends what is not within `margin` pixels of its own hole, since depth bleeds over the edges of things.
+    """
+    images, intrinsics, c2w = views.images[scene], views.intrinsics[scene], geometry.c2w[scene]
+    depths, placed = geometry.depths[scene], geometry.registered[scene]
+    lent = dilate(holes.to(images), margin) == 0
+    points = unproject(depths, intrinsics, c2w)
+    filled, seen = images.clone(), torch.zeros_like(holes)
+    for view in range(len(images)):
+        others = [o for o in range(len(images)) if o != view and bool(placed[o] & placed[view])]
+        others.sort(key=lambda o: float((c2w[o, :3, 3] - c2w[view, :3, 3]).norm()))
+        clouds = [points[o][lent[o]] for o in others]
+        if not clouds or not holes[view].any():
+            continue
+        background = _carried_depth(torch.cat(clouds), intrinsics[view], c2w[view], holes[view])
+        hidden = unproject(background, intrinsics[view], c2w[view])
+        for other in others:
+            grid, z = project(hidden.flatten(0, 1), intrinsics[other], c2w[other])
+            grid, z = grid.view(*background.shape, 2), z.view_as(background)
+            surface = warp(depths[other, None], grid, mode="nearest")[0]
+            shown = (warp(lent[other, None].to(images), grid, padding="zeros")[0] > 0.99) & (z > 0)
+            new = holes[view] & (background > 0) & shown & ((z / surface - 1).abs() < SAME_SURFACE) & ~seen[view]
+            filled[view] = torch.where(new, warp(images[other], grid), filled[view])
+            seen[view] |= new
+    return filled, seen
+
+
+def _carried_depth(
+    points: Float[Tensor, "point 3"],
+    intrinsics: Float[Tensor, "3 3"],
+    c2w: Float[Tensor, "4 4"],
+    hole: Bool[Tensor, "height width"],
+) -> Float[Tensor, "height width"]:
+    """Camera z of the nearest of the points in each pixel of the hole, gaps of a few pixels filled; 0 elsewhere."""
+    height, width = hole.shape
+    places, z = project(points, intrinsics, c2w)
+    column, row = (places * places.new_tensor([width, height])).floor().long().unbind(-1)
+    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    index = (row * width + column)[inside]
+    nearest = torch.full((height * width,), float("inf"), dtype=z.dtype)
+    nearest = nearest.scatter_reduce(0, index, z[inside], "amin").view(height, width)
+    inverse = torch.where(torch.isfinite(nearest), 1 / nearest, torch.zeros_like(nearest))
+    # Points of a farther surface show through the gaps of a nearer one: a pixel takes the nearest around it.
+    around = dilate(inverse[None], 1)[0]
+    inverse = torch.where(inverse < 0.9 * around, around, inverse)
+    for _ in range(REACH - 1):
+        inverse = torch.where(inverse > 0, inverse, dilate(inverse[None], 1)[0])
+    return torch.where(hole & (inverse > 0), 1 / inverse.clamp(min=1e-12), torch.zeros_like(inverse))
+
+
+def _inpainted(
+    image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"], radius: float
+) -> Float[Tensor, "3 height width"]:
+    """The image with the hole filled from its surroundings (Telea 2004)."""
+    if not hole.any():
+        return image
+    pixels = (image.permute(1, 2, 0) * 255).round().clamp(0, 255).to(torch.uint8).cpu().numpy()
+    mask = hole.cpu().numpy().astype(np.uint8)
+    filled = cv2.inpaint(np.ascontiguousarray(pixels), mask, radius, cv2.INPAINT_TELEA)
+    filled = torch.from_numpy(filled).to(image).permute(2, 0, 1) / 255
+    return torch.where(hole, filled, image)

@@ -1,0 +1,46 @@
+"""`edit3r export`: a scene in the formats of other programs, and theirs as PLY."""
+
+import argparse
+from pathlib import Path
+
+from edit3r.command import Command
+
+
+class ExportCommand(Command):
+    """Write a scene in a format of other programs; a file of such a format can be read as well."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        from edit3r.io.export import FORMATS
+
+        add = parser.add_argument
+        add("scene", metavar="SCENE", help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat")
+        add("--to", required=True, nargs="+", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
+        add("--out", metavar="FILE", help="the file to write, for one format; default: beside the scene")
+        add("--overwrite", action="store_true", help="replace files that are there")
+        add("--quiet", action="store_true", help="print errors only")
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r.console import StageConsole
+        from edit3r.errors import InputError
+        from edit3r.io.export import FORMATS, export_scene, load_scene
+        from edit3r.reporting import Report, collecting
+
+        scene = Path(args.scene)
+        scene = scene / "scene.ply" if scene.is_dir() else scene
+        if args.out and len(args.to) > 1:
+            raise InputError("--out names one file; give one format with it, or leave --out away.")
+        base = scene.name.removesuffix(".ply").removesuffix(".compressed") if scene.suffix == ".ply" else scene.stem
+        made = [(form, Path(args.out) if args.out else scene.with_name(base + FORMATS[form])) for form in args.to]
+        for _, path in made:
+            if path.exists() and (not args.overwrite or path.samefile(scene)):
+                raise InputError(f"{path}: is already there; give another --out, or --overwrite.")
+        with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
+            with report.stage("read scene"):
+                gaussians = load_scene(scene)
+            for form, path in made:
+                with report.stage(f"write {form}"):
+                    export_scene(path, gaussians, form)
+        if not args.quiet:
+            for _, path in made:
+                print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+        return 0

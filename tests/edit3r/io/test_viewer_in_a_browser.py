@@ -1,0 +1,157 @@
+"""The viewer's page in a real browser, drawn by software: what people see, and what they may do."""
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.io.viewer import save_viewer
+from edit3r.registry import build
+from edit3r.types import Cameras, Gaussians
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+WIDTH, HEIGHT = 320, 240
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium: apt-get install chromium")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    with playwright.sync_playwright() as manager:
+        yield manager.chromium.launch(executable_path=CHROMIUM, args=flags)
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = 0.4
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(1, 2, 1, 1)
+    return Cameras(c2w, intrinsics, (HEIGHT, WIDTH))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A cloud of small and large Gaussians whose colour changes with the direction."""
+    torch.manual_seed(0)
+    plain = colour_to_dc(0.35 + 0.3 * torch.rand(1, 600, 1, 3))
+    harmonics = torch.cat((plain, 0.1 * torch.randn(1, 600, 15, 3)), 2)  # within [0, 1]: a browser shows no more
+    means = torch.randn(1, 600, 3) * torch.tensor([1.2, 0.9, 0.7]) + torch.tensor([0, 0, 5.0])
+    scales = 10 ** (torch.rand(1, 600, 3) - 1.7)
+    return Gaussians(means, scales, torch.randn(1, 600, 4), torch.rand(1, 600) * 0.8 + 0.2, harmonics)
+
+
+@pytest.fixture
+def page(browser, scene, cameras, tmp_path):
+    """The page, opened and drawn once; errors on its console fail the test."""
+    look = torch.tensor([0.0, 1.0, 0.0]).expand(scene.count, 3)
+    save_viewer(tmp_path / "v.html", scene, cameras, names=["left", "right"], title="a/b: c", before=look)
+    opened = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+    complaints = []
+    opened.on("pageerror", lambda error: complaints.append(str(error)))
+    opened.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    opened.goto((tmp_path / "v.html").as_uri())
+    opened.wait_for_selector("body[data-drawn]", timeout=60_000)
+    yield opened
+    opened.close()
+    assert not complaints
+
+
+def seen(page):
+    """What "save picture" saves, as [height, width, 3] in [0, 1]; it is what the canvas shows."""
+    with page.expect_download() as download:
+        page.keyboard.press("s")
+    assert download.value.suggested_filename.startswith("a-b-c-")
+    with open(download.value.path(), "rb") as file:
+        return np.asarray(Image.open(io.BytesIO(file.read())).convert("RGB")) / 255
+
+
+def settle(page):
+    """Wait until the camera stands still and its picture is drawn."""
+    page.wait_for_function("!flight && !dirty")
+
+
+def drag(page, way):
+    page.mouse.move(WIDTH / 2, HEIGHT / 4)
+    page.mouse.down()
+    page.mouse.move(WIDTH / 2 + way, HEIGHT / 4, steps=5)
+    page.mouse.up()
+    settle(page)
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_the_page_shows_what_the_rasterizer_shows(page, scene, cameras, view):
+    background = [22 / 255, 22 / 255, 24 / 255]
+    rasterizer = build("rasterizer", "torch", background=background)
+    expected = rasterizer.render(scene, cameras.select([view])).images[0, 0].clamp(0, 1).permute(1, 2, 0).numpy()
+    page.keyboard.press(str(view + 1))
+    settle(page)
+    error = np.square(seen(page) - expected).mean()
+    assert -10 * np.log10(error) > 32, "the centres, ellipses, order or harmonics differ"
+
+
+def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
+    drag(page, 20)
+    pose = page.evaluate("JSON.stringify(pose)")
+    after = seen(page)
+    page.click("#switch")
+    settle(page)
+    before = seen(page)
+    assert before[..., 1].sum() > 1.2 * after[..., 1].sum() and before[..., 0].sum() < 0.9 * after[..., 0].sum()
+    page.keyboard.press("b")
+    settle(page)
+    np.testing.assert_array_equal(seen(page), after)
+    assert page.evaluate("JSON.stringify(pose)") == pose
+
+
+def test_turning_ends_where_no_photo_shows_the_scene_and_fades_on_the_way(page):
+    drag(page, 15)
+    near, clear = page.evaluate("away(pose.t)"), float(page.evaluate("canvas.style.opacity"))
+    for _ in range(4):
+        drag(page, 150)
+    far, faded = page.evaluate("away(pose.t)"), float(page.evaluate("canvas.style.opacity"))
+    assert 0 < near < far <= page.evaluate("FARTHEST") + 1e-6
+    assert clear > 0.9 and faded < 0.7 and page.evaluate("element('beyond').style.opacity") == "1"
+    page.click("text=right")
+    settle(page)
+    assert page.evaluate("away(pose.t)") < 1e-6 and page.evaluate("pose.t[0]") == pytest.approx(0.4)
+
+
+def test_the_wheel_enlarges_what_is_under_it_and_leaves_the_camera(page):
+    pose = page.evaluate("JSON.stringify(pose)")
+    page.mouse.move(80, 60)
+    spot = "(({ principal: c, focal: f }) => [(80 - c[0]) / f[0], (60 - c[1]) / f[1]])(pixels(lens))"
+    before = page.evaluate(spot)
+    for _ in range(3):
+        page.mouse.wheel(0, -100)
+    page.wait_for_function("zoom > 1.3")
+    assert page.evaluate(spot) == pytest.approx(before, abs=1e-9)
+    assert page.evaluate("JSON.stringify(pose)") == pose
+
+
+def test_two_fingers_enlarge_and_one_turns(browser, scene, cameras, tmp_path):
+    save_viewer(tmp_path / "v.html", scene, cameras)
+    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT}, has_touch=True)
+    page = context.new_page()
+    page.goto((tmp_path / "v.html").as_uri())
+    page.wait_for_selector("body[data-drawn]", timeout=60_000)
+    touch = context.new_cdp_session(page)
+
+    def fingers(kind, *points):
+        points = [{"x": x, "y": y, "id": index} for index, (x, y) in enumerate(points)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    fingers("touchStart", (120, 70))
+    fingers("touchMove", (150, 70))
+    fingers("touchEnd")
+    assert page.evaluate("away(pose.t)") > 0 and page.evaluate("zoom") == 1
+    fingers("touchStart", (120, 70), (160, 70))
+    fingers("touchMove", (100, 70), (180, 70))
+    fingers("touchEnd")
+    assert page.evaluate("zoom") == pytest.approx(2, rel=0.2)
+    context.close()

@@ -1,0 +1,214 @@
+"""The app in a real browser, from dropped photos to a download, with a second tab and a server that is killed.
+
+Skipped where Playwright or Chromium is missing: `pip install playwright`, and Chromium of the system or of
+`playwright install chromium`.
+"""
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+import zipfile
+
+import pytest
+
+from edit3r.io.images import packaged_pair
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, see this file's docstring")
+pytest.importorskip("nicegui", reason='needs the app: pip install "edit3r[app]"')
+PATIENCE = 400_000  # [ms]
+SOFTWARE_GL = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+class Server:
+    """`edit3r app` in a process of its own."""
+
+    def __init__(self, folder):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.folder, self.address = folder, f"http://localhost:{self.port}"
+        self.start()
+
+    def start(self):
+        call = [sys.executable, "-m", "edit3r.cli.main", "app", "--no-browser", "--size", "128"]
+        call += ["--port", str(self.port), "--jobs", str(self.folder)]
+        plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "NICEGUI"))}
+        self.process = subprocess.Popen(call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain)
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        for _ in range(600):
+            with contextlib.suppress(OSError):
+                opener.open(f"{self.address}/static/app.css").close()
+                return
+            assert self.process.poll() is None, "the server ended"
+            time.sleep(0.2)
+
+    def kill(self, kind=signal.SIGTERM):
+        self.process.send_signal(kind)
+        self.process.wait()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    server = Server(tmp_path_factory.mktemp("app") / "jobs")
+    yield server
+    server.kill()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        path = os.environ.get("EDIT3R_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+        try:
+            browser = driver.chromium.launch(executable_path=path, args=SOFTWARE_GL)
+        except playwright.Error as error:
+            pytest.skip(f"no browser: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(browser, server):
+    """A new tab that notes every console error and every request to elsewhere."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    context.set_default_timeout(PATIENCE)
+    problems = []
+
+    def new_tab():
+        page = context.new_page()
+        page.on("console", lambda line: problems.append(line.text) if line.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        ours = (server.address, server.address.replace("http", "ws"), "data:", "blob:")
+        page.on("request", lambda request: None if request.url.startswith(ours) else problems.append(request.url))
+        return page
+
+    new_tab.problems = problems
+    yield new_tab
+    context.close()
+
+
+def go(page, address):
+    page.goto(address, wait_until="domcontentloaded")
+
+
+def upload(page, files):
+    with page.expect_file_chooser() as choosing:
+        page.get_by_text("Choose photos").click()
+    choosing.value.set_files(files)
+
+
+def click_photo(page, view=0, x=0.5, y=0.5):
+    image = page.locator("img.e3-mark").nth(view)
+    before = image.get_attribute("src")
+    place = image.bounding_box()
+    image.click(position={"x": place["width"] * x, "y": place["height"] * y})
+    page.wait_for_function("([one, before]) => one.getAttribute('src') != before", arg=[image.element_handle(), before])
+    shown = page.evaluate("(one) => one.decode().then(() => one.naturalWidth)", image.element_handle())
+    assert shown == 128
+
+
+def wish(page, text):
+    page.get_by_label("what to change").fill(text)
+    page.get_by_text("Go", exact=True).click()
+
+
+def finished(page):
+    page.wait_for_url(lambda url: "at=" in url, wait_until="domcontentloaded")
+    page.locator(".e3-slider img").first.wait_for()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="restarting needs flock")
+def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
+    page = tab()
+    go(page, server.address)
+    upload(page, packaged_pair()[0])
+    page.wait_for_url("**/s/**", wait_until="domcontentloaded")
+    scene_address = page.url
+
+    # a click shows on both photos, and in a second tab
+    other = tab()
+    go(other, scene_address)
+    first = other.locator("img.e3-mark").nth(1).get_attribute("src")
+    click_photo(page)
+    other.wait_for_function(
+        "(before) => document.querySelectorAll('img.e3-mark')[1].getAttribute('src') != before", arg=first
+    )
+    other.close()
+
+    # the edit, through a server that is killed and started again meanwhile
+    wish(page, "paint it <b>blue</b>")
+    page.get_by_text("Cancel").wait_for()
+    for _ in range(300):
+        if list(server.folder.glob(".edit3r-app/*.pid")):
+            break
+        time.sleep(0.1)
+    server.kill(signal.SIGKILL)
+    server.start()
+    tab.problems.clear()  # of the lost connection
+    go(page, scene_address)
+    page.get_by_text("paint it <b>blue</b>").first.wait_for()
+    page.locator(".e3-node").nth(1).click(timeout=PATIENCE)  # enabled when it is done
+    finished(page)
+    run = page.url.partition("at=")[2]
+    assert sorted(path.name for path in server.folder.iterdir() if not path.name.startswith(".")) == [run[:-2], run]
+
+    # the verdict, the slider, the scene in 3D
+    assert page.get_by_text("the scene shows its photos at").count() == 1
+    slider = page.locator(".e3-slider").first
+    slider.locator("input").fill("80")
+    assert slider.evaluate("(one) => one.style.getPropertyValue('--cut')") == "80%"
+    page.locator(".e3-viewer").scroll_into_view_if_needed()
+    viewer = page.frame_locator(".e3-viewer")
+    viewer.locator("canvas").first.wait_for()
+    viewer.locator("canvas").first.evaluate("(one) => new Promise(requestAnimationFrame)")
+    assert page.evaluate("document.querySelector('.e3-viewer').contentDocument") is None, "it has an origin of its own"
+
+    # downloads
+    with page.expect_download() as loading:
+        page.get_by_text("all.zip").click()
+    names = zipfile.ZipFile(loading.value.path()).namelist()
+    assert {f"{run}/scene.ply", f"{run}/viewer.html", f"{run}/run.json"} <= set(names)
+
+    # undo, redo, and everything is there after a reload
+    page.get_by_text("Undo").click()
+    page.wait_for_url(scene_address, wait_until="domcontentloaded")
+    page.get_by_text("Redo").click()
+    page.wait_for_url(lambda url: run in url, wait_until="domcontentloaded")
+    page.reload(wait_until="domcontentloaded")
+    page.locator(".e3-slider img").first.wait_for()
+    go(page, server.address)
+    page.get_by_text("2 photos, 1 edits").wait_for()
+    assert tab.problems == []
+
+
+def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):
+    bad = tmp_path / "<img src=x onerror=alert(1)>.png"
+    bad.write_text("<html><script>alert(1)</script>")
+    (tmp_path / "x.svg").write_text("<svg onload='alert(1)'/>")
+    page = tab()
+    go(page, server.address)
+    before = sorted(path.name for path in server.folder.iterdir())
+    upload(page, [str(bad), str(tmp_path / "x.svg")])
+    page.get_by_text("not a picture that can be read").wait_for()
+    page.get_by_text("x.svg: not a photo by its name").wait_for()
+    assert page.locator("img[src=x]").count() == 0
+    assert sorted(path.name for path in server.folder.iterdir()) == before
+    assert [text for text in tab.problems if "400" not in text] == []
+
+
+@pytest.mark.parametrize(
+    "address", ["/s/..%2F..%2Fetc", "/viewer/..", "/download/x/..%2Frun.json", "/photo/.edit3r-app/0", "/shown/a/b/0"]
+)
+def test_addresses_lead_nowhere_else(server, address):
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    try:
+        answer = opener.open(server.address + address)
+    except urllib.error.HTTPError as error:
+        assert error.code in (400, 404)
+    else:
+        assert b"no photos and no run of that name" in answer.read()

@@ -1,0 +1,184 @@
+"""The queue: one at a time, in order; cancelled, failed and interrupted runs leave a sentence and no half result."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from edit3r_app.jobs import Job, JobsFolder
+from edit3r_app.runner import Progress, Runner, command_of, read_progress, time_left
+
+from edit3r.errors import InputError
+
+QUICK = """
+import pathlib, sys
+out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])
+out.mkdir()
+(out / 'run.json').write_text('{}')
+"""
+SLOW = """
+import pathlib, sys, time
+out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])
+partial = out.with_name(f".{out.name}.partial-00000000")
+partial.mkdir()
+print('{"event": "start", "text": "edit", "done": 0, "total": 0, "at": 1.0}', file=sys.stderr, flush=True)
+time.sleep(60)
+"""
+WRONG = "import sys; print('noise'); print('edit3r: too dark.', file=sys.stderr); sys.exit(2)"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return JobsFolder(tmp_path)
+
+
+def runner_of(folder, program):
+    return Runner(folder, (sys.executable, "-c", program))
+
+
+def queued(folder, scene=None, **job):
+    return folder.new_job(Job("", scene or folder.new_scene("bear"), **job))
+
+
+def wait_until(runner, condition, most=30):
+    end = time.monotonic() + most
+    while time.monotonic() < end:
+        runner.step()
+        if condition():
+            return
+        time.sleep(0.02)
+    raise AssertionError("did not happen")
+
+
+def states(folder):
+    return [job.state for job in folder.jobs()]
+
+
+def test_jobs_run_one_after_the_other(folder):
+    runner, first = runner_of(folder, QUICK), queued(folder)
+    queued(folder, first.scene)
+    seen = set()
+    wait_until(runner, lambda: seen.add(tuple(states(folder))) or states(folder) == ["done", "done"])
+    assert ("running", "running") not in seen
+    wait_until(runner, lambda: not list(folder.private.glob("*.pid")))
+    runner.stop()
+
+
+def test_a_run_that_fails_tells_its_own_sentence(folder):
+    runner, job = runner_of(folder, WRONG), queued(folder)
+    wait_until(runner, lambda: states(folder) == ["failed"])
+    assert folder.job(job.name).sentence == "too dark."
+    runner.stop()
+
+
+def begun(folder, job):
+    return lambda: read_progress(folder.log(job.name)).stage == "edit"
+
+
+def test_a_cancelled_run_ends_and_leaves_nothing_half_written(folder):
+    runner, job = runner_of(folder, SLOW), queued(folder)
+    wait_until(runner, begun(folder, job))
+    pid = folder.job(job.name).pid
+    runner.cancel(job.name)
+    assert states(folder) == ["cancelled"] and not list(folder.root.glob(".*partial*"))
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    runner.stop()
+
+
+def test_a_waiting_job_can_be_cancelled(folder):
+    runner, job = runner_of(folder, QUICK), queued(folder)
+    runner.cancel(job.name)
+    runner.step()
+    assert states(folder) == ["cancelled"] and not (folder.root / job.name).exists()
+    runner.stop()
+
+
+def test_a_server_that_is_stopped_queues_its_run_again(folder):
+    runner, job = runner_of(folder, SLOW), queued(folder)
+    wait_until(runner, begun(folder, job))
+    runner.stop()
+    assert states(folder) == ["queued"] and not list(folder.root.glob(".*partial*"))
+    again = runner_of(folder, QUICK)
+    wait_until(again, lambda: states(folder) == ["done"])
+    again.stop()
+
+
+KILLED = """
+import sys, time
+from edit3r_app.jobs import JobsFolder
+from edit3r_app.runner import Runner
+runner = Runner(JobsFolder(sys.argv[1]), (sys.executable, "-c", sys.argv[2]))
+runner.step()
+print("begun", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files have no locks (flock) on Windows")
+def test_a_server_that_was_killed_finds_its_child_still_running(folder):
+    job = queued(folder)
+    slow_but_good = f"import time; time.sleep(3)\n{QUICK}"
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder.root), slow_but_good], stdout=subprocess.PIPE
+    ) as server:
+        assert server.stdout.readline() == b"begun\n"
+        server.send_signal(signal.SIGKILL)
+    again = runner_of(folder, WRONG)  # were it started again, it would fail
+    again.step()
+    assert states(folder) == ["running"]
+    wait_until(again, lambda: not list(folder.private.glob("*.pid")))
+    assert folder.job(job.name).state == "done"
+    again.stop()
+
+
+def test_two_servers_do_not_share_a_folder(folder):
+    runner = runner_of(folder, QUICK)
+    with pytest.raises(InputError, match="another `edit3r app`"):
+        runner_of(folder, QUICK)
+    runner.stop()
+    runner_of(folder, QUICK).stop()
+
+
+def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
+    scene = folder.new_scene("bear")
+    photo = folder.path(scene) / "images" / "a.png"
+    photo.write_bytes(b"")
+    command = command_of(folder, queued(folder, scene, settings={"prompt": "gold"}, masks=2, size=96))
+    assert str(photo) in command and "--from" not in command
+    assert [path.rpartition("/")[2] for path in command[command.index("--mask") + 1 :]] == ["000.png", "001.png"]
+    settings = command[command.index("--config") + 1]
+    assert Path(settings).read_text() == "prompt: gold\nsize: 96\n"
+    command = command_of(folder, queued(folder, scene, parent=scene))
+    assert command[command.index("--from") + 1] == str(folder.path(scene)) and str(photo) not in command
+
+
+def test_progress_is_read_from_the_log(tmp_path):
+    events = [
+        ("start", "edit", 0, 0, 1.0),
+        ("end", "edit", 0, 0, 3.5),
+        ("warn", "dark", 0, 0, 3.6),
+        ("start", "render", 0, 0, 4.0),
+    ]
+    lines = [json.dumps(dict(zip(("event", "text", "done", "total", "at"), event))) for event in events]
+    (tmp_path / "log").write_text(
+        "\n".join([*lines, "no json", "[3]", '{"event": "progress", "text": "x", "done": 1, "total": 4}'])
+    )
+    assert read_progress(tmp_path / "log") == Progress([("edit", 2.5)], "render", 0.25, 4.0, ["dark"])
+    assert read_progress(tmp_path / "none") == Progress()
+
+
+def test_the_time_left_is_that_of_the_newest_run_of_the_same_components(folder):
+    settings = {"editor": {"name": "recolor"}}
+    run = queued(folder, settings=settings)
+    (folder.root / run.name).mkdir()
+    stages = [{"name": "edit", "seconds": 4.0}, {"name": "render", "seconds": 10.0}]
+    (folder.root / run.name / "run.json").write_text(json.dumps({"stages": stages}))
+    job = queued(folder, settings=settings)
+    assert time_left(folder, job, Progress(stage="edit", since=100.0), now=101.0) == 13.0
+    assert time_left(folder, job, Progress([("edit", 9.0)], "render", since=100.0), now=120.0) == 0.0
+    assert time_left(folder, queued(folder, settings={"editor": {"name": "none"}}), Progress(), now=0.0) is None

@@ -1,0 +1,94 @@
+"""What is taken away shows what another view sees behind it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_editors.retouch import RetouchEditor
+
+import edit3r
+from edit3r.errors import MatchingError, PromptError
+from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.reporting import Report, collecting
+from edit3r.run_config import RunConfig
+from edit3r.types import EditRequest, Views
+
+SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
+"""A striped wall, a board before it, and a second camera that stands to the right of the first."""
+
+
+def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
+    """Two views of wall and board, the same without the board, where the board is, and the true geometry."""
+    k = intrinsics_from_fov(1.0, (SIZE, SIZE))
+    column = (torch.arange(SIZE) + 0.5) / SIZE
+    images, empty, masks, depths = [], [], [], []
+    for view in range(2):
+        x = WALL * (column - k[0, 2]) / k[0, 0] + STEP * view  # of the wall's points
+        wall = torch.stack([0.5 + 0.4 * torch.sin(speed * x) for speed in (3.0, 5.0, 7.0)])
+        board = (BOARD * (column - k[0, 2]) / k[0, 0] + STEP * view).abs() < 0.1
+        picture = torch.where(board, torch.tensor([[1.0], [0.0], [0.0]]), wall)
+        grid = (SIZE, SIZE)
+        images.append(picture[:, None].expand(3, *grid))
+        empty.append(wall[:, None].expand(3, *grid))
+        masks.append(board.float().expand(grid))
+        depths.append(torch.where(board, BOARD, WALL).expand(grid))
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = STEP
+    depths = torch.stack(depths)[None]
+    geometry = MatchedGeometry(c2w, depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool))
+    views = Views(torch.stack(images)[None], k.expand(1, 2, 3, 3), ("left", "right"))
+    return views, torch.stack(empty), torch.stack(masks)[None], geometry
+
+
+class _Known(Matcher):
+    def __init__(self, geometry: MatchedGeometry | None) -> None:
+        self.geometry = geometry
+
+    def match(self, views: Views) -> MatchedGeometry:
+        if self.geometry is None:
+            raise MatchingError("too few matches.")
+        return self.geometry
+
+
+def _retouched(geometry: MatchedGeometry | None, views: Views, masks: torch.Tensor) -> tuple[torch.Tensor, Report]:
+    editor = RetouchEditor(RetouchEditor.Settings(), _Known(geometry))
+    with collecting(Report()) as report:
+        return editor.edit(views, EditRequest("", 0, masks)).images[0], report
+
+
+def _error(image: torch.Tensor, truth: torch.Tensor, masks: torch.Tensor) -> float:
+    return float((image - truth).abs().mean(1)[masks[0] > 0].mean())
+
+
+def test_the_hole_shows_what_the_other_view_sees_and_not_what_surrounds_it():
+    views, truth, masks, geometry = _scene()
+    carried, report = _retouched(geometry, views, masks)
+    alone, _ = _retouched(None, views, masks)
+    assert _error(carried, truth, masks) < 0.02 < 0.05 < _error(alone, truth, masks)
+    assert min(report.notes["retouch.seen_by_other_photos"]) > 0.8
+
+
+def test_what_no_other_view_sees_is_invented_and_said():
+    views, _, masks, geometry = _scene()
+    apart = replace(geometry, registered=torch.tensor([[True, False]]))
+    image, report = _retouched(apart, views, masks)
+    assert report.notes["retouch.seen_by_other_photos"] == [0, 0] and "invented" in report.warnings[0]
+    assert torch.isfinite(image).all() and (image != views.images[0]).any(1)[masks[0] > 0].float().mean() > 0.9
+
+
+def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
+    seen = []
+
+    class Spy(edit3r.interfaces.Reconstructor):
+        def __call__(self, views, source=None, request=None):
+            seen.append(source)
+            raise MatchingError("enough.")
+
+    views, truth, masks, geometry = _scene()
+    parts = {"editor": RetouchEditor(RetouchEditor.Settings(), _Known(geometry)), "reconstructor": Spy()}
+    with pytest.raises(MatchingError):
+        edit3r.pipeline.run(views, RunConfig(), masks=masks, components=parts)
+    assert _error(seen[0].images[0], truth, masks) < 0.02
+    with pytest.raises(PromptError, match="changes what is masked, and nothing is"):
+        edit3r.pipeline.run(views, RunConfig(), components=parts)
