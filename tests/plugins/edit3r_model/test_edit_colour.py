@@ -118,6 +118,7 @@ CONTRARY = _edited(_warmer, lambda image: 1 - image)
 def test_a_view_with_a_contrary_edit_gives_way_on_the_object_alone():
     inside, away = _conflict(CONTRARY)
     assert inside > 0.95 and away == 0
+    assert _conflict(_edited(lambda image: image, _warmer))[0] > 0.95  # the reference kept what the view changed
     assert _conflict(_edited(_warmer, _warmer)) == (0, 0)
 
 
