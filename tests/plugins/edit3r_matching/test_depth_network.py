@@ -10,7 +10,6 @@ from edit3r_matching.depth_network import (
     DepthNetwork,
     cell_costs,
     cell_grids,
-    certainty,
     load_depth_network,
     log_probabilities,
     plane_log_probabilities,
@@ -93,11 +92,6 @@ def test_pixels_get_the_answer_of_their_cells(learnt):
     assert np.allclose(centre, cells[:, 4, 6], atol=0.2 * np.ptp(cells[:, 4, 6]))
 
 
-def test_certainty_is_the_probability_near_the_depth():
-    logs = np.log(np.array([[[0.1, 0.2, 0.3, 0.2, 0.1, 0.1]]], np.float32))
-    assert np.allclose(certainty(logs, np.array([[4.5]])), 0.4)
-
-
 def test_grids_are_where_the_cells_appear():
     reference, other = image(0), image(1)
     pose = Pose(SIDEWAYS.rotation, np.array([-0.5, 0.2, 0.1]))
@@ -142,7 +136,9 @@ def job(tmp_path):
 
 
 def trainer(**settings) -> DepthTrainer:
-    return build("trainer", "depth-network", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings})
+    return build(
+        "trainer", "depth-network", **{"warmup": 1, "log_every": 1, "held_out": 2, "planes": (12, 16), **settings}
+    )
 
 
 def test_training_lowers_the_loss_and_leaves_weights_that_load(job):
