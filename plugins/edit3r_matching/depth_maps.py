@@ -23,8 +23,6 @@ __all__ = ["DepthSettings", "chosen_network", "inverse_depth_range", "measure_de
 
 PRIOR = 0.1
 """What the network's -log probability of a plane adds to its matching cost."""
-TRUSTED = 0.3
-"""Probability around a depth from which on it is kept although no other view confirms it."""
 
 
 class DepthSettings(config.Settings):
@@ -113,17 +111,14 @@ def sweep_depth(
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
     cost = matching_cost(reference, neighbours, inverse_depths)
     total = aggregate(cost, reference.grey)
-    first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
-    trusted = None
-    if network is None:
-        position = best_plane(total)
-    else:
-        from edit3r_matching.depth_network import certainty, log_probabilities
+    if network is not None:
+        from edit3r_matching.depth_network import log_probabilities
 
         logs = log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
-        position = best_plane(aggregate(cost - PRIOR * logs, reference.grey))
-        trusted = certainty(logs, position) > TRUSTED
-    return RawDepth((first + position * step).astype(np.float32), first, step, trusted)
+        total = aggregate(cost - PRIOR * logs, reference.grey)
+    position = best_plane(total)
+    first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
+    return RawDepth((first + position * step).astype(np.float32), first, step)
 
 
 def _measured(
@@ -143,8 +138,7 @@ def _completed(
 ) -> Float[np.ndarray, "height width"]:
     """Inverse depth everywhere: spread what was measured, then push back what would hide a neighbour's surface."""
     own, sure = raw[view], measured[view]
-    kept = sure if own.trusted is None else sure | own.trusted
-    inverse = fill(own.inverse, kept, own.step, image.pixels)
+    inverse = fill(own.inverse, sure, own.step, image.pixels)
     for other, neighbour in around.items():
-        inverse = push_back(inverse, kept, own, image, neighbour, raw[other], measured[other])
-    return np.where(kept, inverse, cv2.medianBlur(inverse, 5))
+        inverse = push_back(inverse, sure, own, image, neighbour, raw[other], measured[other])
+    return np.where(sure, inverse, cv2.medianBlur(inverse, 5))

@@ -29,8 +29,6 @@ CLASSICAL = 3
 """Volumes of classical costs: mean and least matching cost of a cell, aggregated cost."""
 LEAST = -12.0
 """Log-probability below which planes do not differ."""
-AROUND = 2.0
-"""Planes within which two depths are one."""
 SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
 
 
@@ -214,15 +212,6 @@ def log_probabilities(
     for plane, values in enumerate(np.maximum(cells, LEAST)):
         logs[:, :, plane] = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
     return logs
-
-
-def certainty(
-    logs: Float[np.ndarray, "height width plane"], position: Float[np.ndarray, "height width"]
-) -> Float[np.ndarray, "height width"]:
-    """Probability that the depth is within AROUND planes of `position`."""
-    probabilities = np.exp(logs)
-    near = np.abs(np.arange(logs.shape[2], dtype=np.float32) - position[..., None]) <= AROUND
-    return (probabilities * near).sum(2) / probabilities.sum(2)
 
 
 def _padded_image(image: CalibratedImage) -> Float[Tensor, "1 3 height width"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from edit3r.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
@@ -38,7 +38,6 @@ class RawDepth:
     inverse: Float[np.ndarray, "height width"]  # 1 / camera z, float32
     farthest: float  # inverse depth of the farthest plane of the sweep
     step: float  # inverse depth between two planes
-    trusted: Bool[np.ndarray, "height width"] | None = None  # where a network thinks it is right; None: not asked
 
 
 def plane_inverse_depths(

@@ -10,7 +10,6 @@ from edit3r_matching.depth_network import (
     DepthNetwork,
     cell_costs,
     cell_grids,
-    certainty,
     load_depth_network,
     log_probabilities,
     plane_log_probabilities,
@@ -91,11 +90,6 @@ def test_pixels_get_the_answer_of_their_cells(learnt):
     centre = logs[17:19, 25:27].mean((0, 1))  # around the centre of cell (4, 6)
     assert logs.shape == cost.shape
     assert np.allclose(centre, cells[:, 4, 6], atol=0.2 * np.ptp(cells[:, 4, 6]))
-
-
-def test_certainty_is_the_probability_near_the_depth():
-    logs = np.log(np.array([[[0.1, 0.2, 0.3, 0.2, 0.1, 0.1]]], np.float32))
-    assert np.allclose(certainty(logs, np.array([[4.5]])), 0.4)
 
 
 def test_grids_are_where_the_cells_appear():
