@@ -149,14 +149,17 @@ class _Loop:
         """All steps that are left, with their validations and checkpoints."""
         try:
             self._run()
-            stopped = self.processes.any(self.stop.asked) and self.state.step < self.settings.steps
+            if self.processes.any(self.stop.asked) and self.state.step < self.settings.steps:
+                self._tell_stopped()
         except KeyboardInterrupt:
             self._save()
-            stopped = True
-        if stopped:
-            reporting.warn(f"training stopped at step {self.state.step}; continue with --resume.")
-        if stopped and self.stop.interrupted:
+            self._tell_stopped()
+            raise
+        if self.stop.interrupted:
             raise KeyboardInterrupt
+
+    def _tell_stopped(self) -> None:
+        reporting.warn(f"training stopped at step {self.state.step}; continue with --resume.")
 
     def _run(self) -> None:
         chosen, state, stopped = self.settings, self.state, False

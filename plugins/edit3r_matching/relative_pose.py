@@ -96,16 +96,18 @@ def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
         compute_relative_pose=True, detect_watermark=False, min_num_inliers=MIN_INLIERS
     )
     options.ransac.max_error, options.ransac.random_seed = threshold, seed
-    points = (np.ascontiguousarray(focal * rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
+    first, second = (np.ascontiguousarray(focal * rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
     same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
-    first, second = points
-    found = pycolmap.estimate_calibrated_two_view_geometry(camera, first, camera, second, same, options)
-    if found.cam2_from_cam1 is None:
-        return None
-    matrix = found.cam2_from_cam1.matrix()
-    length = np.linalg.norm(matrix[:, 3])
+    geometry = pycolmap.estimate_calibrated_two_view_geometry(camera, first, camera, second, same, options)
+    # Where the lens is not quite what it is said to be, the first explains the matches without it, and gives no pose.
+    essential = pycolmap.estimate_essential_matrix(first, second, camera, camera, options.ransac)
+    found = (geometry.cam2_from_cam1, essential and essential["cam2_from_cam1"])
+    matrices = [motion.matrix() for motion in found if motion is not None]
+    lengths = [np.linalg.norm(matrix[:, 3]) for matrix in matrices]
     # Without a translation there are no epipolar lines.
-    return refine(matches, Pose(matrix[:, :3], matrix[:, 3] / length), threshold) if length > 1e-9 else None
+    poses = [Pose(m[:, :3], m[:, 3] / length) for m, length in zip(matrices, lengths) if length > 1e-9]
+    refined = [refine(matches, pose, threshold) for pose in poses]
+    return max(refined, key=lambda pose: signed_support(matches, pose, threshold), default=None)
 
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
