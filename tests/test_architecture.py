@@ -24,7 +24,7 @@ MOST_LINES = 40_500  # the aim is 28,000
 MOST_IMPORTS_BETWEEN_PLUGINS = 12
 LONGEST_FUNCTION = 60  # lines, with signature and docstring
 MOST_PARAMETERS = 8
-MOST_FILES_OF_A_RUN = 90  # 15 of them plugins that say what they offer; the aim is 70
+MOST_FILES_OF_A_RUN = 100  # 15 of them plugins that say what they offer; the aim is 70
 
 LONG_FUNCTIONS: set[str] = set()
 """Functions that may be longer, as 'module.function', each with a reason beside it."""

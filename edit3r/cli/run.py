@@ -122,7 +122,8 @@ def _masks_or_marks(
     if files and len(files) == len(photos.photos):
         return load_masks(files, photos)
     marked = selection_from(args, photos)
-    if marked is None and not args.images and not args.earlier and DEFAULTS["subject"] in config.prompt.lower():
+    usual = not args.images and not args.earlier and config.editor.name == DEFAULTS["editor"]
+    if marked is None and usual and DEFAULTS["subject"] in config.prompt.lower():
         note("selection.mask", "the packaged pair brings a mask of its " + DEFAULTS["subject"])
         own = Path(__file__).parents[1] / "io" / "motorcycle_mask.png"
         return Selection(masks={0: read_mask(own, photos.photos[0].frame)})

@@ -36,6 +36,8 @@ __all__ = [
 ]
 
 MIN_INLIERS = 12
+LEAST_SHARE = 0.3
+"""Share of the matches that must agree on a motion which the estimate without the lens does not show."""
 _REFINEMENT_ROUNDS = 3
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
 _NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
@@ -99,10 +101,13 @@ def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
     first, second = (np.ascontiguousarray(focal * rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
     same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
     geometry = pycolmap.estimate_calibrated_two_view_geometry(camera, first, camera, second, same, options)
-    # Where the lens is not quite what it is said to be, the first explains the matches without it, and gives no pose.
+    if geometry.cam2_from_cam1 is None:
+        return None
+    # Where the lens is not quite what it is said to be, that explains the matches without it, and its pose is wrong.
     essential = pycolmap.estimate_essential_matrix(first, second, camera, camera, options.ransac)
-    found = (geometry.cam2_from_cam1, essential and essential["cam2_from_cam1"])
-    matrices = [motion.matrix() for motion in found if motion is not None]
+    agree = essential is not None and essential["num_inliers"] >= LEAST_SHARE * len(matches)
+    found = (geometry.cam2_from_cam1, essential["cam2_from_cam1"] if agree else None)
+    matrices = [motion.matrix() for motion in found if motion]
     lengths = [np.linalg.norm(matrix[:, 3]) for matrix in matrices]
     # Without a translation there are no epipolar lines.
     poses = [Pose(m[:, :3], m[:, 3] / length) for m, length in zip(matrices, lengths) if length > 1e-9]

@@ -85,7 +85,7 @@ def opened(path):
     if meta["before"]:
         arrays["before"] = meta["colourLow"] + meta["colourStep"] * ((planes[17:20] + summed[6:9]) % 256).T
     harmonics = planes[17 + 3 * meta["before"] :].astype("u1").view("i1") * meta["harmonicsStep"]
-    arrays["harmonics"] = harmonics.T.reshape(n, -1, 3)
+    arrays["harmonics"] = harmonics.T.reshape(n, len(harmonics) // 3, 3)
     return meta, arrays
 
 
