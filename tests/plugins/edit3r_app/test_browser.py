@@ -150,9 +150,9 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
         time.sleep(0.1)
     server.kill(signal.SIGKILL)
     server.start()
-    tab.problems.clear()  # of the lost connection
     go(page, scene_address)
     page.get_by_text("paint it blue").first.wait_for()
+    tab.problems.clear()  # of the lost connection
     page.locator(".e3-node").nth(1).click(timeout=PATIENCE)  # enabled when it is done
     finished(page)
     run = page.url.partition("at=")[2]
@@ -176,9 +176,9 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     assert {f"{run}/scene.ply", f"{run}/viewer.html", f"{run}/run.json"} <= set(names)
 
     # undo, redo, and everything is there after a reload
-    page.get_by_text("Undo").click()
+    page.get_by_role("button", name="Undo").click()
     page.wait_for_url(scene_address, wait_until="domcontentloaded")
-    page.get_by_text("Redo").click()
+    page.get_by_role("button", name="Redo").click()
     page.wait_for_url(lambda url: run in url, wait_until="domcontentloaded")
     page.reload(wait_until="domcontentloaded")
     page.locator(".e3-slider img").first.wait_for()
