@@ -126,9 +126,9 @@ def run(
         scene = scene if before is None else replace(scene, cameras=before.cameras)
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
-        request = _with_before(request, before, parts, source.select(used), report, earlier)
+        request = replace(request, before=None if before is None else before.gaussians)
         shown = edited.select([0]) if config.edit_views == "first" else edited  # others would pull the edit out
-        gaussians = _refine(scene, parts, shown, request, report)
+        gaussians = _refine(scene, parts, shown, request, earlier is not None, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
     return RunResult(
@@ -148,21 +148,6 @@ def run(
         prompts=(*(earlier.prompts if earlier is not None else ()), config.prompt),
         left_out=source.select(lost) if lost else None,
     )
-
-
-def _with_before(
-    request: EditRequest,
-    before: Reconstruction | None,
-    parts: "_Components",
-    source: Views,
-    report: Report,
-    earlier: EarlierRun | None,
-) -> EditRequest:
-    """The request with the scene as it was before the edit, refined as the edited one is; an earlier run's has been."""
-    if before is None:
-        return request
-    kept = before.gaussians if earlier is not None else _refine(before, parts, source, request, report)
-    return replace(request, before=kept)
 
 
 class _Components:
@@ -360,15 +345,23 @@ def _scene_before(
     return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
 
 
-def _refine(scene: Reconstruction, parts: _Components, shown: Views, request: EditRequest, report: Report) -> Gaussians:
-    """Apply the refiners in order; one that needs the scene before the edit is left out where there is none."""
+def _refine(
+    scene: Reconstruction, parts: _Components, shown: Views, request: EditRequest, again: bool, report: Report
+) -> Gaussians:
+    """Apply the refiners in order; one that needs the scene before the edit is left out where there is none.
+
+    Editing `again`, that scene is an earlier run's and has been refined. In a first run it has not: refiners that need
+    it then come first, where both scenes have one Gaussian a pixel and fit without gaps, and the others refine all.
+    """
     gaussians = scene.gaussians
-    for refiner in parts.refiners:
+    for refiner in parts.refiners if again else sorted(parts.refiners, key=lambda one: not one.needs_before):
         if refiner.needs_before and request.before is None:
             continue
         with report.stage(component_name(refiner)), errors_named_after(refiner):
             gaussians = refiner(gaussians, scene.cameras, shown, request, parts.rasterizer)
         check_refinement(refiner, scene.gaussians, gaussians)
+        if refiner.needs_before and not again:
+            request = replace(request, before=None)
     return gaussians
 
 

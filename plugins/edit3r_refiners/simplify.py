@@ -45,9 +45,10 @@ class SimplifyRefiner(Refiner):
     ) -> Gaussians:
         """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
 
-        Where only a part of the scene is edited, that part stays fine, so that it can be exchanged up to its border.
+        A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its border.
         """
-        fine = request.masks[0] > 0 if request.masks is not None and not bool((request.masks > 0).all()) else None
+        exchanged = request.before is not None and request.masks is not None and not bool((request.masks > 0).all())
+        fine = request.masks[0] > 0 if exchanged else None
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
             gaussians = simplify(gaussians, cameras, rasterizer, most, self.settings, fine).gaussians
             fine = None

@@ -37,8 +37,8 @@ def render(rasterizer, gaussians, cameras):
 
 def test_with_masks_pixels_outside_render_as_the_unedited_photos_do(planted, rasterizer, edit):
     masks = planted.masks[0]
-    plain = edit(masks=masks, editor="none").gaussians
-    result = edit(masks=masks)
+    plain = edit(masks=masks, editor="none", gaussians="all", refine=0).gaussians
+    result = edit(masks=masks, gaussians="all", refine=0)
     outside = masks[0] == 0
     change = render(rasterizer, result.gaussians, result.cameras) - render(rasterizer, plain, result.cameras)
     change = change.abs().amax(1)
