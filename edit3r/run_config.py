@@ -10,6 +10,12 @@ from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
 from edit3r.quality import with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
+
+FORMATS = {
+    **{"spz": ".spz", "sog": ".sog", "splat": ".splat", "compressed-ply": ".compressed.ply", "glb": ".glb"},
+    "ply": ".ply",
+}
+"""Formats that a scene is exported in, and the suffix of each one's files."""
 MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
@@ -77,8 +83,6 @@ class RunConfig(Settings):
         value = [name.strip() for name in value.split(",") if name.strip()] if isinstance(value, str) else value
         if info.field_name == "outputs":
             return OUTPUTS if value == ["all"] else value
-        from edit3r.io.export import FORMATS
-
         if not isinstance(value, list | tuple) or not all(name in FORMATS for name in value):
             raise ValueError(f"expected some of {','.join(FORMATS)}")
         return value

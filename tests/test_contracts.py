@@ -29,7 +29,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
 """What makes a component quick enough for a test; its default settings otherwise."""
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
-    ("editor", "recolor"): {"prompt": "make it red"},
+    ("editor", "recolor"): {"prompt": "make everything red"},
     ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
 }
 """What its contract needs to know."""
@@ -55,6 +55,7 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
     ("trainer", "geometry"): "trains the network of matcher 'network' only",
+    ("trainer", "depth-network"): "trains the depth network of matcher 'classical' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""
 

@@ -19,15 +19,10 @@ from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
 from edit3r.io.ply import SMALLEST_SCALE, VIEWER_DEGREE, load_ply, save_ply
+from edit3r.run_config import FORMATS
 from edit3r.types import Gaussians
 
 __all__ = ["FORMATS", "export_scene", "load_scene"]
-
-FORMATS = {
-    **{"spz": ".spz", "sog": ".sog", "splat": ".splat", "compressed-ply": ".compressed.ply", "glb": ".glb"},
-    "ply": ".ply",
-}
-"""The suffix of each format's files."""
 
 LONGEST = 600  # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 _CONVERT = """

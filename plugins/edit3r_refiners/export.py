@@ -10,7 +10,7 @@ class ExportCommand(Command):
     """Write a scene in a format of other programs; a file of such a format can be read as well."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        from edit3r.io.export import FORMATS
+        from edit3r.run_config import FORMATS
 
         add = parser.add_argument
         add("scene", metavar="SCENE", help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat")
