@@ -21,6 +21,7 @@ import torch
 from edit3r.io.images import load_views, packaged_pair
 from edit3r.pipeline import run
 from edit3r.run_config import RunConfig
+from edit3r.selection import Selection
 
 def digest(*tensors):
     return hashlib.sha256(b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)).hexdigest()[:16]
@@ -28,7 +29,7 @@ def digest(*tensors):
 torch.set_num_threads(int(sys.argv[1]))
 photos, cameras = packaged_pair()
 views = load_views(photos, cameras=cameras, size=int(sys.argv[2]))
-result = run(views, RunConfig(prompt="paint the motorcycle blue"))
+result = run(views, RunConfig(prompt="paint it blue"), masks=Selection(positive=((0, 0.5, 0.55),)))
 gaussians = result.gaussians
 fields = ("means", "scales", "quats", "opacities", "harmonics")
 print(json.dumps({
