@@ -1,11 +1,14 @@
-"""Network layers whose answers do not depend on the number of threads."""
+"""Layers of networks, and sums, whose answers do not depend on the number of threads."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-__all__ = ["Conv2d", "GroupNorm"]
+__all__ = ["Conv2d", "GroupNorm", "one_thread"]
 
 SMALL = 1 << 16  # values; ATen has 20480
 
@@ -38,3 +41,14 @@ class Conv2d(nn.Conv2d):
         single = len(x) == 1 and x.numel() <= SMALL
         twice = torch.cat((x, x)) if single else x
         return F.conv2d(twice, weight, bias, self.stride, self.padding, dilation, self.groups)[: len(x)]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread of torch inside, also as a decorator: sums by index otherwise differ from run to run."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer, Refiner
+from edit3r.layers import one_thread
 from edit3r.reporting import note, progress
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
@@ -56,6 +57,7 @@ class Refined:
         return {"steps": self.steps, "db_gained_on_held_back_pixels": held_back, "db_gained_on_others": fitted}
 
 
+@one_thread()
 def refine(
     gaussians: Gaussians,
     cameras: Cameras,

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 from edit3r.errors import InputError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import Rasterizer, Refiner
+from edit3r.layers import one_thread
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.importance import drop_unneeded_harmonics, first_focal, viewpoints, visible_weight
@@ -68,6 +69,7 @@ class Simplified:
 
 
 @torch.no_grad()
+@one_thread()
 def simplify(
     gaussians: Gaussians,
     cameras: Cameras,
