@@ -58,7 +58,5 @@ def free_port(host: str, wish: int | None) -> int:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
             return probe.getsockname()[1]
-    raise InputError(
     asked = f"--host {host}" if wish is None else f"--host {host} --port {wish}"
     raise InputError(f"{asked}: cannot be listened on; is another program there? Try another port.")
-    )
