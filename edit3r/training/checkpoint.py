@@ -104,7 +104,10 @@ def load_weights(network: nn.Module, path: str | Path) -> None:
     if not file.is_file():
         raise InputError(f"{path}: no such weights; give a .safetensors file, or the folder best of a training.")
     try:
-        network.load_state_dict(safetensors.torch.load_file(file))
+        weights = safetensors.torch.load_file(file)
+        if not all(bool(tensor.isfinite().all()) for tensor in weights.values()):
+            raise RuntimeError("it holds values that are not finite")
+        network.load_state_dict(weights)
     except (safetensors.SafetensorError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(f"{file}: not weights of this network ({reason}).") from None
