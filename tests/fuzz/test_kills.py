@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from edit3r_measure.runner import run_resumable
 
 from edit3r.cli.main import main
 from edit3r.io import atomic
 from edit3r.io.images import packaged_pair
 from edit3r.testing.training import tiny_job
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
+from edit3r.workers import run_resumable
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 

@@ -4,9 +4,9 @@ import math
 import os
 
 import pytest
-from edit3r_measure.runner import Workers, append_row, read_rows, repair, run_resumable
 
 from edit3r.errors import InputError, RunError
+from edit3r.workers import Workers, append_row, read_rows, repair, run_resumable
 
 JOBS = {"a": {"value": 1}, "b": {"value": 2}, "c": {"value": 3}}
 

@@ -21,7 +21,6 @@ from pydantic_core import to_json
 
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
-from edit3r_measure.report import write_text
 
 __all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable"]
 
@@ -82,7 +81,8 @@ def run_resumable(
         on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
     ordered = {key: found[key] for key in jobs if key in found}
     if found:
-        write_text(path, "".join(map(_line, {**ordered, **found}.values())))
+        with atomic_write(path) as partial:
+            partial.write_text("".join(map(_line, {**ordered, **found}.values())), encoding="utf-8")
     return ordered
 
 
