@@ -8,12 +8,15 @@ import json
 import math
 import multiprocessing
 import os
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import takewhile
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +25,7 @@ from pydantic_core import to_json
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
 
-__all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable"]
+__all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable", "write_rows"]
 
 Row = Mapping[str, Any]
 Function = Callable[[Any], Row]
@@ -37,6 +40,7 @@ class Workers:
     count: int = 1  # 1: this process does them itself, unless they are spread with Ray
     spread: Literal["processes", "ray"] = "processes"
     threads: int | None = None  # of torch in each worker, which decide the order of sums; None: as they are
+    may_die: bool = False  # a worker that dies leaves its job a failure, and another takes its place; else all ends
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ def run_resumable(
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once and when read back.
     `function` is pickled to each worker once, so an object may keep what it built at its first call. An error of a type
     in `failures` becomes the row `{"failure": sentence}`; any other error ends the run and keeps the rows made so far.
+    So does the death of a worker (`Workers.may_die`), which a job can cause that takes all memory.
     A single worker starts no job after `seconds` of wall time; jobs that did not start are missing in the answer. At
     the end the file holds these rows in order, then rows of other keys, however the work was spread and interrupted.
     """
@@ -75,14 +80,14 @@ def run_resumable(
     already, start = len(jobs) - len(left), time.monotonic()
     end = math.inf if seconds is None else start + seconds
     todo = takewhile(lambda _: time.monotonic() <= end, left.items())
-    for count, (key, row) in enumerate(_spread(_Task(function, failures, workers.threads), todo, workers), start=1):
-        found[key] = append_row(path, {key_name: key, **row})
-        rate = (time.monotonic() - start) / count
-        on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
+    with closing(_spread(_Task(function, failures, workers.threads), todo, workers)) as rows:
+        for count, (key, row) in enumerate(rows, start=1):
+            found[key] = append_row(path, {key_name: key, **row})
+            rate = (time.monotonic() - start) / count
+            on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
     ordered = {key: found[key] for key in jobs if key in found}
     if found:
-        with atomic_write(path) as partial:
-            partial.write_text("".join(map(_line, {**ordered, **found}.values())), encoding="utf-8")
+        write_rows(path, {**ordered, **found}.values())
     return ordered
 
 
@@ -109,6 +114,12 @@ def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
         except (ValueError, TypeError, KeyError):
             raise InputError(f"{path}, line {number}: not a result; delete the line to measure it anew.") from None
     return found
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Replace the file by these rows."""
+    with atomic_write(path) as partial:
+        partial.write_text("".join(map(_line, rows)), encoding="utf-8")
 
 
 def repair(path: Path) -> None:
@@ -146,59 +157,156 @@ class _Task:
 
 
 def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
-    """Yield keys and rows in any order."""
-    if workers.spread == "ray":
-        return _on_ray(task, list(jobs), workers)
-    return map(task.do, jobs) if workers.count == 1 else _in_processes(task, jobs, workers.count)
-
-
-_task: _Task | None = None  # of this worker process; set once, so that what its function has built stays
-
-
-def _set_task(task: _Task) -> None:
-    global _task
-    _task = task
-
-
-def _call_task(job: KeyedJob) -> KeyedRow:
-    return _task.do(job)
-
-
-def _in_processes(task: _Task, jobs: Iterator[KeyedJob], count: int) -> Iterator[KeyedRow]:
-    """Yield rows from new processes of this machine; forking one that has used torch's threads can hang."""
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
-    try:
-        for future in as_completed([pool.submit(_call_task, job) for job in jobs]):
-            yield future.result()
-    except BrokenProcessPool:
-        raise RunError(
-            "a worker process died (out of memory, or it could not start); what is done is kept: run again, with fewer "
-            "--workers if memory is short."
-        ) from None
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _on_ray(task: _Task, jobs: list[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
-    """Yield rows from the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        import ray
-        from ray.util import ActorPool
-    except ImportError:
-        raise MissingDependencyError('--ray needs Ray; install with: pip install "edit3r[ray]"') from None
-    if not jobs:
+    """Yield keys and rows in any order, each worker with one job at a time."""
+    if workers.spread == "processes" and workers.count == 1 and not workers.may_die:
+        yield from map(task.do, jobs)
         return
-    started = not ray.is_initialized()
-    if started:
-        address = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers.count, "include_dashboard": False}
-        ray.init(log_to_driver=False, **address)
+    crew = (_OnRay if workers.spread == "ray" else _InProcesses)(task, workers)
+    idle, busy = [], {}
     try:
-        actor = ray.remote(num_cpus=workers.threads or 1)(_Task)
-        own = (task.function, task.failures, task.threads)
-        pool = ActorPool([actor.remote(*own) for _ in jobs[: workers.count]])
-        yield from pool.map_unordered(lambda worker, job: worker.do.remote(job), jobs)
+        while True:
+            while len(busy) < workers.count and (job := next(jobs, None)) is not None:
+                worker = idle.pop() if idle else crew.start()
+                busy[crew.give(worker, job)] = worker, job[0]
+            if not busy:
+                return
+            ticket = crew.first(list(busy))
+            worker, key = busy.pop(ticket)
+            try:
+                row = crew.answer(ticket)
+                idle.append(worker)
+            except _WorkerDied as error:
+                if not workers.may_die:
+                    raise RunError(f"{error}; what is done is kept: run again, {_LESS_MEMORY}.") from None
+                row = key, {"failure": f"{error}; {_LESS_MEMORY}."}
+            yield row
     finally:
-        if started:
-            ray.shutdown()
+        crew.end()
+
+
+_LESS_MEMORY = "with fewer --workers or smaller jobs if memory is short"
+
+
+class _WorkerDied(Exception):
+    """A worker ended in the middle of a job."""
+
+
+class _InProcesses:
+    """Workers as new processes of this machine; forking one that has used torch's threads can hang."""
+
+    def __init__(self, task: _Task, workers: Workers) -> None:
+        self._task, self._threads = task, workers.threads
+        self._processes: dict[Connection, multiprocessing.Process] = {}
+
+    def start(self) -> Connection:
+        """Start a process and return the line to it."""
+        context = multiprocessing.get_context("spawn")
+        line, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self._threads))
+        process.start()
+        theirs.close()
+        self._processes[line] = process
+        try:
+            line.recv()
+        except EOFError:
+            raise RunError("a worker process could not start.") from None
+        line.send(self._task)
+        return line
+
+    def give(self, line: Connection, job: KeyedJob) -> Connection:
+        """Send a job; the line is also what to wait for."""
+        with suppress(OSError):  # it died while it waited: the answer will say so
+            line.send(job)
+        return line
+
+    def first(self, lines: list[Connection]) -> Connection:
+        return wait(lines)[0]
+
+    def answer(self, line: Connection) -> KeyedRow:
+        """Receive what became of the job; raises what the job raised, and _WorkerDied."""
+        try:
+            answer = line.recv()
+        except (EOFError, OSError):
+            process = self._processes.pop(line)
+            process.join()
+            code = process.exitcode or 0
+            how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+            raise _WorkerDied(f"the worker process died ({how})") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def end(self) -> None:
+        """End all processes: those that wait for a job at once, others in the middle of theirs."""
+        for process in self._processes.values():
+            process.terminate()
+        for process in self._processes.values():
+            process.join(10)
+            process.kill()
+            process.join()
+
+
+def _serve(line: Connection, threads: int | None) -> None:
+    """What a worker process does: one job after another, until it or the process that started it is ended."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that what is half-written is removed
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if threads is not None:  # before any library that reads them is imported
+        os.environ.update({f"{name}_NUM_THREADS": str(threads) for name in ("OMP", "OPENBLAS", "MKL")})
+    try:
+        line.send("ready")
+        task = line.recv()
+        while True:
+            job = line.recv()
+            try:
+                answer: KeyedRow | Exception = task.do(job)
+            except Exception as error:
+                answer = error
+            line.send(answer)
+    except (EOFError, KeyboardInterrupt):
+        return
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it was killed, so that nobody does a job twice."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
+
+
+class _OnRay:
+    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
+
+    def __init__(self, task: _Task, workers: Workers) -> None:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        try:
+            import ray
+        except ImportError:
+            raise MissingDependencyError('--ray needs Ray; install with: pip install "edit3r[ray]"') from None
+        self._ray, self._task, cores = ray, task, workers.threads or 1
+        self._started = not ray.is_initialized()
+        if self._started:
+            here = {"num_cpus": workers.count * cores, "include_dashboard": False}
+            ray.init(log_to_driver=False, **({} if os.environ.get("RAY_ADDRESS") else here))
+        self._actor = ray.remote(num_cpus=cores)(_Task)
+
+    def start(self) -> Any:
+        return self._actor.remote(self._task.function, self._task.failures, self._task.threads)
+
+    def give(self, worker: Any, job: KeyedJob) -> Any:
+        return worker.do.remote(job)
+
+    def first(self, tickets: list[Any]) -> Any:
+        return self._ray.wait(tickets, num_returns=1)[0][0]
+
+    def answer(self, ticket: Any) -> KeyedRow:
+        """Return what became of the job; raises what the job raised, and _WorkerDied."""
+        exceptions = self._ray.exceptions
+        try:
+            return self._ray.get(ticket)
+        except exceptions.RayTaskError as error:
+            raise error.cause from None
+        except exceptions.RayError as error:
+            raise _WorkerDied(f"the worker died ({' '.join(str(error).split())[:300]})") from None
+
+    def end(self) -> None:
+        if self._started:
+            self._ray.shutdown()
