@@ -8,15 +8,14 @@ import json
 import math
 import multiprocessing
 import os
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, suppress
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import takewhile
-from multiprocessing.connection import Connection, wait
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -165,7 +164,7 @@ def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator
     idle, busy = [], {}
     try:
         while True:
-            while len(busy) < workers.count and (job := next(jobs, None)) is not None:
+            for job in islice(jobs, workers.count - len(busy)):
                 worker = idle.pop() if idle else crew.start()
                 busy[crew.give(worker, job)] = worker, job[0]
             if not busy:
@@ -178,13 +177,13 @@ def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator
             except _WorkerDied as error:
                 if not workers.may_die:
                     raise RunError(f"{error}; what is done is kept: run again, {_LESS_MEMORY}.") from None
-                row = key, {"failure": f"{error}; {_LESS_MEMORY}."}
+                row = key, {"failure": f"{error}; run again, {_LESS_MEMORY}."}
             yield row
     finally:
         crew.end()
 
 
-_LESS_MEMORY = "with fewer --workers or smaller jobs if memory is short"
+_LESS_MEMORY = "with fewer --workers if memory is short"
 
 
 class _WorkerDied(Exception):
@@ -195,81 +194,49 @@ class _InProcesses:
     """Workers as new processes of this machine; forking one that has used torch's threads can hang."""
 
     def __init__(self, task: _Task, workers: Workers) -> None:
-        self._task, self._threads = task, workers.threads
-        self._processes: dict[Connection, multiprocessing.Process] = {}
+        self._task, self._pools = task, []
 
-    def start(self) -> Connection:
-        """Start a process and return the line to it."""
+    def start(self) -> ProcessPoolExecutor:
+        """A pool of one, so that it is known which job a process died of."""
         context = multiprocessing.get_context("spawn")
-        line, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._threads))
-        process.start()
-        theirs.close()
-        self._processes[line] = process
+        self._pools.append(ProcessPoolExecutor(1, context, initializer=_begin_worker, initargs=(self._task,)))
+        return self._pools[-1]
+
+    def give(self, pool: ProcessPoolExecutor, job: KeyedJob) -> Future:
+        return pool.submit(_call_task, job)
+
+    def first(self, futures: list[Future]) -> Future:
+        return next(as_completed(futures))
+
+    def answer(self, future: Future) -> KeyedRow:
+        """Return what became of the job; raises what the job raised, and _WorkerDied."""
         try:
-            line.recv()
-        except EOFError:
-            raise RunError("a worker process could not start.") from None
-        line.send(self._task)
-        return line
-
-    def give(self, line: Connection, job: KeyedJob) -> Connection:
-        """Send a job; the line is also what to wait for."""
-        with suppress(OSError):  # it died while it waited: the answer will say so
-            line.send(job)
-        return line
-
-    def first(self, lines: list[Connection]) -> Connection:
-        return wait(lines)[0]
-
-    def answer(self, line: Connection) -> KeyedRow:
-        """Receive what became of the job; raises what the job raised, and _WorkerDied."""
-        try:
-            answer = line.recv()
-        except (EOFError, OSError):
-            process = self._processes.pop(line)
-            process.join()
-            code = process.exitcode or 0
-            how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-            raise _WorkerDied(f"the worker process died ({how})") from None
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+            return future.result()
+        except BrokenProcessPool:
+            raise _WorkerDied("the worker process died: out of memory, or a crash inside a library") from None
 
     def end(self) -> None:
-        """End all processes: those that wait for a job at once, others in the middle of theirs."""
-        for process in self._processes.values():
-            process.terminate()
-        for process in self._processes.values():
-            process.join(10)
-            process.kill()
-            process.join()
+        for pool in self._pools:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _serve(line: Connection, threads: int | None) -> None:
-    """What a worker process does: one job after another, until it or the process that started it is ended."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that what is half-written is removed
+_task: _Task | None = None  # of this worker process; set once, so that what its function has built stays
+
+
+def _begin_worker(task: _Task) -> None:
+    global _task
+    _task = task
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if threads is not None:  # before any library that reads them is imported
-        os.environ.update({f"{name}_NUM_THREADS": str(threads) for name in ("OMP", "OPENBLAS", "MKL")})
-    try:
-        line.send("ready")
-        task = line.recv()
-        while True:
-            job = line.recv()
-            try:
-                answer: KeyedRow | Exception = task.do(job)
-            except Exception as error:
-                answer = error
-            line.send(answer)
-    except (EOFError, KeyboardInterrupt):
-        return
 
 
 def _end_with_parent() -> None:
     """End this process when the one that started it was killed, so that nobody does a job twice."""
     multiprocessing.parent_process().join()
     os._exit(1)
+
+
+def _call_task(job: KeyedJob) -> KeyedRow:
+    return _task.do(job)
 
 
 class _OnRay:

@@ -1,12 +1,10 @@
-"""`edit3r batch`: a file of jobs, a folder of runs.
-
-jobs      JOBS.jsonl    ->  jobs, all checked                       (`jobs`)
-scenes    job           ->  DIR/ID, an ordinary run folder          (`scenes`), spread by `edit3r.workers`
-summary   rows          ->  DIR/summary.json, DIR/summary.md        (`summary`)
-"""
+"""`edit3r batch`: a file of jobs (`jobs`), each a run folder (`scenes`), spread over workers (`edit3r.workers`)."""
 
 import argparse
+import json
 import sys
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +12,15 @@ from edit3r.command import Command
 from edit3r.errors import InputError, RunError, SettingsError
 
 if TYPE_CHECKING:
-    from edit3r.workers import Progress
+    from edit3r.workers import Progress, Workers
     from edit3r_batch.jobs import Job
 
-RESULTS = "results.jsonl"
+NO_RESULT = "no result"
+MOST_SHOWN = 40  # jobs in the table on the terminal
 
 
 class BatchCommand(Command):
-    """Run thousands of scenes: each line of the file is a job in JSON, with `photos`, `prompt` and any run setting.
+    """Run thousands of scenes: each line of a file is a job in JSON, with `photos`, `prompt` and any setting of a run.
 
     A batch that was killed is called again and goes on: what is finished stays, what failed is tried once more.
     """
@@ -29,7 +28,7 @@ class BatchCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
         add("jobs", metavar="JOBS.jsonl", help='lines such as {"id": "bike", "photos": ["a.jpg", "b.jpg"], "seed": 1}')
-        add("--out", required=True, metavar="DIR", help="folder for the results: one folder of a run for each job")
+        add("--out", required=True, metavar="DIR", help="folder for the results, with the folder of a run for each job")
         add("--workers", type=int, default=1, metavar="N", help="processes (default 1); the results are the same")
         add("--ray", action="store_true", help="spread the workers with Ray instead, here or over RAY_ADDRESS")
         add("--threads", type=int, default=1, metavar="N", help="threads of each worker (default 1)")
@@ -50,89 +49,102 @@ class BatchCommand(Command):
         for option in ("workers", "threads"):
             if getattr(args, option) < 1:
                 raise SettingsError(f"--{option}: must be at least 1, got {getattr(args, option)}.")
-        plugins = tuple(str(Path(file).resolve()) for file in args.plugin)
+        args.plugin = tuple(str(Path(file).resolve()) for file in args.plugin)
         defaults = merge(read_yaml(find_config(args.config)) if args.config else {}, parse_assignments(args.set))
-        jobs = read_jobs(Path(args.jobs), defaults, default_registry(plugins))
+        jobs = read_jobs(Path(args.jobs), defaults, default_registry(args.plugin))
         out = Path(args.out).expanduser().resolve()
-        _check_done(jobs, out, args)
+        done = _done(jobs, out, args)
+        workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads, may_die=True)
         try:
             out.mkdir(parents=True, exist_ok=True)
             with FileLock(out / ".batch.lock", blocking=False):
-                workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads, may_die=True)
-                return _run(jobs, out, plugins, workers, args)
+                rows = _run(jobs, done, out, args, workers)
         except Timeout:
             raise InputError(f"{out}: another batch is at work there; wait for it, or give --out another.") from None
+        counts = Counter(row["verdict"] for row in rows)
+        _write_summary(out, rows, counts)
+        if not args.quiet:
+            print(_table(sorted(rows, key=lambda row: row["verdict"] != NO_RESULT)[:MOST_SHOWN], longest=80))
+            print(f"{_counted(counts)}; {out / 'summary.md'}")
+        if counts[NO_RESULT]:
+            raise RunError(f"{counts[NO_RESULT]} of {len(rows)} jobs gave no result; {out / 'summary.md'} says why.")
+        return 0
 
 
-def _check_done(jobs: "dict[str, Job]", out: Path, args: argparse.Namespace) -> None:
-    """Raise InputError where a job's folder holds anything but the same job, and may not be replaced."""
+def _done(jobs: "Mapping[str, Job]", out: Path, args: argparse.Namespace) -> set[str]:
+    """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not be replaced."""
     from edit3r.io.atomic import check_replaceable
-    from edit3r_batch.scenes import job_of
+    from edit3r_batch.scenes import record_of
 
-    changed = []
+    done, changed = set(), []
     for job in jobs.values():
         folder = out / job.id
-        if folder.exists() and (done := job_of(folder)) != job.record:
+        if folder.exists() and (record := record_of(folder)) == job.record:
+            done.add(job.id)
+        elif folder.exists():
             check_replaceable(folder, args.overwrite)
-            if not args.overwrite:
-                changed.append(f"line {job.line}: {job.id!r} is there already, {_difference(done, job)}")
-    if changed:
+            keys = sorted(key for key in {*record, *job.record} if record.get(key) != job.record.get(key))
+            changed.append(f"line {job.line}: {job.id!r} was done with another {', '.join(keys)}")
+    if changed and not args.overwrite:
         more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
         raise InputError(f"{args.jobs}, {changed[0]}{more}; give --out another folder, or --overwrite to replace it.")
+    return done
 
 
-def _difference(done: dict[str, Any] | None, job: "Job") -> str:
-    """In which keys the finished job differs."""
-    try:
-        before, now = ({**record["wish"], **record["settings"]} for record in (done, job.record))
-    except (TypeError, KeyError):
-        return "made by another command"
-    keys = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
-    return f"done with another {', '.join(keys)}"
-
-
-def _run(jobs: "dict[str, Job]", out: Path, plugins: tuple[str, ...], workers: Any, args: argparse.Namespace) -> int:
-    """Do what is left to do, sum up all jobs, and return the exit code."""
-    from edit3r.io.atomic import MARKER, remove_abandoned
+def _run(
+    jobs: "Mapping[str, Job]", done: set[str], out: Path, args: argparse.Namespace, workers: "Workers"
+) -> list[dict[str, Any]]:
+    """Do the jobs that are left and return the rows of all."""
+    from edit3r.io.atomic import remove_abandoned
     from edit3r.workers import read_rows, run_resumable, write_rows
     from edit3r_batch.scenes import SceneRunner
-    from edit3r_batch.summary import counted, table, write_summary
 
-    path, rows = out / RESULTS, read_rows(out / RESULTS, "id")
-    stale = [
-        id for id, job in jobs.items() if rows.get(id, {}).get("job") != job.digest or not (out / id / MARKER).is_file()
-    ]
-    if any(id in rows for id in stale):
-        write_rows(path, [row for id, row in rows.items() if id not in stale])
+    path = out / "results.jsonl"
+    before = read_rows(path, "id")
+    if any(id in jobs and (id not in done or "failure" in row) for id, row in before.items()):
+        write_rows(path, [row for id, row in before.items() if id in done or id not in jobs])
     tell = (lambda progress: None) if args.quiet else _print_progress
-    runner = SceneRunner(out, plugins, args.overwrite)
-    rows = run_resumable(jobs, runner, path, workers=workers, key_name="id", on_done=tell)
-    failed = [id for id, row in rows.items() if "failure" in row]
-    for id in failed:
-        remove_abandoned(out / id, id)  # of workers that died
-    write_summary(out, rows)
-    if not args.quiet:
-        print(table(rows, most=40))
-        print(f"{counted(rows)}; {out / 'summary.md'}")
-    if failed:
-        raise RunError(
-            f"{len(failed)} of {len(rows)} jobs failed; {out / 'summary.md'} says why. Run again to try them."
-        )
-    return 0
+    function = SceneRunner(out, args.plugin, args.overwrite)
+    rows = run_resumable(jobs, function, path, workers=workers, key_name="id", on_done=tell)
+    for id in (id for id, row in rows.items() if "failure" in row):
+        remove_abandoned(out / id, id)  # by a worker that died
+    return [
+        {"id": id, "verdict": NO_RESULT, "reason": row["failure"]} if "failure" in row else row
+        for id, row in rows.items()
+    ]
 
 
 def _print_progress(progress: "Progress") -> None:
     """Say what came of a job and how long the others take: on a terminal one line that changes, else a line a job."""
-    row, seconds = progress.row, progress.seconds_left
-    what = f"failed: {row['failure'][:80]}" if "failure" in row else f"{row['verdict']}, {row['psnr']:.1f} dB"
-    left = (
-        f"{seconds:.0f} s"
-        if seconds < 120
-        else f"{seconds / 60:.0f} min"
-        if seconds < 7200
-        else f"{seconds / 3600:.0f} h"
-    )
-    line = f"  [{progress.done}/{progress.total}] {progress.key}: {what}; about {left} left"
+    row, left = progress.row, progress.seconds_left
+    what = f"{NO_RESULT}: {row['failure'][:80]}" if "failure" in row else f"{row['verdict']}, {row['psnr']:.1f} dB"
+    size, unit = (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
+    line = f"  [{progress.done}/{progress.total}] {progress.key}: {what}; about {left / size:.0f} {unit} left"
     changes = sys.stderr.isatty()
-    end = "\n" if not changes or progress.done == progress.total or "failure" in row else ""
+    end = "" if changes and progress.done < progress.total else "\n"
     print(f"\r\x1b[K{line}" if changes else line, end=end, file=sys.stderr, flush=True)
+
+
+def _counted(counts: Counter) -> str:
+    return f"{counts.total()} jobs: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+
+
+def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
+    """A Markdown table with a line for each job, its reason cut to `longest` characters."""
+    lines = ["| job | verdict | input views [dB] | Gaussians | why |", "| --- | --- | --: | --: | --- |"]
+    for row in rows:
+        figures = f"{row['psnr']:.1f} | {row['gaussians']:,}" if "psnr" in row else " | "
+        reason = row["reason"][:longest].replace("|", "\\|")
+        lines.append(f"| {row['id']} | {row['verdict']} | {figures} | {reason} |")
+    return "\n".join(lines)
+
+
+def _write_summary(out: Path, rows: list[dict[str, Any]], counts: Counter) -> None:
+    """Write `summary.json` and `summary.md`, the same whoever did the jobs."""
+    from edit3r.io.atomic import atomic_write
+
+    content = {"jobs": len(rows), "verdicts": dict(sorted(counts.items())), "rows": rows}
+    texts = {"json": json.dumps(content, indent=1, ensure_ascii=False), "md": f"# {_counted(counts)}\n\n{_table(rows)}"}
+    for suffix, text in texts.items():
+        with atomic_write(out / f"summary.{suffix}") as partial:
+            partial.write_text(text + "\n", encoding="utf-8")

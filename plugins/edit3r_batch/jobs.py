@@ -1,6 +1,5 @@
 """The jobs file: a job a line, all of them read and checked before the first one runs."""
 
-import hashlib
 import json
 import unicodedata
 from collections.abc import Iterator, Mapping
@@ -54,12 +53,9 @@ class Job:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The job as JSON data, without secrets; equal for equal jobs."""
-        return {"wish": recorded(self.wish.model_copy(update={"id": self.id})), "settings": recorded(self.settings)}
-
-    @property
-    def digest(self) -> str:
-        return hashlib.sha256(json.dumps(self.record, sort_keys=True).encode()).hexdigest()[:16]
+        """All that the results depend on, as JSON data without secrets; equal for equal jobs."""
+        said = {key: value for key, value in self.wish.model_dump(exclude={"id"}).items() if value}
+        return recorded({**self.settings, **said})
 
 
 def read_jobs(file: Path, defaults: Mapping[str, Any], registry: Registry) -> dict[str, Job]:
@@ -92,9 +88,7 @@ def _lines(file: Path) -> Iterator[tuple[int, bytes]]:
     if not file.is_file():
         raise InputError(f"{file}: no such file of jobs.")
     with file.open("rb") as stream:
-        number = 0
-        while line := stream.readline(MOST_BYTES + 1):
-            number += 1
+        for number, line in enumerate(iter(lambda: stream.readline(MOST_BYTES + 1), b""), start=1):
             if len(line) > MOST_BYTES:
                 raise InputError(f"{file}, line {number}: longer than {MOST_BYTES:,} bytes; expected one job a line.")
             if line.strip():

@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,10 +15,9 @@ from edit3r.cli.marks import selection_from
 from edit3r.config import PartChoice
 from edit3r.errors import RunError, as_known
 from edit3r.io.atomic import MARKER, atomic_folder
-from edit3r.io.coverage import USUAL_FRAMES, choose_photos
+from edit3r.io.coverage import USUAL_FRAMES, choose_photos, frame_origins
 from edit3r.io.images import LoadedPhotos, find_photos, load_photos
 from edit3r.io.masks import load_masks
-from edit3r.io.run_folder import RunFolder
 from edit3r.plugins import load_plugins
 from edit3r.quality import note_quality
 from edit3r.registry import Registry
@@ -64,33 +64,36 @@ class SceneRunner:
 
     def __call__(self, job: Job) -> dict[str, Any]:
         """Do the job, unless its folder is there, and return its row; a failure is a row too, with its sentence."""
-        folder = self.out / job.id
+        folder, paths = self.out / job.id, []
         try:
-            if job_of(folder) != job.record:
-                self._run(job, folder)
+            if record_of(folder) != job.record:
+                most = max(USUAL_FRAMES, int(job.settings.get("views") or 0))
+                paths = find_photos([job.path(name) for name in job.wish.photos], most)
+                self._run(job, folder, paths)
+            return row_of(folder)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise as_known(error) from None  # the next job would fail as well
             return {"failure": " ".join(str(as_known(error)).split())}
-        return row_of(job, folder)
+        finally:
+            for taken in {path.parent for path in paths if path in frame_origins}:  # frames of a video
+                shutil.rmtree(taken, ignore_errors=True)
 
-    def _run(self, job: Job, folder: Path) -> None:
+    def _run(self, job: Job, folder: Path, paths: list[Path]) -> None:
         from edit3r import pipeline, results
 
-        report = Report()
+        report, wish = Report(), job.wish
         with atomic_folder(folder, self.overwrite) as partial, collecting(report):
-            most = int(job.settings.get("views") or 0)
-            paths = find_photos([job.path(name) for name in job.wish.photos], max(USUAL_FRAMES, most))
             config = make_run_config(job.settings, photos=len(paths))
-            cameras = job.path(job.wish.cameras) if job.wish.cameras else None
+            cameras = job.path(wish.cameras) if wish.cameras else None
             with report.stage("read photos"):
                 used = choose_photos(paths, config.views)
                 photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
-                files = [job.path(name) for name in job.wish.mask]
+                files = [job.path(name) for name in wish.mask]
                 if len(files) == len(paths):  # one for each photo, used or not
                     files = [file for file, path in zip(files, paths) if path in used]
-                note_quality(config.model_dump(), len(paths))
                 masks = _masks(job, files, photos)
+                note_quality(config.model_dump(), len(paths))
             result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)
             hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files}
             results.write(partial, replace(result, records=photos.photos, mask_files=hashes))
@@ -105,28 +108,22 @@ def _masks(job: Job, files: list[str], photos: LoadedPhotos) -> "Tensor | Select
     return selection_from(SimpleNamespace(**marks, mask=files), photos)
 
 
-def job_of(folder: Path) -> dict[str, Any] | None:
-    """The record of the job that a finished folder is of; None for a folder that is not there or that no job made."""
+def record_of(folder: Path) -> dict[str, Any]:
+    """The record of the job that a finished folder is of; empty for a folder that is not there or that no job made."""
     try:
-        return json.loads((folder / RECORD).read_text(encoding="utf-8")) if (folder / MARKER).is_file() else None
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8")) if (folder / MARKER).is_file() else {}
     except (OSError, ValueError, RecursionError):
-        return None
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
-def row_of(job: Job, folder: Path) -> dict[str, Any]:
+def row_of(folder: Path) -> dict[str, Any]:
     """What a finished folder says about its run. It is the same whoever did the job."""
     try:
-        manifest = json.loads(RunFolder(folder).manifest.read_text(encoding="utf-8"))
-        verdict = manifest["verdict"]
+        manifest = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        verdict, gaussians = manifest["verdict"], manifest["gaussians"]
         shown = [psnr for psnr in verdict["input_psnr"] if psnr is not None]
-        return {
-            "job": job.digest,
-            "verdict": verdict["label"],
-            "reason": verdict["reason"],
-            "psnr": sum(shown) / len(shown),
-            "gaussians": manifest["gaussians"],
-            "photos": len(manifest["inputs"]),
-            "warnings": len(manifest["warnings"]),
-        }
+        row = {"verdict": verdict["label"], "reason": verdict["reason"], "psnr": sum(shown) / len(shown)}
     except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError, RecursionError):
         raise RunError(f"{folder}: its run.json cannot be read; delete the folder to do the job again.") from None
+    return {**row, "gaussians": gaussians, "warnings": len(manifest["warnings"])}
