@@ -75,7 +75,7 @@ class RunCommand(Command):
             paths = found or [Path(record.file) for record in continued.records]
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
-        _check_names(registry, config)
+        check_names(registry, config)
         with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             report.on_event = console
             for text in report.warnings:
@@ -187,10 +187,10 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 
-def _check_names(registry: "Registry", config: RunConfig) -> None:
-    """Unknown names and missing packages end the run before any photo is read."""
+def check_names(registry: "Registry", config: RunConfig) -> None:
+    """Unknown names and settings and missing packages end the run before any photo is read."""
     choices = [(kind, getattr(config, kind)) for kind in PART_KEYS]
     choices += [("refiner", choice) for choice in config.all_refiners()]
     for kind, choice in choices:
         if choice is not None:
-            registry.load_class(registry.find(kind, choice.name))
+            registry.check(kind, choice)

@@ -274,7 +274,7 @@ def _lock_of(partial: Path) -> Path:
     return partial.with_name(f"{partial.name}.lock")
 
 
-def remove_abandoned(final: Path, stem: str, suffix: str) -> None:
+def remove_abandoned(final: Path, stem: str, suffix: str = "") -> None:
     """Delete what killed writers of `final`, a file STEM.SUFFIX or a folder STEM, left beside it."""
     if fcntl is None:
         return

@@ -39,7 +39,7 @@ def fetch(
     if place is not None and not (wrong := _wrong(weights, place)):
         if begun.exists():  # an earlier call was killed after it had moved the weights into place
             with lock:
-                remove_abandoned(final, final.name, "")
+                remove_abandoned(final, final.name)
                 shutil.rmtree(begun, ignore_errors=True)
         return place
     if final.exists() and not (final / MARKER).is_file():

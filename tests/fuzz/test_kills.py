@@ -13,7 +13,6 @@ import torch
 from edit3r_app.jobs import Job, JobsFolder
 from edit3r_app.runner import Runner
 from edit3r_app.uploads import receive
-from edit3r_measure.runner import run_resumable
 
 from edit3r.cache import Cache
 from edit3r.cli.main import main
@@ -23,6 +22,7 @@ from edit3r.io.images import packaged_pair
 from edit3r.testing.training import tiny_job
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r.weights import Weights, find
+from edit3r.workers import run_resumable
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
