@@ -110,6 +110,9 @@ UNSUPPORTED = _words(
 
 NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
 
+EXCEPTIONS = (("except", "for"), ("apart", "from"), ("other", "than"), ("except",), ("but",), ("besides",))
+"""What stands between "everything" and the thing that is left as it is."""
+
 POLITENESS = _words("please thanks thank you ok okay")
 
 KEPT_ANYWAY = _words(
