@@ -18,7 +18,7 @@ from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 
 ABILITIES = (
     "The recolor editor can paint (paint the bike red, turn the wall light blue; CSS colour names or #rrggbb; from "
-    "grey to brown; everything except the bike), make brighter, darker, warmer, colder, redder, greener, bluer, more or "
+    "grey to brown; everything but the bike), make brighter, darker, warmer, colder, redder, greener, bluer, more or "
     "less saturated, more or less contrast, greyscale (black and white), sepia, inverted, or recolor at random. For "
     "anything else take another editor."
 )
@@ -97,8 +97,9 @@ def _keeps(tokens: list[str]) -> bool:
 
 def _parse_clause(tokens: list[str], prompt: str) -> Instruction:
     """Read one clause; its subject holds the words as they are, pronouns too."""
-    said = tokens
-    tokens, all_but = _without_exception(tokens)
+    said, text = tokens, " ".join(tokens)
+    tokens = words.EXCEPTION.sub(r"\1 the", text, count=1).split()  # what is excepted stands there as the thing
+    all_but = tokens != said
     tokens, near = _without_origin(tokens)
     if negations := [token for token in tokens if token in words.NEGATIONS]:
         raise PromptError(
@@ -123,18 +124,6 @@ def _parse_clause(tokens: list[str], prompt: str) -> Instruction:
     steps = tuple(_scaled(change.step, amount) for change in group)
     used = tuple(token for token in said if token not in words.FILLERS or (all_but and token == "but"))
     return Instruction(steps, "all but" if all_but else "object", subject, near, used)
-
-
-def _without_exception(tokens: list[str]) -> tuple[list[str], bool]:
-    """Take "everything except" out of a clause, so that what is excepted stands there as its thing; True: it did."""
-    for start, token in enumerate(tokens):
-        for phrase in words.EXCEPTIONS:
-            if token in words.EVERYTHING | {"rest"}:
-                end = next((i for i in range(start + 1, len(tokens)) if tokens[i : i + len(phrase)] == [*phrase]), None)
-                if end is not None:
-                    between = [t for t in tokens[start + 1 : end] if t not in words.EVERYTHING]
-                    return [*tokens[:start], *between, "the", *tokens[end + len(phrase) :]], True
-    return tokens, False
 
 
 def _without_origin(tokens: list[str]) -> tuple[list[str], Paint | None]:

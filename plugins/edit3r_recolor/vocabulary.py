@@ -1,6 +1,7 @@
 """The words that the prompt reader knows: colours, changes and fillers. What is not here it must not guess."""
 
 import colorsys
+import re
 
 from PIL import ImageColor
 
@@ -110,8 +111,9 @@ UNSUPPORTED = _words(
 
 NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
 
-EXCEPTIONS = (("except", "for"), ("apart", "from"), ("other", "than"), ("except",), ("but",), ("besides",))
-"""What stands between "everything" and the thing that is left as it is."""
+_ALL = "|".join((*sorted(EVERYTHING), "rest"))
+EXCEPTION = re.compile(rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b")
+"""What stands before the thing that is left as it is; its group may hold more words for everything."""
 
 POLITENESS = _words("please thanks thank you ok okay")
 
