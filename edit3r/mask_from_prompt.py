@@ -23,9 +23,7 @@ _WHOLE = re.compile(r"\b(picture|image|photo|scene|everything|whole|view|style|b
 _ADDS = re.compile(r"^\s*(?:please\s+)?(?:add|insert|place|put)\b", re.IGNORECASE)
 _CLAUSES = re.compile(r"[,.;!?]+|\band\b|\bthen\b|&", re.IGNORECASE)
 _KEEPS = re.compile(r"^\s*(?:but\s+)?(?:keep|leave|do not|don't)\b", re.IGNORECASE)
-_EXCEPT = re.compile(
-    r"\b(?:everything|all|rest)\b.*?\b(?:except(?: for)?|but|besides|apart from|other than)\b", re.IGNORECASE
-)
+_EXCEPT = re.compile(r"\b(?:everything|all|rest)\b.*?\b(?:except|but|besides|apart from|other than)\b", re.IGNORECASE)
 
 
 def things_in_prompt(prompt: str) -> tuple[tuple[str, ...], bool]:
@@ -59,22 +57,13 @@ def masks_from_prompt(
     if not things:
         warn("the instruction names no one object, so nothing confines the edit; name it with segmenter.prompt=...")
         return None
-    masks = [_around(scene, things, all_but, segmenter, guess) for scene in views.images]
     note("edit.confined_to", ("all but " if all_but else "") + " and ".join(things))
+    masks = []
+    for scene in views.images:
+        found = [select_masks(scene, Selection(words=words, guess=guess), segmenter) for words in things]
+        soft = dilate_softly(torch.stack([one.masks[:, 0] > 0.5 for one in found]).any(0).to(scene))
+        if all_but:  # a view that lost what is left alone stays as it is
+            kept = [all(one.how[view] != "not found" for one in found) for view in range(views.count)]
+            soft = (1 - soft) * torch.tensor(kept).to(scene)[:, None, None]
+        masks.append(soft)
     return torch.stack(masks)
-
-
-def _around(
-    images: Float[Tensor, "view 3 height width"],
-    things: tuple[str, ...],
-    all_but: bool,
-    segmenter: Segmenter,
-    guess: bool,
-) -> Float[Tensor, "view height width"]:
-    """Soft masks of things in one scene, or of all but them; a view that lost one to be left alone stays as it is."""
-    found = [select_masks(images, Selection(words=words, guess=guess), segmenter) for words in things]
-    inside = torch.stack([one.masks[:, 0] > 0.5 for one in found]).any(0).to(images)
-    if not all_but:
-        return dilate_softly(inside)
-    kept = torch.tensor([all(one.how[view] != "not found" for one in found) for view in range(len(images))])
-    return (1 - dilate_softly(inside)) * kept.to(images)[:, None, None]

@@ -68,20 +68,20 @@ def cartoon(images: Images) -> Images:
 def watercolour(images: Images) -> Images:
     """Flatten into washes with darker rims, on paper that shines through."""
     washes = _flattened(images, 40, 0.4)
-    light = grey(washes)
-    washes = washes + 1.5 * (light - _blurred(light, 0.004)).clamp(-0.15, 0)
+    washes = washes * _lines(grey(washes), 0.004)
     return 1 - 0.92 * (1 - graded(washes, gamma=0.8, saturation=1.35, contrast=0.95))
 
 
 def marble(images: Images) -> Images:
-    """White stone in the photo's shades; veins run along lines of equal light, a few pixels wide."""
-    light = grey(_flattened(images, 10, 0.1))
-    phase = 5 * grey(_flattened(images, 60, 0.5)) + 0.6 * light
+    """White stone in the photo's shades; veins run along lines of equal light, thin in a wider shadow."""
+    smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
+    phase = 8 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.008)
     slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
-    distance = (phase - phase.round()).abs() / slope.clamp(min=0.01)  # to the line [pixels]
-    veins = 0.8 * torch.exp(-((distance / 2.2) ** 2)) * _step(slope, 0.008, 0.03)
-    stone = (0.42 + 0.57 * _step(light, 0, 0.85)) * images.new_tensor((1, 0.985, 0.96))[:, None, None]
-    return stone * (1 - veins * images.new_tensor((0.45, 0.44, 0.4))[:, None, None])
+    distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)  # to the line [pixels]
+    veins = (0.8 * torch.exp(-((distance / 1.3) ** 2))).maximum(0.35 * torch.exp(-((distance / 4.5) ** 2)))
+    veins = veins * _step(slope, 0.004, 0.02) * images.new_tensor((0.45, 0.44, 0.4))[:, None, None]
+    light = 0.42 + 0.57 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
+    return light * images.new_tensor((1, 0.985, 0.96))[:, None, None] * (1 - veins)
 
 
 def metal(images: Images, colours: tuple) -> Images:

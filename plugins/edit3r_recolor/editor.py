@@ -15,7 +15,7 @@ from edit3r.selection import Selection
 from edit3r.types import EditRequest, Views
 from edit3r_recolor.prompt import Instruction, parse_prompt
 from edit3r_recolor.recoloring import RecolorParameters, RecolorRanges, blend_regions, sample_parameters
-from edit3r_recolor.regions import choose_region
+from edit3r_recolor.regions import choose_region, only_near
 from edit3r_recolor.steps import Sample, apply_step
 
 
@@ -51,7 +51,7 @@ class RecolorEditor(Editor):
     def edit(self, views: Views, request: EditRequest) -> Views:
         instructions = parse_prompt(request.prompt)
         parameters = sample_parameters(torch.Generator().manual_seed(request.seed), self.settings.ranges)
-        self._refuse_one_place_for_several(instructions, request.masks is not None)
+        self._refuse_two_answers(instructions, request.masks is not None)
         _note_instructions(instructions, parameters)
         images = []
         for index, scene in enumerate(views.images):
@@ -59,13 +59,18 @@ class RecolorEditor(Editor):
             images.append(self._recolor_scene(scene, given, instructions, parameters, request.guess))
         return replace(views, images=torch.stack(images))
 
-    def _refuse_one_place_for_several(self, instructions: tuple[Instruction, ...], masked: bool) -> None:
-        """Raise PromptError where several things are named and marks, or words for the segmenter, say one place."""
+    def _refuse_two_answers(self, instructions: tuple[Instruction, ...], masked: bool) -> None:
+        """Raise PromptError where marks, masks or words for the segmenter say one place and the prompt others."""
         told = masked or self.settings.point or self.settings.box or self.segmenter.prompt
         if told and len({(one.scope, one.subject) for one in instructions}) > 1:
             raise PromptError(
                 f"the prompt names several places ({'; '.join(map(str, instructions))}), and clicks, boxes, masks or "
                 "segmenter.prompt say one; ask for one, then for the next with --from the first run's folder."
+            )
+        if masked and instructions[0].scope == "all but":
+            raise PromptError(
+                "clicks, a box or a mask say where the edit goes, and the prompt where it does not; mark what changes "
+                "and say 'paint it ...', or mark what stays by --set editor.point=[X,Y] (picture widths and heights)."
             )
 
     def _recolor_scene(
@@ -79,6 +84,7 @@ class RecolorEditor(Editor):
         point, box = self.settings.point, self.settings.box
         marks = Selection(((0, *point),) if point else (), boxes={0: box} if box else {}, guess=guess)
         regions = [choose_region(images, given, one, self.segmenter, marks) for one in instructions]
+        regions = [only_near(region, images, one.near) for region, one in zip(regions, instructions)]
         reporting.note("editor.region", "; ".join(region.source for region in regions))
         shares = [[round(float(share), 4) for share in region.masks.mean((1, 2))] for region in regions]
         reporting.note("editor.region_share", shares[0] if len(shares) == 1 else shares)
@@ -96,19 +102,7 @@ class RecolorEditor(Editor):
 
 def _note_instructions(instructions: tuple[Instruction, ...], parameters: RecolorParameters) -> None:
     """Note for the run's manifest what the prompt was understood as, and by which of its words."""
-    reporting.note(
-        "editor.understood",
-        [
-            {
-                "steps": [{"step": type(step).__name__.lower(), **asdict(step)} for step in one.steps],
-                "scope": one.scope,
-                "subject": " ".join(one.subject),
-                "near": one.near.colour if one.near else None,
-                "words": list(one.words),
-            }
-            for one in instructions
-        ],
-    )
+    reporting.note("editor.understood", [{"read": str(one), **asdict(one)} for one in instructions])
     read = "; ".join(f"{one} (words: {', '.join(one.words)})" for one in instructions)
     reporting.note(reporting.UNDERSTOOD, read)
     if any(isinstance(step, Sample) for one in instructions for step in one.steps):

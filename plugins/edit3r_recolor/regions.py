@@ -17,6 +17,7 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
 from edit3r.selection import Selection, select_masks
 from edit3r_recolor.prompt import Instruction
+from edit3r_recolor.steps import Paint
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
@@ -126,32 +127,10 @@ def choose_region(
     segmenter: Segmenter,
     marks: Selection,
 ) -> Region:
-    """Take the given masks, else the marks (a point or box), else what the instruction says; of it, its colour alone.
+    """Take the given masks, else the marks (a point or box), else what the instruction says, whatever its colours.
 
     `marks.guess` allows the most salient object where the segmenter cannot look up what the instruction names.
     """
-    region = _region(images, given, instruction, segmenter, marks)
-    if instruction.near is None:
-        return region
-    masks = region.masks * near_colour(images, instruction.near.rgb)
-    if not masks.any():
-        raise PromptError(f"nothing there is near {instruction.near.colour}, so nothing would change; name its colour.")
-    return Region(masks, f"{region.source}, {instruction.near.colour}")
-
-
-def _region(
-    images: Float[Tensor, "view 3 height width"],
-    given: Float[Tensor, "view height width"] | None,
-    instruction: Instruction,
-    segmenter: Segmenter,
-    marks: Selection,
-) -> Region:
-    """The region, whatever its colours."""
-    if given is not None and instruction.scope == "all but":
-        raise PromptError(
-            "clicks, a box or a mask say where the edit goes, and the prompt where it does not; mark what is to change "
-            "and say 'paint it ...', or mark what stays by --set editor.point=[X,Y] (in picture widths and heights)."
-        )
     if given is not None:
         return Region(given.to(images), "masks")
     if instruction.scope == "everything" and not marks.views:
@@ -167,17 +146,20 @@ def _region(
     return Region(masks, how)
 
 
-def near_colour(
-    images: Float[Tensor, "view 3 height width"], rgb: tuple[float, float, float]
-) -> Float[Tensor, "view height width"]:
-    """How much each pixel has a colour (sRGB), in [0, 1]: 1 near it, falling to 0.
+def only_near(region: Region, images: Float[Tensor, "view 3 height width"], colour: Paint | None) -> Region:
+    """The part of a region that has a colour, by its named sRGB; None: all of it. Raises PromptError for no part.
 
     By CIE94 around the named colour, which allows the more difference in chroma the more chroma the name has, as
     things are duller than the names of their colours; but a fifth of that chroma there must be: grey is never red.
     """
+    if colour is None:
+        return region
     lab = kornia.color.rgb_to_lab(kornia.filters.median_blur(images, 3)).movedim(1, -1).double()
-    named = kornia.color.rgb_to_lab(lab.new_tensor(rgb)[:, None, None]).movedim(0, -1)
-    distance = torch.from_numpy(deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2)).to(images)
+    named = kornia.color.rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None]).movedim(0, -1)
+    distance = torch.from_numpy(deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2))
+    near = ((NEAR[1] - distance) / (NEAR[1] - NEAR[0])).clamp(0, 1).to(images)
     chroma, least = lab[..., 1:].norm(dim=-1), 0.2 * named[..., 1:].norm()
-    coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1).to(images)
-    return coloured * ((NEAR[1] - distance) / (NEAR[1] - NEAR[0])).clamp(0, 1)
+    masks = region.masks * near * (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1).to(images)
+    if not masks.any():
+        raise PromptError(f"nothing there is near {colour.colour}, so nothing would change; name the colour it has.")
+    return Region(masks, f"{region.source}, {colour.colour}")

@@ -156,8 +156,8 @@ def test_scenes_of_a_batch_are_edited_one_by_one():
 def test_what_was_understood_is_noted():
     notes = edit("paint the bike red")[1].notes
     (understood,) = notes["editor.understood"]
-    assert understood["subject"] == "bike" and understood["steps"][0]["colour"] == "red"
-    assert understood["words"] == ["bike", "red"]
+    assert understood["subject"] == ("bike",) and understood["steps"][0]["colour"] == "red"
+    assert (understood["read"], understood["words"]) == ("bike: red", ("bike", "red"))
     assert notes["edit.understood"] == "bike: red (words: bike, red)"
 
 
