@@ -44,7 +44,7 @@ ORDINARY_WORDS = {
         "diffusers",
     ),  # also the name of the program, and of modules that the core looks for
     *("none", "auto", "command", "folder", "network", "posed", "classical", "geometry", "refine", "simplify", "train"),
-    *("export", "convert", "mask", "points", "batch"),
+    *("export", "convert", "mask", "points", "batch", "looks"),
 }
 """Component names that are words of the core's own too; they count only where nothing else can be meant."""
 
