@@ -167,6 +167,8 @@ def install_hint(offer: Offer) -> str:
     if not offer.component.extra:
         return f"install with: pip install {' '.join(offer.component.requires)}"
     name = offer.component.extra
+    if name.startswith("-"):
+        return f"install with: pip install {name}"
     return f"install with: pip install {name!r}" if "[" in name else f'install with: pip install "edit3r[{name}]"'
 
 

@@ -49,6 +49,8 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("reconstructor", "gaussctrl"): "as refit",
     ("reconstructor", "editsplat"): "as refit",
     ("matcher", "posed"): "does what the matcher classical does where the views carry no poses",
+    ("matcher", "da3"): "needs a package outside the pinned set",
+    ("matcher", "auto"): "does what the matcher it picks does",
     ("segmenter", "sam2"): "needs weights of 0.2 GB",
     ("detector", "grounding-dino"): "needs weights of 0.7 GB",
     ("dataset", "transforms"): "needs a folder of scenes",
