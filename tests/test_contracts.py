@@ -52,6 +52,7 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("matcher", "da3"): "needs a package outside the pinned set",
     ("matcher", "auto"): "does what the matcher it picks does",
     ("segmenter", "sam2"): "needs weights of 0.2 GB",
+    ("segmenter", "sam3"): "needs weights of 3.5 GB",
     ("detector", "grounding-dino"): "needs weights of 0.7 GB",
     ("dataset", "transforms"): "needs a folder of scenes",
     ("dataset", "re10k"): "needs downloaded chunks",

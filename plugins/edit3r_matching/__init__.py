@@ -77,7 +77,7 @@ def register_matchers():
             "edit3r_matching.depth_anything_3:DepthAnything3Matcher",
             "Depth Anything 3: poses, field of view and depths by one network; needs weights (0.1 or 0.5 GB)",
             requires=("depth_anything_3", "omegaconf", "antlr4", "addict", "einops"),
-            # Its own list of dependencies asks for numpy below 2, torchvision and xformers; nothing used here needs them.
+            # Its own list of dependencies asks for numpy below 2, torchvision and xformers, none of it needed here.
             extra="--no-deps depth-anything-3==0.1.1 omegaconf antlr4-python3-runtime==4.9.3 addict einops",
             licence="Apache-2.0, weights too",
             needs_network=True,

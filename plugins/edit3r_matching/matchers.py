@@ -18,7 +18,6 @@ from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.registry import build, default_registry
 from edit3r.stage_checks import component_name, require_matchable
 from edit3r.types import Views
-from edit3r.weights import at_hand
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
 from edit3r_matching.depth_maps import DepthSettings, chosen_network, measure_depths
@@ -175,12 +174,9 @@ class AutoMatcher(Matcher):
 
 
 def best_at_hand() -> str:
-    """The name of the best weights of Depth Anything 3 that can be used here; 'part' without any."""
-    registry = default_registry()
-    offer = registry.find("matcher", "da3")
-    known = {weights.name: weights for weights in offer.component.weights}
-    usable = [] if registry.missing(offer) else [name for name in ("da3-base", "da3-small") if at_hand(known[name])]
-    return usable[0] if usable else "part"
+    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part' without any."""
+    usable = (name for name in ("da3-base", "da3-small") if default_registry().ready("matcher", "da3", name))
+    return next(usable, "part")
 
 
 def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
