@@ -21,7 +21,7 @@ from edit3r.interfaces import MatchedGeometry
 from edit3r.io.atomic import atomic_write
 from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.registry import default_registry
-from edit3r.run_config import RunConfig
+from edit3r.run_config import DEFAULTS, RunConfig
 from edit3r.selection import Selected, Selection, select_masks
 from edit3r.types import Views
 from edit3r_app.jobs import JobsFolder
@@ -99,7 +99,9 @@ class Chooser:
     """Answers marks with masks. One call works at a time; the geometry of a scene is read once, in the background."""
 
     def __init__(self, folder: JobsFolder, size: int, segmenter: str | None = None) -> None:
-        self.folder, self.size, self.segmenter = folder, size, segmenter
+        self.folder, self.size = folder, size
+        name = segmenter or DEFAULTS["segmenter"]
+        self._segmenter = lru_cache(maxsize=1)(lambda: default_registry().build("segmenter", name))  # keeps its weights
         self._working, self._reading = threading.Lock(), threading.Lock()
         self._background = ThreadPoolExecutor(1)
         self._views = lru_cache(maxsize=4)(self._read_views)
@@ -176,7 +178,7 @@ class Chooser:
         views, geometry = self.views(state), None
         with suppress(NotYet):
             geometry = self._geometry(state, stamp).result(GEOMETRY_PATIENCE)
-        segmenter = default_registry().build("segmenter", self.segmenter or "classical")
+        segmenter = self._segmenter()
         selection = _DRAFT.validate_json(marks).selection(*views.images.shape[-2:])
         return select_masks(views.images[0], selection, segmenter, geometry, views.intrinsics)
 
