@@ -30,7 +30,6 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
-    ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
 }
 """What its contract needs to know."""
 
