@@ -66,8 +66,8 @@ class TrainingState:
             self.step, self.skipped = int(content["step"]), int(content["skipped"])
             self.best, self.validated = float(content["best"]), int(content.get("validated", content["step"]))
             _restore_random_states(content["random"])
-        except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
-            reason = str(error).splitlines()[0]
+        except Exception as error:  # damaged numbers make whoever gets them raise what they like
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise InputError(
                 f"{path}: made for another network or optimiser ({reason}); resume with the configuration that it was "
                 "trained with, or start again with --overwrite instead of --resume."

@@ -244,6 +244,28 @@ def manifests(rng, folder, given):
         assert torch.isfinite(loaded.photos.images).all() and loaded.inputs == len(item.inputs)
 
 
+def jobs_files(rng, folder, given):
+    from edit3r_batch.jobs import read_jobs
+
+    photos = [str(photo) for photo in given.photos]
+    job = {
+        "id": "bike",
+        "photos": photos,
+        "prompt": "paint it",
+        "seed": 3,
+        "point": ["1:3,4"],
+        "editor": {"name": "none"},
+    }
+    second = json_bytes(rng, job) if rng.random() < 0.8 else mangled_bytes(rng, json.dumps(job).encode())
+    (folder / "jobs.jsonl").write_bytes(json.dumps({**job, "id": "first"}).encode() + b"\n" + second)
+    jobs = read_jobs(folder / "jobs.jsonl", {"size": 32}, default_registry())
+    for name, job in jobs.items():
+        assert (folder / name).resolve().parent == folder and not (folder / name).exists()
+        assert json.loads(json.dumps(job.record)) == job.record
+        make_run_config(job.settings)
+    assert len({name.casefold() for name in jobs}) == len(jobs)
+
+
 def recipes(rng, folder, given):
     from edit3r_recolor.scene import FORMAT, SceneRecipe
 
@@ -256,7 +278,7 @@ def recipes(rng, folder, given):
 def prompts(rng, folder, given):
     from edit3r_recolor.prompt import parse_prompt
 
-    text = mangled_text(rng, "paint the bike light blue, make it much darker and warmer")
+    text = mangled_text(rng, "paint the bike light blue, make it much darker; all but the wall from grey to red")
     text *= rng.choice((1, 1, 1, 40, 20_000))
     prompt = make_run_config({"prompt": text}).prompt
     save_ply(folder / "scene.ply", _scene(), comment_lines=[f"prompt: {prompt}"])
@@ -265,7 +287,7 @@ def prompts(rng, folder, given):
     page = (folder / "viewer.html").read_text(encoding="utf-8")
     meta = page.partition('<script id="meta" type="application/json">')[2].partition("</script>")[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
-    assert parse_prompt(prompt).steps
+    assert all(request.steps for request in parse_prompt(prompt))
 
 
 def names(rng, folder, given):
@@ -362,6 +384,7 @@ DOORS: dict[str, Callable] = {
     for door in (
         *(pictures, masks, cameras, yaml_files, assignments, checkpoints, resume_states, weights, plies, run_folders),
         *(manifests, recipes, prompts, names, output_paths, service_answers, videos, uploads, app_records),
+        jobs_files,
         *((exports,) if importlib.util.find_spec("gaussforge") else ()),
     )
 }
