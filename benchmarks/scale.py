@@ -82,9 +82,7 @@ def supervise(out: Path, count: int, workers: int, kills: int) -> None:
     begun = len((out / "begun").read_text().split())
     done = {path.name for path in (out / "done").glob("*/*")}
     failed = {key for key, row in rows.items() if "failure" in row}
-    print(
-        f"{count:,} jobs, {workers} workers; the batch killed {kills} times, {deaths} deaths of workers, {start} starts"
-    )
+    print(f"{count:,} jobs, {workers} workers; batch killed {kills} times, {deaths} workers died, {start} starts")
     print(f"rows {len(rows):,}: done {len(done):,}, failed {len(failed):,}; begun and not ended {begun - len(done):,}")
     print(f"processor {used.ru_utime + used.ru_stime:.0f} s, wall {time.monotonic() - began:.0f} s")
     assert len(rows) == count and len(done) + len(failed) == count and not done & failed
