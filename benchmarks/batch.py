@@ -42,9 +42,8 @@ def make_jobs(folder: Path, count: int, size: int) -> list[dict]:
 def command(folder: Path, job: dict) -> None:
     options = ["--prompt", job["prompt"], "--guess", "--size", str(job["size"]), "--frames", "4", "--fov", "50"]
     photos = [str(folder / name) for name in job["photos"]]
-    subprocess.run(
-        [*PROGRAM, "run", *photos, *options, "--quiet", "--out", str(folder / "single" / job["id"])], check=True
-    )
+    out = str(folder / "single" / job["id"])
+    subprocess.run([*PROGRAM, "run", *photos, *options, "--quiet", "--out", out], check=True)
 
 
 def measured(act) -> tuple[float, float]:
@@ -83,9 +82,7 @@ def main() -> None:
     singles = [(a + b) / args.commands for a, b in zip(first, second)]
     batched = [seconds / args.jobs for seconds in together]
     for name, single, one in zip(("processor", "wall"), singles, batched):
-        print(
-            f"{name}: a command {single:.2f} s, a job of the batch {one:.2f} s; {single / one:.2f} times the throughput"
-        )
+        print(f"{name}: a command {single:.2f} s, a job of the batch {one:.2f} s: {single / one:.2f} times as many")
 
 
 if __name__ == "__main__":
