@@ -25,6 +25,7 @@ from edit3r.errors import (
     suggest,
 )
 from edit3r.plugins import LoadedPlugins, Offer, PluginFailure, load_plugins
+from edit3r.weights import at_hand
 
 
 class Registry:
@@ -68,6 +69,11 @@ class Registry:
     def missing(self, offer: Offer) -> tuple[str, ...]:
         """The modules the component requires that are not installed."""
         return tuple(module for module in offer.component.requires if not _installed(module))
+
+    def ready(self, kind: str, name: str, weights: str) -> bool:
+        """Whether a component can be used here and now: installed, and its weights called so at hand."""
+        offer = self.find(kind, name)
+        return not self.missing(offer) and any(at_hand(w) for w in offer.component.weights if w.name == weights)
 
     def load_class(self, offer: Offer) -> type:
         """Import the component's class; raises MissingDependencyError or PluginError with the way out."""
@@ -172,6 +178,8 @@ def install_hint(offer: Offer) -> str:
     if not offer.component.extra:
         return f"install with: pip install {' '.join(offer.component.requires)}"
     name = offer.component.extra
+    if name.startswith("-"):
+        return f"install with: pip install {name}"
     return f"install with: pip install {name!r}" if "[" in name else f'install with: pip install "edit3r[{name}]"'
 
 

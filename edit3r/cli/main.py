@@ -66,7 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         known = as_known(error)
-        print(f"edit3r: {' '.join(str(known).split())}", file=sys.stderr)
+        sentence = " ".join(str(known).split())
+        # A file name may be no UTF-8, and whoever reads our errors may take nothing else.
+        print(f"edit3r: {sentence.encode(errors='backslashreplace').decode()}", file=sys.stderr)
         return known.exit_code
 
 

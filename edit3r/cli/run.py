@@ -135,7 +135,8 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     for name, field in RunConfig.model_fields.items():
         if name == "refiners":  # a list with settings: --set refiners=[...]
             continue
-        default = "" if field.default in (None, "") else f" (default {getattr(field.default, 'name', field.default)})"
+        words = ",".join(field.default) if isinstance(field.default, tuple) else field.default
+        default = "" if words in (None, "") else f" (default {getattr(words, 'name', words)})"
         text = f"{field.description}{default}".replace("%", "%%")
         flag = f"--{SHORT_FLAGS.get(name, name).replace('_', '-')}"
         parser.add_argument(flag, dest=name, help=text, **_flag_form(field))

@@ -59,6 +59,10 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
             os.replace(partial, path)
     except PermissionError:
         raise InputError(f"{path}: no permission to write there.") from None
+    except FileNotFoundError as error:  # a file system that takes no new files, such as /proc
+        if error.filename is None or not Path(error.filename).name.startswith(f".{path.stem}.partial-"):
+            raise
+        raise InputError(f"{path}: no file can be made there.") from None
 
 
 def write_between(page: Path, start: str, end: str, text: str) -> None:
@@ -271,7 +275,7 @@ def _lock_of(partial: Path) -> Path:
 
 
 def remove_abandoned(final: Path, stem: str, suffix: str = "") -> None:
-    """Delete what killed writers of `final` left beside it."""
+    """Delete what killed writers of `final`, a file STEM.SUFFIX or a folder STEM, left beside it."""
     if fcntl is None:
         return
     pattern = re.compile(rf"(\.{re.escape(stem)}\.partial-[0-9a-f]{{8}}{re.escape(suffix)})\.lock")

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import torch
-from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, mangled_tree, nasty
+from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
 
 from edit3r.cache import Cache
@@ -38,6 +38,7 @@ from edit3r.io.viewer import save_viewer
 from edit3r.registry import default_registry
 from edit3r.run_config import make_run_config
 from edit3r.training.checkpoint import TrainingState, copied_weights
+from edit3r.training.checkpoint import load_weights as load_trained
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 SIZE = (24, 32)
@@ -163,12 +164,11 @@ def resume_states(rng, folder, given):
 
 
 def weights(rng, folder, given):
-    from edit3r_matching_network.network import SHIPPED, load_network
+    from edit3r_matching.depth_network import SHIPPED, DepthNetwork
     from edit3r_model.checkpoints import load_weights
     from safetensors.torch import save
 
-    sizes = json.dumps(mangled_tree(rng, {"width": 8, "heads": 2, "fine_width": 8}))
-    content = save({"a.weight": torch.zeros(3, 3), "b": torch.ones(2)}, {"sizes": sizes})
+    content = save({"a.weight": torch.zeros(3, 3), "b": torch.ones(2)})
     file = folder / rng.choice(("w.safetensors", "w.ckpt", "w.pth"))
     content = rng.choice((content, given.files["last.pt"]))
     file.write_bytes(mangled_bytes(rng, content) if rng.random() < 0.6 else content)
@@ -180,7 +180,8 @@ def weights(rng, folder, given):
     if rng.random() < 0.5:
         load_weights(file)
     else:
-        network = load_network(str(file))
+        network = DepthNetwork()
+        load_trained(network, file)
         assert all(value.isfinite().all() for value in network.state_dict().values())
 
 
@@ -277,7 +278,7 @@ def recipes(rng, folder, given):
 def prompts(rng, folder, given):
     from edit3r_recolor.prompt import parse_prompt
 
-    text = mangled_text(rng, "paint the bike light blue, make it much darker and warmer")
+    text = mangled_text(rng, "paint the bike light blue, make it much darker; all but the wall from grey to red")
     text *= rng.choice((1, 1, 1, 40, 20_000))
     prompt = make_run_config({"prompt": text}).prompt
     save_ply(folder / "scene.ply", _scene(), comment_lines=[f"prompt: {prompt}"])
@@ -286,7 +287,7 @@ def prompts(rng, folder, given):
     page = (folder / "viewer.html").read_text(encoding="utf-8")
     meta = page.partition('<script id="meta" type="application/json">')[2].partition("</script>")[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
-    assert parse_prompt(prompt).steps
+    assert all(request.steps for request in parse_prompt(prompt))
 
 
 def names(rng, folder, given):
