@@ -1,4 +1,4 @@
-"""What small scenes cost as a batch and as single commands, the sides in turns: half of the commands, the batch, the rest.
+"""What small scenes cost as a batch and as single commands: half of the commands, the batch, the other half.
 
     python benchmarks/batch.py DIR --jobs 40 --commands 12 --workers 2
 
