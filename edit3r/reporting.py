@@ -73,6 +73,14 @@ def note(key: str, value: Any) -> None:
         report.notes[key] = value
 
 
+def say(key: str, text: str) -> None:
+    """Note a choice that was made for the user, and show it; once per text."""
+    report = _current.get()
+    if report is not None and report.notes.get(key) != text:
+        note(key, text)
+        report.emit("say", f"{key}: {text}")
+
+
 def warn(text: str) -> None:
     """Tell the user something that does not stop the run; once per text, also kept in the manifest.
 

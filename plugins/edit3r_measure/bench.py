@@ -1,7 +1,7 @@
 """`edit3r bench build|run|report`: the editing benchmark.
 
 build   folder of photos | generated scenes  ->  manifest.json             (`bench_build`, `bench_proposals`)
-run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`, `runner`)
+run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`)
 report  folders of results                   ->  tables, plots, a page     (`bench_report`, `bench_page`)
 """
 
@@ -17,9 +17,9 @@ from edit3r.errors import SettingsError, suggest
 from edit3r_measure.report import check_least
 
 if TYPE_CHECKING:
+    from edit3r.workers import Progress
     from edit3r_measure.bench_item import Method
     from edit3r_measure.bench_manifest import Manifest
-    from edit3r_measure.runner import Progress
 
 
 class BenchCommand(Command):
@@ -163,10 +163,10 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    from edit3r.workers import Workers
     from edit3r_measure.bench_item import BenchRun, run_bench
     from edit3r_measure.bench_manifest import EDIT_TYPES
     from edit3r_measure.bench_metrics import MetricSettings
-    from edit3r_measure.runner import Workers
 
     check_least(args, workers=1, threads=1, scenes=1, edits=1)
     types = tuple(args.types.split(",")) if args.types else ()

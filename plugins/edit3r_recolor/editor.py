@@ -33,7 +33,7 @@ class RecolorEditor(Editor):
         ranges: RecolorRanges = Field(
             RecolorRanges(), description="how strongly a recolouring without a named colour is sampled"
         )
-        segmenter: PartChoice = Field(PartChoice(name="classical"), description="finds and follows the object")
+        segmenter: PartChoice = Field(PartChoice(name="auto"), description="finds and follows the object")
 
         @field_validator("point", "box")
         @classmethod
