@@ -35,10 +35,7 @@ ASKED = {
     "mock-diffusion": ["--prompt", "make it rusty"],
     "retouch": ["--mask", str(MASK)],
 }
-MATCHERS = {
-    "classical (matches=learned)": "{name: classical, matches: learned}",
-    "network": "network",
-}
+MATCHERS = {"classical (matches=learned)": "{name: classical, matches: learned}"}
 CLICK = (0.45, 0.55)
 
 
@@ -82,11 +79,11 @@ def main() -> None:
     parser.add_argument("--editors", nargs="+")
     parser.add_argument("--recons", nargs="+")
     options = parser.parse_args()
-    rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.exists() else []
     made = [run(e, r) for e in options.editors or ASKED for r in options.recons or ("classical", "edit3r")]
     if not (options.editors or options.recons):
         made += [run("none", recon, matcher) for matcher in MATCHERS for recon in ("classical", "edit3r")]
         made.append(segment("classical"))
+    rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.exists() else []
     keys = ("editor", "recon", "matcher", "segmenter")
     kept = {tuple(row.get(key) for key in keys): row for row in [*rows, *made]}
     components = [offer.component for kind in ("editor", "reconstructor", "segmenter", "matcher")
