@@ -55,11 +55,12 @@ def _declare_build(parser: argparse.ArgumentParser) -> None:
     add("--labels", default="", metavar="A,B", help="what the photos show; with --detector what it looks for")
     add("--detector", metavar="NAME", help="finds labels and boxes, such as grounding-dino")
     add("--segmenter", metavar="NAME", help="cuts masks out of the boxes, such as sam2 or classical")
+    add("--truth", metavar="EDITOR", help="edits the held-back photos too, such as recolor: its pictures are the truth")
     add("--llm", metavar="URL", help="OpenAI-compatible address of a language model that proposes edits")
     add("--llm-model", metavar="NAME", help="its name there; its key is read from OPENAI_API_KEY")
     add("--vetting", metavar="FILE", help="vetting file (default: beside --out, NAME.vetting.yaml)")
     add("--no-vetting", action="store_true", help="take the first five proposals of each scene unseen")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="detector.*, segmenter.* or generator.*")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="of generator, detector, segmenter or truth")
     _add_common(parser)
 
 
@@ -97,8 +98,11 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
 
     if (args.llm is None) != (args.llm_model is None):
         raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
-    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
-    named = {"detector": args.detector, "segmenter": args.segmenter}
+    registry, settings = (
+        default_registry(tuple(args.plugin)),
+        _component_settings(args, {"detector", "segmenter", "truth"}),
+    )
+    named = {"detector": args.detector, "segmenter": args.segmenter, "truth": args.truth}
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
     given = {
@@ -110,7 +114,11 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
         "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
         "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
     }
-    tools = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in named.items() if name}
+    tools = {
+        kind: registry.build("editor" if kind == "truth" else kind, name, **settings.get(kind, {}))
+        for kind, name in named.items()
+        if name
+    }
     build = make_settings(PhotoBuild, {**given, **tools, **_image_size(args)}, where="build")
     if args.no_vetting:
         return build.manifest(build.propose())
@@ -157,7 +165,8 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
     add("--clip", default="", metavar="MODEL", help="measure CLIP t2i and direction with this model or folder")
     add("--inception", default="", metavar="FILE", help="measure C-FID and C-KID with inception-2015-12-05.pt")
     add("--lpips", action="store_true", help="measure LPIPS against the truth (extra lpips)")
-    add("--no-effnet", action="store_true", help="leave the EfficientNet variants of C-FID and C-KID out")
+    add("--no-order", action="store_true", help="do not reconstruct again with the inputs in another order")
+    add("--no-effnet", action="store_true", help="leave out what EfficientNet's features measure")
     add("--no-verify", action="store_true", help="accept pictures that differ from the manifest's hashes")
     _add_common(parser)
 
@@ -172,7 +181,8 @@ def _run(args: argparse.Namespace) -> int:
     types = tuple(args.types.split(",")) if args.types else ()
     if set(types) - set(EDIT_TYPES):
         raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")
-    metrics = MetricSettings(effnet=not args.no_effnet, inception=args.inception, clip=args.clip, lpips=args.lpips)
+    networks = {"effnet": not args.no_effnet, "inception": args.inception, "clip": args.clip, "lpips": args.lpips}
+    metrics = MetricSettings(**networks, order=not args.no_order)
     workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads)
     out = Path(args.out)
     for position, method in _methods(args):

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from jaxtyping import Float
 from pydantic import Field, field_validator, model_validator
+from torch import Tensor
 
 import edit3r
 from edit3r.config import PartChoice, Settings, make_settings, merge
@@ -22,10 +24,11 @@ from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Editor
 from edit3r.io.images import save_image
 from edit3r.io.run_folder import installed_versions
+from edit3r.pipeline import composite
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, StageRecord, collecting
-from edit3r.types import Cameras
+from edit3r.types import Cameras, EditRequest
 from edit3r_measure.bench_manifest import ItemRecord, LoadedItem, Manifest, load_item, read_bench_manifest
 from edit3r_measure.bench_metrics import (
     MethodOutput,
@@ -33,6 +36,7 @@ from edit3r_measure.bench_metrics import (
     MetricSettings,
     measure,
     measure_failure,
+    remark,
     score,
 )
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
@@ -57,6 +61,13 @@ class Method(Settings):
     reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
     rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
     edit_views: Literal["all", "first"] = Field("all", description="edit every view, or the reference only")
+    edit_renders: bool = Field(
+        False, description="reconstruct the photos, and edit its renderings one by one: no edited scene is made"
+    )
+    gaussians_of: Literal["all", "first"] = Field(
+        "all", description="first: show only those of the reference (single-view lifting)"
+    )
+    run: dict[str, Any] = Field(default_factory=dict, description="settings of the run, such as refine: 0")
     poses: bool = Field(True, description="hand true poses to reconstructors that read them, where they are known")
     truth: bool | None = Field(
         None, description="judge by the edited truth where it is known; default: for the oracle, whose edit it is"
@@ -115,6 +126,11 @@ class ItemResult:
     timing: Mapping[str, Any] | None = None  # as `timing_of` tells it; None after a failure
     facts: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def remark(self) -> str:
+        """That the edit changed nothing, in words; "" when it did or failed."""
+        return "" if self.failure else remark(self.metrics)
+
 
 def read_results(folder: Path) -> dict[str, ItemResult]:
     """Return the results of a folder by item id."""
@@ -171,7 +187,7 @@ class BenchRun:
             with collecting(report), torch.no_grad():
                 output, facts = self._edit_and_render(item, report)
         except FAILURES as error:
-            return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item)), str(error)))
+            return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item), networks), str(error)))
         metrics = measure(item, output, networks)
         save_strips(self.out / "pictures" / record.id, item, output)
         return asdict(ItemResult(*named, metrics, "", timing_of(report.stages, cold), facts))
@@ -182,35 +198,77 @@ class BenchRun:
         return wished and item.truth is not None
 
     def _edit_and_render(self, item: LoadedItem, report: Report) -> tuple[MethodOutput, dict[str, Any]]:
-        method, views = self.method, item.given
+        method, truth = self.method, self._has_truth(item)
+        editor = "none" if method.edit_renders else self._editor(item, item.truth)
+        scene = self._reconstruct(item, editor, range(item.inputs), report)
+        images, edited = scene.images, scene.edited
+        if method.edit_renders:
+            wished = None if item.truth is None else (images + item.truth - item.photos.images[0]).clamp(0, 1)
+            with report.stage("edit (the renderings)"):
+                images = self._edit_each(item, self._editor(item, wished), images)
+            edited = images[: item.inputs]
+        output = MethodOutput(images, edited, scene.depths, scene.cameras, truth)
+        if self.metrics.order and item.inputs > 2 and not method.edit_renders:
+            output = replace(output, reordered=self._reordered(item, edited))
+        return output, {"gaussians": scene.gaussians, "warnings": report.warnings}
+
+    def _reconstruct(
+        self, item: LoadedItem, editor: Editor | PartChoice | str, order: Sequence[int], report: Report
+    ) -> "_Scene":
+        """Edit and reconstruct the inputs in this order, and render what comes out of it."""
+        method, views = self.method, item.photos.select(order)
         if method.poses and item.cameras is not None:
-            views = replace(views, c2w=item.cameras.c2w[:, : item.inputs])
+            views = replace(views, c2w=item.cameras.c2w[:, list(order)])
         result = edit3r.run(
             views,
             item.record.prompt,
-            editor=self._editor(item),
+            editor=editor,
             recon=self._component("reconstructor", method.reconstructor),
-            masks=None if item.masks is None else item.masks[None, : item.inputs],
+            masks=None if item.masks is None else item.masks[None, list(order)],
             edit_views=method.edit_views,
             seed=item.record.seed,
             registry=self.registry,
             report=report,
+            **method.run,
         )
         cameras = evaluation_cameras(item, result.cameras)
+        gaussians = result.gaussians.from_view(0) if method.gaussians_of == "first" else result.gaussians
         rasterizer = self._component("rasterizer", method.rasterizer)
         with report.stage("render"):
-            rendering = render_each(rasterizer, result.gaussians, cameras, "render")
+            rendering = render_each(rasterizer, gaussians, cameras, "render")
         images, depths = rendering.images[0].clamp(0, 1), rendering.depths[0, :, 0]
-        output = MethodOutput(images, result.edited.images[0], depths, cameras, self._has_truth(item))
-        return output, {"gaussians": result.gaussians.count, "warnings": report.warnings}
+        return _Scene(images, depths, cameras, result.edited.images[0], gaussians.count)
 
-    def _editor(self, item: LoadedItem) -> Editor | PartChoice:
+    def _edit_each(
+        self, item: LoadedItem, editor: Editor, images: Float[Tensor, "frame 3 height width"]
+    ) -> Float[Tensor, "frame 3 height width"]:
+        """Edit renderings instead of photos; what a mask leaves out stays."""
+        masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
+        views = replace(item.photos, images=images[None])
+        edited = editor.edit(views, EditRequest(item.record.prompt, item.record.seed, masks)).images
+        return edited[0] if masks is None else composite(images[None], edited, masks)[0]
+
+    def _reordered(
+        self, item: LoadedItem, edited: Float[Tensor, "view 3 height width"]
+    ) -> Float[Tensor, "frame 3 height width"]:
+        """Return what the reference's and the held-back cameras show when the other inputs are in reverse order.
+
+        Every view keeps its 2D edit, so that the reconstruction alone is asked. Views between predicted cameras, where
+        no pose is known, do not compare and are left out.
+        """
+        order = [0, *range(item.inputs - 1, 0, -1)]
+        images = self._reconstruct(
+            item, OracleEditor(edited[order], OracleSettings(disagreement=0)), order, Report()
+        ).images
+        return images[[0, *(range(item.inputs, len(images)) if item.cameras is not None else ())]]
+
+    def _editor(self, item: LoadedItem, truth: Float[Tensor, "frame 3 height width"] | None) -> Editor | PartChoice:
         editor = self.method.editor
         if editor.name != ORACLE:
             return self._component("editor", editor)
-        if item.truth is None:
+        if truth is None:
             raise InputError(f"{item.record.id}: the editor 'oracle' needs scenes whose edited truth is known.")
-        return OracleEditor(item.truth[: item.inputs], make_settings(OracleSettings, editor.settings, where="editor"))
+        return OracleEditor(truth, make_settings(OracleSettings, editor.settings, where="editor"))
 
     def _component(self, kind: str, choice: PartChoice) -> Any:
         """Build a component once; a reconstructor that edits is built by the run, with each item's editor."""
@@ -219,6 +277,17 @@ class BenchRun:
         if kind not in self._built:
             self._built[kind] = self.registry.build(kind, choice.name, **choice.settings)
         return self._built[kind]
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """One reconstruction, as it is measured."""
+
+    images: Float[Tensor, "frame 3 height width"]
+    depths: Float[Tensor, "frame height width"]
+    cameras: Cameras
+    edited: Float[Tensor, "view 3 height width"]
+    gaussians: int
 
 
 def run_bench(
