@@ -1,8 +1,9 @@
-"""`edit3r bench build|run|report`: the editing benchmark.
+"""`edit3r bench build|run|grid|report`: the editing benchmark.
 
 build   folder of photos | generated scenes  ->  manifest.json             (`bench_build`, `bench_proposals`)
 run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`, `runner`)
-report  folders of results                   ->  tables, plots, a page     (`bench_report`, `bench_page`)
+grid    manifest                             ->  the same for all pairs    (`bench_grid`)
+report  folders of results                   ->  tables, a page            (`bench_report`, `bench_page`)
 """
 
 import argparse
@@ -28,7 +29,7 @@ class BenchCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the three steps and their options."""
         parser.set_defaults(step_main=lambda args: parser.print_help() or 2)  # when no step is named
-        steps = parser.add_subparsers(metavar="build|run|report")
+        steps = parser.add_subparsers(metavar="build|run|grid|report")
         for name, (declare, main) in STEPS.items():
             step = steps.add_parser(name, help=declare.__doc__, description=declare.__doc__)
             declare(step)
@@ -172,6 +173,16 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    _run_methods(args, _methods(args), whole_folder=not args.config)
+    if not args.quiet:
+        print(f"next: edit3r bench report {args.out}")
+    return 0
+
+
+def _run_methods(
+    args: argparse.Namespace, methods: "list[tuple[int, Method]]", whole_folder: bool = False, every_error: bool = False
+) -> None:
+    """Take each method through the manifest, into a folder of its own inside `--out` or into the `whole_folder`."""
     from edit3r_measure.bench_item import BenchRun, run_bench
     from edit3r_measure.bench_manifest import EDIT_TYPES
     from edit3r_measure.bench_metrics import MetricSettings
@@ -185,26 +196,24 @@ def _run(args: argparse.Namespace) -> int:
     metrics = MetricSettings(**networks, order=not args.no_order)
     workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads)
     out = Path(args.out)
-    for position, method in _methods(args):
+    for position, method in methods:
         run = BenchRun(
             manifest_file=Path(args.manifest),
             method=method,
-            out=out / method.label if args.config else out,
+            out=out if whole_folder else out / method.label,
             metrics=metrics,
             scenes=args.scenes,
             edits=args.edits,
             types=types,
             plugins=tuple(args.plugin),
             verify=not args.no_verify,
+            every_error=every_error,
             position=position,
         )
         results = run_bench(run, workers, (lambda _: None) if args.quiet else partial(_print_progress, method.label))
         if not args.quiet:
             failed = sum(bool(result.failure) for result in results.values())
             print(f"{method.label}: {len(results)} edits, {failed} failed; {run.out}")
-    if not args.quiet:
-        print(f"next: edit3r bench report {out}")
-    return 0
 
 
 def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
@@ -226,6 +235,36 @@ def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
     return [(n, method) for n, method in enumerate(methods) if not args.only or method.label in args.only]
 
 
+def _declare_grid(parser: argparse.ArgumentParser) -> None:
+    """Take every installed editor with every reconstructor through a benchmark: one table, one page."""
+    _declare_run(parser)
+    parser.add_argument(
+        "--pictures", type=int, default=5, metavar="N", help="most edits shown with pictures (default 5)"
+    )
+    parser.epilog = "--editor and --recon take names with commas between; --set reconstructor.refit.steps=50"
+
+
+def _grid(args: argparse.Namespace) -> int:
+    from edit3r.registry import default_registry
+    from edit3r_measure.bench_grid import pairs_of, write_grid
+
+    if args.config or args.only:
+        raise SettingsError("edit3r bench grid: --config and --only belong to edit3r bench run.")
+    asked = {
+        kind: [name.strip() for name in (names or "").split(",") if name.strip()]
+        for kind, names in (("editor", args.editor), ("reconstructor", args.recon))
+    }
+    common = {"rasterizer": args.rasterizer} if args.rasterizer else {}
+    settings = _component_settings(args, set(asked))
+    pairs = pairs_of(default_registry(tuple(args.plugin)), asked, common, settings)
+    _run_methods(args, [(n, method) for n, (method, reason) in enumerate(pairs) if not reason], every_error=True)
+    table = write_grid(Path(args.out), pairs, args.pictures)
+    if not args.quiet:
+        print(table)
+        print(Path(args.out) / "index.html")
+    return 0
+
+
 def _print_progress(label: str, progress: "Progress") -> None:
     """Print one line about an item, with the time left."""
     failure, seconds = progress.row["failure"], progress.seconds_left
@@ -239,7 +278,7 @@ def _print_progress(label: str, progress: "Progress") -> None:
 
 
 def _declare_report(parser: argparse.ArgumentParser) -> None:
-    """Write tables, plots and one page from the results of several methods."""
+    """Write tables and one page from the results of several methods."""
     add = parser.add_argument
     add("folders", nargs="+", metavar="DIR", help="folders of edit3r bench run, or folders of such")
     add("--out", metavar="DIR", help="folder for the report (default: report/ in the first folder)")
@@ -276,5 +315,10 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
-STEPS = {"build": (_declare_build, _build), "run": (_declare_run, _run), "report": (_declare_report, _report)}
+STEPS = {
+    "build": (_declare_build, _build),
+    "run": (_declare_run, _run),
+    "grid": (_declare_grid, _grid),
+    "report": (_declare_report, _report),
+}
 """Each step of the command: what declares its options, with its help, and what does it."""

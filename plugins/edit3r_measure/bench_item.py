@@ -18,7 +18,7 @@ from torch import Tensor
 
 import edit3r
 from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.errors import InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
+from edit3r.errors import Edit3rError, InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
 from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Editor
@@ -159,6 +159,7 @@ class BenchRun:
     types: tuple[str, ...] = ()  # only these
     plugins: tuple[str, ...] = ()  # local plugin files
     verify: bool = True
+    every_error: bool = False  # that a user could cause is a result too
     position: int = 0  # of the method's column in reports
     _built: dict[str, Any] = field(default_factory=dict)
 
@@ -177,6 +178,10 @@ class BenchRun:
         """What the metrics need."""
         return MetricNetworks(self.metrics, self.registry)
 
+    @property
+    def _failures(self) -> tuple[type[Exception], ...]:
+        return (Edit3rError,) if self.every_error else FAILURES
+
     def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
@@ -186,7 +191,7 @@ class BenchRun:
         try:
             with collecting(report), torch.no_grad():
                 output, facts = self._edit_and_render(item, report)
-        except FAILURES as error:
+        except self._failures as error:
             return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item), networks), str(error)))
         metrics = measure(item, output, networks)
         save_strips(self.out / "pictures" / record.id, item, output)

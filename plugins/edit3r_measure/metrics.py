@@ -97,8 +97,9 @@ def sharpness(image: Image, photo: Image) -> float:
 
     In [0, inf): 1 is as sharp as the photo, less is blurred, more is noise or finer texture; NaN for a flat photo.
     """
-    of_image, of_photo = (cv2.Laplacian(rgb2gray(picture), cv2.CV_64F).var() for picture in (image, photo))
-    return float(of_image / of_photo) if of_photo > 0 else float("nan")
+    grey = (rgb2gray(picture.astype(np.float64)) for picture in (image, photo))
+    of_image, of_photo = (cv2.Laplacian(picture, cv2.CV_64F).var() for picture in grey)
+    return float(of_image / of_photo) if of_photo > 1e-12 else float("nan")
 
 
 def blur(image: Image) -> float:
