@@ -294,7 +294,8 @@ class PhotoBuild(Settings):
         frames = (*scene.inputs, *scene.held_back)
         views = load_photos([scene.path / scene.files[index] for index in frames], size=self.image_size).views
         edited = self.truth.edit(views, EditRequest(edit.prompt, self.seed, guess=True)).images[0]
-        unchanged = [scene.files[n] for n, same in zip(frames, (edited == views.images[0]).flatten(1).all(1)) if same]
+        change = (edited - views.images[0]).abs().amax((1, 2, 3))
+        unchanged = [scene.files[index] for index, most in zip(frames, change) if most <= VISIBLE]
         if unchanged:
             raise InputError(f"scene {scene.id!r}, {edit.prompt!r}: the editor left {unchanged[0]} as it was; drop it.")
         folder = make_folder(self.out.parent / f"{self.out.stem}-truth")

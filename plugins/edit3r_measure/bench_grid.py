@@ -18,7 +18,7 @@ from edit3r_measure.bench_item import Method
 from edit3r_measure.bench_page import write_page
 from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_columns, timing, title
 from edit3r_measure.oracle import ORACLE
-from edit3r_measure.report import format_or_dash, make_folder, markdown_table, write_json, write_text
+from edit3r_measure.report import format_or_dash, make_folder, markdown_table, write_text
 
 SHOWN = (
     "score",
@@ -46,9 +46,9 @@ def pairs_of(
     names = {kind: list(asked.get(kind) or known[kind]) for kind in known}
     if not asked.get("editor"):
         names["editor"].insert(0, ORACLE)
-    unknown = {kind: set(settings.get(kind, {})) - set(names[kind]) for kind in names}
-    for kind in (kind for kind in names if unknown[kind]):
-        raise SettingsError(f"--set {kind}.{min(unknown[kind])}: expected {kind}.NAME.SETTING of one in the grid.")
+    for kind, unknown in ((kind, set(settings.get(kind, {})) - set(names[kind])) for kind in names):
+        if unknown:
+            raise SettingsError(f"--set {kind}.{min(unknown)}: expected {kind}.NAME.SETTING of one in the grid.")
     own = {(kind, name): settings.get(kind, {}).get(name, {}) for kind in names for name in names[kind]}
     reasons = {
         (kind, name): ""
@@ -84,7 +84,7 @@ def _reason(registry: Registry, offer: Offer, settings: Mapping[str, Any], named
 
 
 def write_grid(out: Path, pairs: Pairs, pictures: int) -> str:
-    """Write grid.md, grid.json and index.html, and return the table; the pairs' folders lie in `out`."""
+    """Write grid.md and index.html, and return the table; the pairs' folders lie in `out`."""
     make_folder(out)
     ran = {method.label for method, reason in pairs if not reason}
     columns = {column.label: column for column in read_columns([out])} if ran else {}
@@ -95,12 +95,12 @@ def write_grid(out: Path, pairs: Pairs, pictures: int) -> str:
     table = markdown_table(head, rows)
     scenes = {result.scene for column in shown[:1] for result in column.results.values()}
     text = (
-        f"# Grid of {len(pairs)} pairs\n\n{len(ran)} pairs ran on {len(shown[0].results) if shown else 0} edits of "
-        f"{len(scenes)} scenes; the others say why not. Means over scenes; only the editor `oracle` has a truth to meet.\n\n"
+        f"# Grid of {len(pairs)} pairs\n\n{len(ran)} ran, on {len(shown[0].results) if shown else 0} edits of "
+        f"{len(scenes)} scenes; the others say why not. Means over scenes. Only `oracle` has a truth to meet.\n\n"
+        f"{table}\n"
     )
-    write_text(out / "grid.md", f"{text}{table}\n")
-    write_json(out / "grid.json", [dict(zip(head, row)) for row in rows])
-    write_page(out / "index.html", f"{text}{table}\n", shown, pictures)
+    write_text(out / "grid.md", text)
+    write_page(out / "index.html", text, shown, pictures)
     return table
 
 

@@ -178,20 +178,17 @@ class BenchRun:
         """What the metrics need."""
         return MetricNetworks(self.metrics, self.registry)
 
-    @property
-    def _failures(self) -> tuple[type[Exception], ...]:
-        return (Edit3rError,) if self.every_error else FAILURES
-
     def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
         item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
         cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
+        failures = (Edit3rError,) if self.every_error else FAILURES
         try:
             with collecting(report), torch.no_grad():
                 output, facts = self._edit_and_render(item, report)
-        except self._failures as error:
+        except failures as error:
             return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item), networks), str(error)))
         metrics = measure(item, output, networks)
         save_strips(self.out / "pictures" / record.id, item, output)
@@ -203,24 +200,27 @@ class BenchRun:
         return wished and item.truth is not None
 
     def _edit_and_render(self, item: LoadedItem, report: Report) -> tuple[MethodOutput, dict[str, Any]]:
-        method, truth = self.method, self._has_truth(item)
+        method = self.method
         editor = "none" if method.edit_renders else self._editor(item, item.truth)
-        scene = self._reconstruct(item, editor, range(item.inputs), report)
-        images, edited = scene.images, scene.edited
+        output, count = self._reconstruct(item, editor, range(item.inputs), report)
         if method.edit_renders:
-            wished = None if item.truth is None else (images + item.truth - item.photos.images[0]).clamp(0, 1)
             with report.stage("edit (the renderings)"):
-                images = self._edit_each(item, self._editor(item, wished), images)
-            edited = images[: item.inputs]
-        output = MethodOutput(images, edited, scene.depths, scene.cameras, truth)
-        if self.metrics.order and item.inputs > 2 and not method.edit_renders:
-            output = replace(output, reordered=self._reordered(item, edited))
-        return output, {"gaussians": scene.gaussians, "warnings": report.warnings}
+                images = self._edit_each(item, output.images)
+            output = replace(output, images=images, edited=images[: item.inputs])
+        elif self.metrics.order and item.inputs > 2:
+            # The other inputs come the other way round, with the same 2D edits: the reconstruction alone is asked.
+            order = [0, *range(item.inputs - 1, 0, -1)]
+            replayed = OracleEditor(output.edited[order], OracleSettings(disagreement=0))
+            images = self._reconstruct(item, replayed, order, Report())[0].images
+            # Between predicted cameras, where no pose is known, the held-back frames would not compare.
+            reordered = images[[0, *(range(item.inputs, len(images)) if item.cameras is not None else ())]]
+            output = replace(output, reordered=reordered)
+        return output, {"gaussians": count, "warnings": report.warnings}
 
     def _reconstruct(
         self, item: LoadedItem, editor: Editor | PartChoice | str, order: Sequence[int], report: Report
-    ) -> "_Scene":
-        """Edit and reconstruct the inputs in this order, and render what comes out of it."""
+    ) -> tuple[MethodOutput, int]:
+        """Edit and reconstruct the inputs in this order; return what the scene shows and its number of Gaussians."""
         method, views = self.method, item.photos.select(order)
         if method.poses and item.cameras is not None:
             views = replace(views, c2w=item.cameras.c2w[:, list(order)])
@@ -242,30 +242,17 @@ class BenchRun:
         with report.stage("render"):
             rendering = render_each(rasterizer, gaussians, cameras, "render")
         images, depths = rendering.images[0].clamp(0, 1), rendering.depths[0, :, 0]
-        return _Scene(images, depths, cameras, result.edited.images[0], gaussians.count)
+        return MethodOutput(images, result.edited.images[0], depths, cameras, self._has_truth(item)), gaussians.count
 
     def _edit_each(
-        self, item: LoadedItem, editor: Editor, images: Float[Tensor, "frame 3 height width"]
+        self, item: LoadedItem, images: Float[Tensor, "frame 3 height width"]
     ) -> Float[Tensor, "frame 3 height width"]:
-        """Edit renderings instead of photos; what a mask leaves out stays."""
+        """Edit renderings instead of photos; what a mask leaves out stays. The oracle adds the true change."""
+        truth = None if item.truth is None else (images + item.truth - item.photos.images[0]).clamp(0, 1)
         masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
-        views = replace(item.photos, images=images[None])
-        edited = editor.edit(views, EditRequest(item.record.prompt, item.record.seed, masks)).images
+        request = EditRequest(item.record.prompt, item.record.seed, masks)
+        edited = self._editor(item, truth).edit(replace(item.photos, images=images[None]), request).images
         return edited[0] if masks is None else composite(images[None], edited, masks)[0]
-
-    def _reordered(
-        self, item: LoadedItem, edited: Float[Tensor, "view 3 height width"]
-    ) -> Float[Tensor, "frame 3 height width"]:
-        """Return what the reference's and the held-back cameras show when the other inputs are in reverse order.
-
-        Every view keeps its 2D edit, so that the reconstruction alone is asked. Views between predicted cameras, where
-        no pose is known, do not compare and are left out.
-        """
-        order = [0, *range(item.inputs - 1, 0, -1)]
-        images = self._reconstruct(
-            item, OracleEditor(edited[order], OracleSettings(disagreement=0)), order, Report()
-        ).images
-        return images[[0, *(range(item.inputs, len(images)) if item.cameras is not None else ())]]
 
     def _editor(self, item: LoadedItem, truth: Float[Tensor, "frame 3 height width"] | None) -> Editor | PartChoice:
         editor = self.method.editor
@@ -282,17 +269,6 @@ class BenchRun:
         if kind not in self._built:
             self._built[kind] = self.registry.build(kind, choice.name, **choice.settings)
         return self._built[kind]
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """One reconstruction, as it is measured."""
-
-    images: Float[Tensor, "frame 3 height width"]
-    depths: Float[Tensor, "frame height width"]
-    cameras: Cameras
-    edited: Float[Tensor, "view 3 height width"]
-    gaussians: int
 
 
 def run_bench(

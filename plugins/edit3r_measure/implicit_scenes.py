@@ -19,15 +19,15 @@ from edit3r.interfaces import Dataset, SceneSample
 from edit3r.types import Cameras
 
 STEPS, NEAR_ENOUGH, SKY = 72, 1e-3, 9.0  # most steps of a ray; distance that counts as a hit; radius of the dome
-FLOOR, DOME = -1, -2  # instead of a body
+DOME, FLOOR, BALL, RING, BOX, CAPSULE = range(-2, 4)
 Points = Float[np.ndarray, "point 3"]
 
 
 @dataclass(frozen=True)
 class Body:
-    """One thing with its pattern; the floor and the dome have a pattern only."""
+    """One thing, or the floor or the dome, with its pattern."""
 
-    kind: int  # 0 ball, 1 ring, 2 rounded box, 3 capsule; FLOOR; DOME
+    kind: int
     centre: np.ndarray  # [3], y down
     size: np.ndarray  # [3] half extents
     palette: np.ndarray  # [3, 3] sRGB
@@ -35,49 +35,49 @@ class Body:
 
     def distance(self, points: Points) -> Float[np.ndarray, "point"]:
         """Return the signed distance, or a little less."""
+        p = points - self.centre
         if self.kind == FLOOR:
             return self.centre[1] - points[:, 1]
         if self.kind == DOME:
             return SKY - np.linalg.norm(points, axis=1)
-        p = points - self.centre
-        if self.kind == 0:
+        if self.kind == BALL:
             return (np.linalg.norm(p / self.size, axis=1) - 1) * self.size.min()
-        if self.kind == 1:
+        if self.kind == RING:
             return np.hypot(np.hypot(p[:, 0], p[:, 1]) - self.size[0], p[:, 2]) - 0.4 * self.size[1]
-        if self.kind == 2:
+        if self.kind == BOX:
             outside = np.abs(p) - 0.7 * self.size
             return np.linalg.norm(outside.clip(0), axis=1) + outside.max(1).clip(max=0) - 0.3 * self.size.min()
         p[:, 1] -= p[:, 1].clip(-0.6 * self.size[1], 0.6 * self.size[1])
         return np.linalg.norm(p, axis=1) - 0.6 * self.size[0]
 
-    def colours(self, points: Points) -> Points:
-        """Return the pattern: two sums of waves decide softly between three colours."""
-        phases = np.einsum("pi,swi->spw", points, self.waves[..., :3]) + self.waves[:, None, :, 3]
+    def shaded(self, points: Points) -> Points:
+        """Return the colours of a matt surface under one lamp: sums of waves decide softly between three colours."""
+        phases = np.einsum("pi,swi->spw", points - self.centre, self.waves[..., :3]) + self.waves[:, None, :, 3]
         first, second = 0.5 + 0.5 * np.tanh(2.5 * np.sin(phases).sum(-1))[..., None]
-        return (self.palette[0] * first + self.palette[1] * (1 - first)) * (
-            1 - 0.6 * second
-        ) + 0.6 * second * self.palette[2]
+        base = self.palette[0] * first + self.palette[1] * (1 - first)
+        slope = np.stack([self.distance(points + step) - self.distance(points - step) for step in 1e-3 * np.eye(3)], 1)
+        normals = slope / np.linalg.norm(slope, axis=1, keepdims=True).clip(1e-9)
+        light = 1 if self.kind == DOME else 0.45 + 0.55 * (normals @ [0.36, -0.8, -0.48]).clip(0)[:, None]
+        return (base * (1 - 0.6 * second) + 0.6 * second * self.palette[2]) * light
 
 
 def draw_scene(rng: np.random.Generator) -> list[Body]:
-    """Return floor, dome and five to eight bodies on the floor around the middle."""
+    """Return dome, floor and five to eight bodies on the floor around the middle."""
     count = int(rng.integers(5, 9))
     sizes = rng.uniform(0.28, 0.6, (count, 3))
     turns = 2 * np.pi * (np.arange(count) + rng.uniform(-0.3, 0.3, count)) / count
     radii = rng.uniform(0.5, 1.5, count)
-    places = np.stack(
-        [radii * np.cos(turns), 0.8 - sizes[:, 1] * rng.uniform(0.8, 2.0, count), radii * np.sin(turns)], 1
+    heights = 0.8 - sizes[:, 1] * rng.uniform(0.8, 2.0, count)
+    centres = np.vstack(
+        [np.zeros(3), [0, 0.8, 0], np.stack([radii * np.cos(turns), heights, radii * np.sin(turns)], 1)]
     )
-    kinds = [DOME, FLOOR, *rng.integers(0, 4, count)]
-    centres, sizes = np.vstack([np.zeros((1, 3)), [[0, 0.8, 0]], places]), np.vstack([np.ones((2, 3)), sizes])
-    return [_body(rng, int(kind), *shape) for kind, *shape in zip(kinds, centres, sizes)]
-
-
-def _body(rng: np.random.Generator, kind: int, centre: np.ndarray, size: np.ndarray) -> Body:
-    frequency = rng.uniform(0.8, 2.5) if kind == DOME else rng.uniform(5, 12)  # [radians per unit]
-    directions = rng.normal(size=(2, 5, 3)) * frequency / np.sqrt(3)
-    waves = np.concatenate([directions, rng.uniform(0, 2 * np.pi, (2, 5, 1))], -1)
-    return Body(kind, centre, size, rng.uniform(0.05, 0.95, (3, 3)), waves)
+    bodies = []
+    for kind, centre, size in zip([DOME, FLOOR, *rng.integers(0, 4, count)], centres, [*np.ones((2, 3)), *sizes]):
+        frequency = rng.uniform(0.8, 2.5) if kind == DOME else rng.uniform(5, 12)  # [radians per unit]
+        directions = rng.normal(size=(2, 5, 3)) * frequency / np.sqrt(3)
+        waves = np.concatenate([directions, rng.uniform(0, 2 * np.pi, (2, 5, 1))], -1)
+        bodies.append(Body(int(kind), centre, size, rng.uniform(0.05, 0.95, (3, 3)), waves))
+    return bodies
 
 
 def render(
@@ -94,97 +94,69 @@ def render(
         travelled[left] += gaps
         left = left[gaps > NEAR_ENOUGH]
     points = start + travelled[:, None] * directions
-    owner = np.argmin([body.distance(points) for body in bodies], 0)
-    image = np.zeros_like(points)
-    for index, body in enumerate(bodies):
-        own = owner == index
-        if own.any():
-            image[own] = body.colours(points[own] - body.centre) * _light(body, points[own])
+    owner, image = np.argmin([body.distance(points) for body in bodies], 0), np.zeros_like(points)
+    for index in np.unique(owner):
+        image[owner == index] = bodies[index].shaded(points[owner == index])
     return image.clip(0, 1).reshape(size, size, 3), (travelled / lengths).reshape(size, size)
-
-
-def _light(body: Body, points: Points) -> Float[np.ndarray, "point 1"]:
-    """Return the light of a matt surface under one lamp, by the slope of the distance; the dome shines by itself."""
-    if body.kind == DOME:
-        return np.ones((len(points), 1))
-    slope = np.stack([body.distance(points + step) - body.distance(points - step) for step in 1e-3 * np.eye(3)], 1)
-    normals = slope / np.linalg.norm(slope, axis=1, keepdims=True).clip(1e-9)
-    return 0.45 + 0.55 * (normals @ [0.36, -0.8, -0.48]).clip(0)[:, None]
 
 
 class ImplicitDataset(Dataset):
     """Smooth bodies on a patterned floor; exact poses, depth and edited truth, each a function of seed and index."""
 
     class Settings(config.Settings):
-        scenes: int = Field(10_000, ge=1, description="number of samples")
         seed: int = Field(0, ge=0, description="two seeds share no scene")
         image_size: int = Field(128, ge=16, le=1024, description="height and width of the images [pixels]")
         context: int = Field(2, ge=1, le=16, description="input views")
         targets: int = Field(1, ge=0, le=16, description="novel views, further along the circle")
         angles: tuple[float, float] = Field((3.0, 8.0), description="between neighbouring views [degrees]")
-        edit: Literal["none", "recolor", "add", "remove", "global"] = Field(
-            "none", description="the truth that comes along"
-        )
+        edit: Literal["none", "recolor", "add", "remove", "global"] = Field("none", description="the edited truth")
         edit_seed: int = Field(0, ge=0, description="other numbers edit the same scenes in other ways")
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
     def __len__(self) -> int:
-        return self.settings.scenes
+        return 10_000
 
     def __getitem__(self, index: int) -> SceneSample:
         if not 0 <= index < len(self):
             raise IndexError(index)
-        chosen = self.settings
+        chosen, size = self.settings, (self.settings.image_size,) * 2
         rng = np.random.default_rng((chosen.seed, index))
         bodies = draw_scene(rng)
         poses = _circle(rng, chosen.context + chosen.targets, chosen.angles)
-        k = intrinsics_from_fov(float(np.deg2rad(rng.uniform(40, 60))), (chosen.image_size, chosen.image_size))
-        before, after = _edited(bodies, chosen.edit, np.random.default_rng((chosen.seed, index, 1 + chosen.edit_seed)))
-        shown, depths = self._render(before, poses, k)
-        edited = None if chosen.edit == "none" else self._render(after, poses, k)[0]
-        relative = torch.from_numpy(np.linalg.inv(poses[0]) @ poses).float()[None]
-        cameras = Cameras(relative, k.expand(1, len(poses), 3, 3), (chosen.image_size,) * 2)
-        inputs, novel = range(chosen.context), range(chosen.context, len(poses))
-        return SceneSample(
-            context=shown[inputs],
-            target=shown[novel],
-            context_cameras=replace(cameras.select(inputs), c2w=relative_to_first(relative[:, inputs])),
-            target_cameras=cameras.select(novel),
-            context_depths=depths[inputs],
-            edited_context=None if edited is None else edited[inputs],
-            edited_target=None if edited is None else edited[novel],
-            name=f"implicit-{chosen.seed}-{index}",
-        )
-
-    def _render(self, bodies: list[Body], poses: np.ndarray, k: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        views = [render(bodies, pose, k.double().numpy(), self.settings.image_size) for pose in poses]
-        images, depths = (torch.from_numpy(np.stack(part)).float() for part in zip(*views))
-        return images.permute(0, 3, 1, 2).contiguous(), depths
+        k = intrinsics_from_fov(float(np.deg2rad(rng.uniform(40, 60))), size)
+        versions = _edited(bodies, chosen.edit, np.random.default_rng((chosen.seed, index, 1 + chosen.edit_seed)))
+        views = [[render(own, pose, k.double().numpy(), size[0]) for pose in poses] for own in versions]
+        images = [torch.from_numpy(np.stack([image for image, _ in own])).permute(0, 3, 1, 2).float() for own in views]
+        depths = torch.from_numpy(np.stack([depth for _, depth in views[0]])).float()
+        c2w = relative_to_first(torch.from_numpy(poses)[None]).float()
+        cameras = Cameras(c2w, k.expand(1, len(poses), 3, 3), size)
+        context, target = range(chosen.context), range(chosen.context, len(poses))
+        known = {"context_depths": depths[context], "name": f"implicit-{chosen.seed}-{index}"}
+        if len(images) == 2:
+            known |= {"edited_context": images[1][context], "edited_target": images[1][target]}
+        parts = (images[0][context], images[0][target], cameras.select(context), cameras.select(target))
+        return SceneSample(*parts, **known)
 
 
 def _circle(rng: np.random.Generator, count: int, degrees: tuple[float, float]) -> Float[np.ndarray, "view 4 4"]:
     """Return cameras (OpenCV axes) on a circle, `degrees` apart, that look at the middle from a little above."""
     turns = rng.uniform(0, 2 * np.pi) + np.deg2rad(np.cumsum(rng.uniform(*degrees, count)))
     height, away = rng.uniform(0.9, 2.0), rng.uniform(3.6, 4.8)
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    for pose, turn in zip(poses, turns):
-        pose[:3, 3] = away * np.sin(turn), -height, away * np.cos(turn)
-        ahead = -pose[:3, 3] / np.linalg.norm(pose[:3, 3])
-        right = np.cross([0, 1, 0], ahead)
-        right /= np.linalg.norm(right)
-        pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead], 1)
+    centres = np.stack([away * np.sin(turns), np.full(count, -height), away * np.cos(turns)], 1)
+    poses, ahead = np.tile(np.eye(4), (count, 1, 1)), -centres / np.linalg.norm(centres, axis=1, keepdims=True)
+    right = np.cross([0, 1, 0], ahead)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    poses[:, :3] = np.stack([right, np.cross(ahead, right), ahead, centres], 2)
     return poses
 
 
-def _edited(bodies: list[Body], edit: str, rng: np.random.Generator) -> tuple[list[Body], list[Body]]:
-    """Return the scene before and after; a body that is added is missing before."""
+def _edited(bodies: list[Body], edit: str, rng: np.random.Generator) -> list[list[Body]]:
+    """Return the scene before and after, or alone without an edit; a body that is added is missing before."""
     chosen = int(rng.integers(2, len(bodies)))
-    if edit in ("add", "remove"):
-        without = bodies[:chosen] + bodies[chosen + 1 :]
-        return (without, bodies) if edit == "add" else (bodies, without)
-    changed = range(len(bodies)) if edit == "global" else [chosen] if edit == "recolor" else []
-    drawn = rng.uniform(0.05, 0.95, (3, 3))
-    new = {index: bodies[index].palette[:, [1, 2, 0]] if edit == "global" else drawn for index in changed}
-    return bodies, [replace(body, palette=new.get(index, body.palette)) for index, body in enumerate(bodies)]
+    without, drawn = bodies[:chosen] + bodies[chosen + 1 :], rng.uniform(0.05, 0.95, (3, 3))
+    painted = [replace(b, palette=drawn) if n == chosen else b for n, b in enumerate(bodies)]
+    turned = [replace(b, palette=b.palette[:, [1, 2, 0]]) for b in bodies]
+    pairs = {"add": [without, bodies], "remove": [bodies, without], "recolor": [bodies, painted]}
+    return {**pairs, "global": [bodies, turned]}.get(edit, [bodies])
