@@ -300,6 +300,16 @@ def test_points_of_a_moved_picture_are_matched_where_they_went():
     assert len(matched_points(image[:48], np.random.default_rng(1).random((48, 96, 3)))[0]) < 5
 
 
+def test_a_match_counts_from_the_corner_of_the_picture():
+    rows, columns = np.mgrid[:64, :96]
+    spots = [(20, 30, 3.0), (60, 24, 5.0), (40, 50, 4.0)]  # column and row of the pixel in the middle, width
+    grey = sum(np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * w**2)) for x, y, w in spots)
+    image = np.repeat(grey[..., None], 3, -1).clip(0, 1)
+    found = matched_points(image, image)[0]
+    for x, y, _ in spots:
+        assert np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3  # OpenCV's SIFT is a quarter of a pixel off
+
+
 def textbook_frechet(a, b):
     """As FID is usually written: full covariances and a matrix square root."""
     root = sqrtm(np.cov(a, rowvar=False) @ np.cov(b, rowvar=False))
