@@ -36,7 +36,9 @@ class Component:
     target: str  # "module:Class"; imported only when the component is built
     summary: str  # one line for `edit3r list-plugins`
     requires: tuple[str, ...] = ()  # importable module names that must be installed
-    extra: str = ""  # pip extra that brings them: pip install "edit3r[extra]", or a package name of the plugin's own
+    # pip extra that brings them: pip install "edit3r[extra]", or a package name of the plugin's own; one that begins
+    # with a dash is all that follows `pip install`
+    extra: str = ""
     parts: tuple[str, ...] = ()  # kinds built first and passed to the class by keyword
     licence: str = "Apache-2.0"  # of the code, and of weights it brings along
     needs_gpu: bool = False

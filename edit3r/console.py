@@ -34,6 +34,8 @@ class StageConsole:
             self._clear()
             seconds = time.perf_counter() - self.started.pop(text)
             self.console.print(f"  {text:<44}{seconds:7.2f} s", markup=False)
+        elif event == "say":
+            self.console.print(f"  {text}", style="dim", markup=False)
         elif event == "warn":
             self.console.print(f"  warning: {text}", style="yellow", markup=False)
         elif event == "progress":
@@ -51,7 +53,7 @@ class StageConsole:
 class JsonLines:
     """Listener that writes each event as one line of JSON to standard error, for programs that watch a run.
 
-    Keys: event (start, end, warn or progress), text, done, total, and at [seconds since 1970].
+    Keys: event (start, end, say, warn or progress), text, done, total, and at [seconds since 1970].
     """
 
     def __enter__(self) -> "JsonLines":

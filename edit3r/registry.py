@@ -25,6 +25,7 @@ from edit3r.errors import (
     suggest,
 )
 from edit3r.plugins import LoadedPlugins, Offer, PluginFailure, load_plugins
+from edit3r.weights import at_hand
 
 
 class Registry:
@@ -69,6 +70,11 @@ class Registry:
         """The modules the component requires that are not installed."""
         return tuple(module for module in offer.component.requires if not _installed(module))
 
+    def ready(self, kind: str, name: str, weights: str) -> bool:
+        """Whether a component can be used here and now: installed, and its weights called so at hand."""
+        offer = self.find(kind, name)
+        return not self.missing(offer) and any(at_hand(w) for w in offer.component.weights if w.name == weights)
+
     def load_class(self, offer: Offer) -> type:
         """Import the component's class; raises MissingDependencyError or PluginError with the way out."""
         missing = self.missing(offer)
@@ -107,13 +113,18 @@ class Registry:
         """Build the component that a configuration chose; its settings may have any names."""
         return self._build(kind, choice.name, dict(choice.settings), dict(parts or {}), built={}, where=kind)
 
+    def check(self, kind: str, choice: PartChoice) -> None:
+        """Raise what building the component would raise about its name, its packages and its own settings."""
+        self._settings(self.find(kind, choice.name), choice.settings, kind)
+
+    def _settings(self, offer: Offer, values: Mapping[str, Any], where: str) -> Settings:
+        cls = self.settings_class(offer)
+        return make_settings(cls, _with_default_names(cls, offer.component.parts, values), where)
+
     def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any], where: str) -> Any:
         """`where` is the key of this component in a configuration, such as 'reconstructor.backbone'."""
         offer = self.find(kind, name)
-        cls = self.load_class(offer)
-        settings_class = self.settings_class(offer)
-        values = _with_default_names(settings_class, offer.component.parts, values)
-        settings = make_settings(settings_class, values, where)
+        cls, settings = self.load_class(offer), self._settings(offer, values, where)
         siblings = dict(built)
         parts: dict[str, Any] = {}
         for part in offer.component.parts:
@@ -167,6 +178,8 @@ def install_hint(offer: Offer) -> str:
     if not offer.component.extra:
         return f"install with: pip install {' '.join(offer.component.requires)}"
     name = offer.component.extra
+    if name.startswith("-"):
+        return f"install with: pip install {name}"
     return f"install with: pip install {name!r}" if "[" in name else f'install with: pip install "edit3r[{name}]"'
 
 

@@ -213,6 +213,15 @@ class Gaussians(_Tensors):
         joined = {f.name: torch.cat([getattr(p, f.name) for p in parts], dim=1) for f in fields(Gaussians)[:-1]}
         return Gaussians(**joined, view_index=torch.cat([p.view_index for p in parts]))
 
+    @staticmethod
+    def stack(scenes: "Iterable[Gaussians]") -> "Gaussians":
+        """Join scenes as one batch; one with fewer Gaussians repeats its last, transparent. Views are forgotten."""
+        scenes = list(scenes)
+        place = torch.arange(max(scene.count for scene in scenes), device=scenes[0].means.device)
+        filled = [scene.select(place.clamp(max=scene.count - 1)) for scene in scenes]
+        shown = [replace(f, opacities=f.opacities * (place < scene.count)) for f, scene in zip(filled, scenes)]
+        return Gaussians(**{f.name: torch.cat([getattr(s, f.name) for s in shown]) for f in fields(Gaussians)[:-1]})
+
 
 @dataclass(frozen=True, repr=False)
 class Reconstruction(_Tensors):

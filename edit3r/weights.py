@@ -72,8 +72,9 @@ class Weights:
 
     @property
     def terms(self) -> str:
-        """Licence, commercial use and size in a few words."""
-        return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB"
+        """Licence, commercial use, size and whether it takes an account, in a few words."""
+        gated = "; gated: needs an account on the hub that accepted the licence" if self.gated else ""
+        return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB{gated}"
 
 
 def folder(chosen: str | Path | None = None) -> Path:

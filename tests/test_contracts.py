@@ -30,6 +30,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
+    ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
 }
 """What its contract needs to know."""
@@ -49,12 +50,14 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("reconstructor", "gaussctrl"): "as refit",
     ("reconstructor", "editsplat"): "as refit",
     ("matcher", "posed"): "does what the matcher classical does where the views carry no poses",
+    ("matcher", "da3"): "needs a package outside the pinned set",
+    ("matcher", "auto"): "does what the matcher it picks does",
     ("segmenter", "sam2"): "needs weights of 0.2 GB",
+    ("segmenter", "sam3"): "needs weights of 3.5 GB",
     ("detector", "grounding-dino"): "needs weights of 0.7 GB",
     ("dataset", "transforms"): "needs a folder of scenes",
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
-    ("trainer", "geometry"): "trains the network of matcher 'network' only",
     ("trainer", "depth-network"): "trains the depth network of matcher 'classical' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""

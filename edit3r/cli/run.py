@@ -75,7 +75,7 @@ class RunCommand(Command):
             paths = found or [Path(record.file) for record in continued.records]
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
-        _check_names(registry, config)
+        check_names(registry, config)
         with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             report.on_event = console
             for text in report.warnings:
@@ -135,7 +135,8 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     for name, field in RunConfig.model_fields.items():
         if name == "refiners":  # a list with settings: --set refiners=[...]
             continue
-        default = "" if field.default in (None, "") else f" (default {getattr(field.default, 'name', field.default)})"
+        words = ",".join(field.default) if isinstance(field.default, tuple) else field.default
+        default = "" if words in (None, "") else f" (default {getattr(words, 'name', words)})"
         text = f"{field.description}{default}".replace("%", "%%")
         flag = f"--{SHORT_FLAGS.get(name, name).replace('_', '-')}"
         parser.add_argument(flag, dest=name, help=text, **_flag_form(field))
@@ -186,10 +187,10 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 
-def _check_names(registry: "Registry", config: RunConfig) -> None:
-    """Unknown names and missing packages end the run before any photo is read."""
+def check_names(registry: "Registry", config: RunConfig) -> None:
+    """Unknown names and settings and missing packages end the run before any photo is read."""
     choices = [(kind, getattr(config, kind)) for kind in PART_KEYS]
     choices += [("refiner", choice) for choice in config.all_refiners()]
     for kind, choice in choices:
         if choice is not None:
-            registry.load_class(registry.find(kind, choice.name))
+            registry.check(kind, choice)

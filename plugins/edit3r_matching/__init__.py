@@ -28,7 +28,7 @@ _ALIKED = Weights(
 _DEPTH_ANYTHING_3 = (
     Weights(
         "da3-small",
-        "depth and poses (Depth Anything 3, small); for a matcher of your own, none here reads them yet",
+        "poses and depths (Depth Anything 3, small)",
         137_250_142,
         "Apache-2.0",
         "yes",
@@ -41,7 +41,7 @@ _DEPTH_ANYTHING_3 = (
     ),
     Weights(
         "da3-base",
-        "depth and poses (Depth Anything 3, base); for a matcher of your own, none here reads them yet",
+        "poses and depths (Depth Anything 3, base)",
         540_000_000,
         "Apache-2.0",
         "yes",
@@ -71,7 +71,26 @@ def register_matchers():
             "depth by plane sweep from the poses that the views carry; without poses, what its matcher says",
             parts=("matcher",),
             min_views=2,
+        ),
+        Component(
+            "da3",
+            "edit3r_matching.depth_anything_3:DepthAnything3Matcher",
+            "Depth Anything 3: poses, field of view and depths by one network; needs weights (0.1 or 0.5 GB)",
+            requires=("depth_anything_3", "omegaconf", "antlr4", "addict", "einops"),
+            # Its own list of dependencies asks for numpy below 2, torchvision and xformers, none of it needed here.
+            extra="--no-deps depth-anything-3==0.1.1 omegaconf antlr4-python3-runtime==4.9.3 addict einops",
+            licence="Apache-2.0, weights too",
+            needs_network=True,
+            min_views=2,
             weights=_DEPTH_ANYTHING_3,
+            citation="Lin et al., Depth Anything 3: Recovering the Visual Space from Any Views, 2025",
+        ),
+        Component(
+            "auto",
+            "edit3r_matching.matchers:AutoMatcher",
+            "the best at hand: da3 with base, then small weights, else its matcher (classical); never downloads",
+            parts=("matcher",),
+            min_views=2,
         ),
     ]
 

@@ -1,20 +1,22 @@
-"""The matchers `classical` and `posed`: where the photos were taken and how far every pixel is, without weights."""
+"""The matchers `classical` and `posed`, which need no weights, and `auto`, which picks."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
-from edit3r import reporting
+from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.config import PartChoice
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import from_pixels, relative_to_first
 from edit3r.interfaces import MatchedGeometry, Matcher
-from edit3r.stage_checks import require_matchable
+from edit3r.registry import build, default_registry
+from edit3r.stage_checks import component_name, require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
@@ -22,7 +24,7 @@ from edit3r_matching.depth_maps import DepthSettings, chosen_network, measure_de
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
 from edit3r_matching.relative_pose import Matches
 
-__all__ = ["ClassicalMatcher", "PosedMatcher"]
+__all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
@@ -143,6 +145,38 @@ class PosedMatcher(Matcher):
         near = _epipolar_distance(matches, pose) * matches.focal <= self.settings.threshold
         depth, other = triangulate(matches.rays_a, matches.rays_b, pose)
         return near & (depth > 0) & (other > 0)
+
+
+class AutoMatcher(Matcher):
+    """Depth Anything 3 where its package is installed and its weights are at hand, base before small; else its part.
+
+    What is picked becomes a setting, so that `run.json` tells it and answers of another pick are not reused.
+    """
+
+    class Settings(config.Settings):
+        pick: Literal["best", "da3-base", "da3-small", "part"] = Field("best", description="'part': its matcher")
+        matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches where no network can")
+
+        @model_validator(mode="before")
+        @classmethod
+        def _decide(cls, values: Any) -> Any:
+            best = isinstance(values, Mapping) and values.get("pick", "best") == "best"
+            return {**values, "pick": best_at_hand()} if best else values
+
+    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+        self.settings = settings
+        self.matcher = matcher if settings.pick == "part" else build("matcher", "da3", model=settings.pick)
+
+    def match(self, views: Views) -> MatchedGeometry:
+        pick, name = self.settings.pick, component_name(self.matcher)
+        reporting.say("matcher.picked", name if pick == "part" else f"{name} ({pick})")
+        return self.matcher.match(views)
+
+
+def best_at_hand() -> str:
+    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part' without any."""
+    usable = (name for name in ("da3-base", "da3-small") if default_registry().ready("matcher", "da3", name))
+    return next(usable, "part")
 
 
 def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:

@@ -1,7 +1,7 @@
 """`edit3r bench build|run|grid|report`: the editing benchmark.
 
 build   folder of photos | generated scenes  ->  manifest.json             (`bench_build`, `bench_proposals`)
-run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`, `runner`)
+run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`)
 grid    manifest                             ->  the same for all pairs    (`bench_grid`)
 report  folders of results                   ->  tables, a page            (`bench_report`, `bench_page`)
 """
@@ -18,9 +18,9 @@ from edit3r.errors import SettingsError, suggest
 from edit3r_measure.report import check_least
 
 if TYPE_CHECKING:
+    from edit3r.workers import Progress
     from edit3r_measure.bench_item import Method
     from edit3r_measure.bench_manifest import Manifest
-    from edit3r_measure.runner import Progress
 
 
 class BenchCommand(Command):
@@ -183,10 +183,10 @@ def _run_methods(
     args: argparse.Namespace, methods: "list[tuple[int, Method]]", whole_folder: bool = False, every_error: bool = False
 ) -> None:
     """Take each method through the manifest, into a folder of its own inside `--out` or into the `whole_folder`."""
+    from edit3r.workers import Workers
     from edit3r_measure.bench_item import BenchRun, run_bench
     from edit3r_measure.bench_manifest import EDIT_TYPES
     from edit3r_measure.bench_metrics import MetricSettings
-    from edit3r_measure.runner import Workers
 
     check_least(args, workers=1, threads=1, scenes=1, edits=1)
     types = tuple(args.types.split(",")) if args.types else ()

@@ -29,6 +29,7 @@ from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, StageRecord, collecting
 from edit3r.types import Cameras, EditRequest
+from edit3r.workers import Progress, Workers, read_rows, run_resumable
 from edit3r_measure.bench_manifest import ItemRecord, LoadedItem, Manifest, load_item, read_bench_manifest
 from edit3r_measure.bench_metrics import (
     MethodOutput,
@@ -41,7 +42,6 @@ from edit3r_measure.bench_metrics import (
 )
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
 from edit3r_measure.report import make_folder, read_json, write_json
-from edit3r_measure.runner import Progress, Workers, read_rows, run_resumable
 
 RESULTS = "results.jsonl"
 RUN = "bench-run.json"

@@ -1,6 +1,7 @@
 """The words that the prompt reader knows: colours, changes and fillers. What is not here it must not guess."""
 
 import colorsys
+import re
 
 from PIL import ImageColor
 
@@ -109,6 +110,10 @@ UNSUPPORTED = _words(
 """Words that ask for what colours alone cannot do."""
 
 NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
+
+_ALL = "|".join((*sorted(EVERYTHING), "rest"))
+EXCEPTION = re.compile(rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b")
+"""What stands before the thing that is left as it is; its group may hold more words for everything."""
 
 POLITENESS = _words("please thanks thank you ok okay")
 

@@ -1,4 +1,4 @@
-"""Segmentation and detection: the classical offline stand-in, and the paper's SAM2 and Grounding DINO."""
+"""Segmentation and detection: the classical offline stand-in, the paper's SAM2 and Grounding DINO, and SAM3."""
 
 from edit3r import Component, hookimpl
 from edit3r.weights import Weights
@@ -28,6 +28,17 @@ _SAM2 = Weights(
         ("config.json", "00446988cf4d617118d2d347eabe2c46aebed744628facdd540508be30b69ec3"),
         ("model.safetensors", "dc407dce21301fd94abb395c5099b4f2c455fdc8a8f261ac3d0ea6d4cd197230"),
     ),
+)
+_SAM3 = Weights(
+    "sam3",
+    "masks of what words name, masks and tracks of objects (SAM 3)",
+    3_450_000_000,
+    "SAM License (Meta): no military, nuclear or weapons use",
+    "yes",
+    "hub:facebook/sam3",
+    "3c879f39826c281e95690f02c7821c4de09afae7",
+    (("*.json", ""), ("merges.txt", ""), ("model.safetensors", "")),
+    gated=True,
 )
 _GROUNDING_DINO = Weights(
     "grounding-dino",
@@ -65,7 +76,23 @@ def register_segmenters():
         weights=(_SAM2,),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
     )
-    return (classical, sam2)
+    sam3 = Component(
+        name="sam3",
+        target="edit3r_segmenters.sam3:Sam3Segmenter",
+        summary="SAM3: all that words name without a detector, points, boxes, tracking; gated weights (3.5 GB)",
+        requires=("transformers",),
+        extra="transformers",
+        licence="Apache-2.0; default weights under the SAM License",
+        needs_network=True,
+        weights=(_SAM3,),
+        citation="Carion et al., SAM 3: Segment Anything with Concepts, 2025",
+    )
+    auto = Component(
+        name="auto",
+        target="edit3r_segmenters.auto:AutoSegmenter",
+        summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, else by classical",
+    )
+    return (classical, sam2, sam3, auto)
 
 
 @hookimpl

@@ -16,7 +16,7 @@ class MaskCommand(Command):
         add_mark_flags(parser)
         add("--words", default="", metavar="TEXT", help="what is meant, where the segmenter reads words: 'the sky'")
         add("--guess", action="store_true", help="take what stands out most where the words are not known")
-        add("--segmenter", default="classical", metavar="NAME", help="finds and follows the object (default classical)")
+        add("--segmenter", default="auto", metavar="NAME", help="finds and follows the object (default auto)")
         add("--matcher", default="classical", metavar="NAME", help="carries masks by geometry; '' by pictures alone")
         add("--size", type=int, default=512, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as segmenter.learned=false")

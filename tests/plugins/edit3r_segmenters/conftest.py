@@ -1,5 +1,6 @@
-"""Tiny random SAM2 and Grounding DINO of the real architectures, saved to disk and loaded the way users load theirs."""
+"""Tiny random SAM2, SAM3 and Grounding DINO of the real architectures, saved to disk and loaded as users do."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,87 @@ def tiny_sam2_config():
         memory_fuser_intermediate_dim=64,
         initializer_range=0.15,  # logits of a few units, as a trained network's; the usual 0.02 gives thousandths
     )
+
+
+@pytest.fixture(scope="session")
+def sam3_folder(tmp_path_factory) -> Path:
+    """Detector and tracker in one file, under the names that the hub's file has."""
+    from safetensors.torch import save_file
+    from transformers import Sam3VideoModel
+
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("sam3")
+    model = Sam3VideoModel(tiny_sam3_config())
+    model.config.save_pretrained(folder)
+    state = {name: value.clone() for name, value in model.state_dict().items()}
+    save_file(state, folder / "model.safetensors", metadata={"format": "pt"})
+    letters = [*"abcdefghijklmnopqrstuvwxyz"]
+    tokens = [*letters, *(f"{letter}</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
+    (folder / "vocab.json").write_text(json.dumps({token: number for number, token in enumerate(tokens)}))
+    (folder / "merges.txt").write_text("#version: 0.2\n")
+    return folder
+
+
+def tiny_sam3_config():
+    from transformers import Sam3VideoConfig
+
+    side, width = 112, 128
+    vision = {
+        "backbone_config": {
+            "model_type": "sam3_vit_model",
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 2,
+            "image_size": side,
+            "patch_size": 14,
+            "window_size": 4,
+            "global_attn_indexes": [1],
+            "pretrain_image_size": 56,
+        },
+        "fpn_hidden_size": width,
+        "backbone_feature_sizes": [[32, 32], [16, 16], [8, 8]],
+    }
+    part = {"hidden_size": width, "intermediate_size": 64, "num_attention_heads": 2, "num_layers": 1}
+    detector = {
+        "vision_config": vision,
+        "text_config": {
+            "vocab_size": 54,
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "max_position_embeddings": 32,
+            "projection_dim": 32,
+        },
+        "geometry_encoder_config": part,
+        "detr_encoder_config": part,
+        "detr_decoder_config": {**part, "num_layers": 2, "num_queries": 8},
+        "mask_decoder_config": {"hidden_size": width, "num_attention_heads": 2},
+        "initializer_range": 0.15,
+    }
+    tracker = {
+        "vision_config": {**vision, "model_type": "sam3_vision_model"},
+        "prompt_encoder_config": {"hidden_size": width, "image_size": side},
+        "mask_decoder_config": {
+            "hidden_size": width,
+            "mlp_dim": 64,
+            "num_attention_heads": 2,
+            "iou_head_hidden_dim": 32,
+        },
+        "image_size": side,
+        "memory_attention_hidden_size": width,
+        "memory_attention_num_layers": 1,
+        "memory_attention_feed_forward_hidden_size": 64,
+        "memory_attention_rope_feat_sizes": [8, 8],
+        "memory_encoder_hidden_size": width,
+        "mask_downsampler_embed_dim": width,
+        "memory_fuser_num_layers": 1,
+        "memory_fuser_embed_dim": width,
+        "memory_fuser_intermediate_dim": 64,
+        "initializer_range": 0.15,
+    }
+    return Sam3VideoConfig(detector_config=detector, tracker_config=tracker)
 
 
 @pytest.fixture(scope="session")
@@ -125,6 +207,32 @@ def build_sam2(sam2_folder, dino_folder):
         return edit3r.build("segmenter", "sam2", parts, **settings)
 
     return build
+
+
+@pytest.fixture(scope="session")
+def build_sam3(sam3_folder):
+    """SAM3 with quality bounds off."""
+
+    def build(**settings):
+        bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0, "min_score": 0.0}
+        chosen = {"model": str(sam3_folder), "local_files_only": True, **bounds, **settings}
+        return edit3r.build("segmenter", "sam3", **chosen)
+
+    return build
+
+
+@pytest.fixture
+def at_hand(monkeypatch, tmp_path, sam2_folder, dino_folder):
+    """Put the tiny networks where `edit3r weights get` puts the real ones."""
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path / "weights"))
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
+    (tmp_path / "weights").mkdir()
+
+    def put(*names: str) -> None:
+        for name in names:
+            (tmp_path / "weights" / name).symlink_to({"sam2": sam2_folder, "grounding-dino": dino_folder}[name])
+
+    return put
 
 
 @pytest.fixture(scope="session")

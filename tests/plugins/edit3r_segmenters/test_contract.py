@@ -16,6 +16,12 @@ def segmenter(sam2_folder, dino_folder):
 
 
 @pytest.fixture(scope="module")
+def sam3(sam3_folder):
+    bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0, "min_score": 0.0}
+    return contract_for("segmenter", "sam3", model=str(sam3_folder), local_files_only=True, **bounds)
+
+
+@pytest.fixture(scope="module")
 def detector(dino_folder):
     return contract_for("detector", "grounding-dino", model=str(dino_folder), local_files_only=True, box_threshold=0.0)
 
@@ -23,6 +29,11 @@ def detector(dino_folder):
 @pytest.mark.parametrize("claim", [claim for claim in claims(CONTRACTS["segmenter"]) if claim != LEARNED])
 def test_segmenter_contract(segmenter, claim):
     getattr(segmenter(), claim)()
+
+
+@pytest.mark.parametrize("claim", [claim for claim in claims(CONTRACTS["segmenter"]) if claim != LEARNED])
+def test_sam3_keeps_the_contract(sam3, claim):
+    getattr(sam3(), claim)()
 
 
 @pytest.mark.parametrize("claim", claims(CONTRACTS["detector"]))

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from edit3r_segmenters import sam2
-from edit3r_segmenters.sam2 import is_present, point_grid
+from edit3r_segmenters import sam
+from edit3r_segmenters.sam import is_present, point_grid
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError, PromptError, RunError
@@ -169,24 +169,24 @@ def cone(radius: float, slope: float = 1.0, size: int = 101) -> torch.Tensor:
 def test_stability_of_a_cone_is_the_ratio_of_two_discs():
     logits = torch.stack((cone(20.0), cone(40.0), cone(20.0, slope=0.1)))
     expected = torch.tensor([(19 / 21) ** 2, (39 / 41) ** 2, (10 / 30) ** 2])
-    assert torch.allclose(sam2.stability(logits), expected, atol=0.03)
+    assert torch.allclose(sam.stability(logits), expected, atol=0.03)
 
 
 def test_a_sharp_mask_is_fully_stable_and_an_empty_one_not_at_all():
     sharp = torch.where(cone(20.0) > 0, 8.0, -8.0)
-    assert sam2.stability(torch.stack((sharp, torch.full_like(sharp, -8)))).tolist() == [1.0, 0.0]
+    assert sam.stability(torch.stack((sharp, torch.full_like(sharp, -8)))).tolist() == [1.0, 0.0]
 
 
 def test_boxes_are_x_y_width_height_in_pixels():
     inside = torch.zeros(3, 10, 20, dtype=torch.bool)
     inside[0, 2:5, 7:15] = True
     inside[1, 9, 19] = True
-    assert sam2.boxes_of(inside).tolist() == [[7, 2, 8, 3], [19, 9, 1, 1], [0, 0, 0, 0]]
+    assert sam.boxes_of(inside).tolist() == [[7, 2, 8, 3], [19, 9, 1, 1], [0, 0, 0, 0]]
 
 
 def test_a_proposal_carries_the_sigmoid_of_the_logits_and_the_area_above_a_half():
     logits = cone(20.0)
-    proposal = sam2.proposal(logits, 0.9)
+    proposal = sam.proposal(logits, 0.9)
     assert torch.equal(proposal.soft_mask, torch.sigmoid(logits))
     assert proposal.soft_mask[50, 50] == torch.sigmoid(torch.tensor(20.0))
     assert proposal.area == pytest.approx((proposal.soft_mask > 0.5).float().mean().item())
@@ -199,29 +199,29 @@ def test_of_boxes_that_overlap_more_than_allowed_the_best_stays():
     boxes = torch.tensor([[0, 0, 10, 10], [1, 0, 10, 10], [30, 30, 5, 5], [0, 0, 10, 6.0]])
     scores = torch.tensor([0.8, 0.9, 0.5, 0.7])
     # IoU of the first two is 9/11, of the first and last 0.6, of the second and last 54/106.
-    assert sam2.best_boxes(boxes, scores, 0.7) == [1, 3, 2]
-    assert sam2.best_boxes(boxes, scores, 0.5) == [1, 2]
-    assert sam2.best_boxes(boxes, scores, 0.9) == [1, 0, 3, 2]
-    assert sam2.best_boxes(boxes[:0], scores[:0], 0.7) == []
+    assert sam.best_boxes(boxes, scores, 0.7) == [1, 3, 2]
+    assert sam.best_boxes(boxes, scores, 0.5) == [1, 2]
+    assert sam.best_boxes(boxes, scores, 0.9) == [1, 0, 3, 2]
+    assert sam.best_boxes(boxes[:0], scores[:0], 0.7) == []
 
 
 def test_predicted_iou_outside_its_range_is_brought_into_it():
-    assert [sam2.proposal(cone(9.0), iou).predicted_iou for iou in (1.2, -0.1)] == [1, 0]
+    assert [sam.proposal(cone(9.0), iou).predicted_iou for iou in (1.2, -0.1)] == [1, 0]
 
 
-def test_grey_becomes_imagenet_normalised_whatever_the_shape():
-    pixels = sam2.pixel_values(torch.full((2, 3, 30, 50), 0.5), 64)
+def test_grey_becomes_imagenet_normalised_whatever_the_shape(build_sam2):
+    pixels = build_sam2()._pixels(torch.full((2, 3, 30, 50), 0.5), 64)
     assert pixels.shape == (2, 3, 64, 64)
     assert torch.allclose(pixels[0, :, 0, 0], torch.tensor([0.015 / 0.229, 0.044 / 0.224, 0.094 / 0.225]), atol=1e-5)
 
 
 def test_masks_are_cut_at_a_half():
     soft = torch.tensor([[[0.2, 0.6], [0.5, 0.4]]])
-    assert sam2.binary_masks(soft, 2).tolist() == [[[0, 1], [1, 0]]]
+    assert sam.binary_masks(soft, 2).tolist() == [[[0, 1], [1, 0]]]
 
 
 def test_enlarging_keeps_the_order_of_masks_and_constants():
     logits = torch.arange(6.0).view(2, 3, 1, 1).expand(2, 3, 4, 4)
-    large = sam2.enlarge(logits, (7, 9))
+    large = sam.enlarge(logits, (7, 9))
     assert large.shape == (2, 3, 7, 9)
     assert torch.equal(large[..., 0, 0], torch.arange(6.0).view(2, 3))

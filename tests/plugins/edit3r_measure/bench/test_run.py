@@ -14,9 +14,9 @@ from edit3r_measure import bench_item
 from edit3r_measure.bench_item import RESULTS, BenchRun, Method, read_results, run_bench
 from edit3r_measure.bench_metrics import MetricSettings
 from edit3r_measure.bench_report import read_columns, summary_of
-from edit3r_measure.runner import Workers
 
 from edit3r.errors import InputError
+from edit3r.workers import Workers
 
 ROOT = Path(__file__).parents[4]
 

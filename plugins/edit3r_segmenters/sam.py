@@ -1,0 +1,308 @@
+"""What SAM2 and SAM3 share: masks of one image by grid, point or box, and tracks through the other views.
+
+transformers' own mask-generation pipeline returns boolean masks and predicted IoU only, dropping stability and
+logits, which the paper's filter and soft blending need; so the grid of the automatic mask generator is here.
+"""
+
+import importlib
+from abc import abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import cv2
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.cache import fingerprint, remembered
+from edit3r.config import Settings
+from edit3r.errors import InputError, PromptError
+from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.io.pretrained import (
+    ChosenWeights,
+    foreign,
+    identity,
+    load_network,
+    out_of_memory_told,
+    pick_device,
+    require_at_hand,
+)
+from edit3r.reporting import note, progress
+
+STABILITY_OFFSET = 1.0  # logits
+MOST_KEPT = 4  # images whose embeddings stay in memory: clicks follow each other on one image
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Family:
+    """The classes of transformers that make one generation of SAM, and the images they take."""
+
+    image: str  # class that answers points and boxes
+    video: str  # class that follows objects
+    session: str  # module:class of what that one remembers
+    mean: Triple  # of the training images, sRGB
+    std: Triple
+
+
+class SamSettings(Settings):
+    """Settings of every generation."""
+
+    revision: str = Field("", description="branch, tag or commit of the model; empty: the declared commit")
+    local_files_only: bool = Field(False, description="never download")
+    device: str = Field("auto", description="cpu, cuda, ...; auto: where the photos are (--device)")
+    prompt: str = Field("", description="what to segment, in words such as 'the bike'; empty: every object")
+    points_per_side: int = Field(32, ge=1, le=128, description="grid of the automatic mask generator")
+    points_per_batch: int = Field(64, ge=1, le=4096, description="grid points at once; lower needs less memory")
+    min_predicted_iou: float = Field(0.8, ge=0, le=1, description="least quality the mask believes it has")
+    min_stability: float = Field(0.95, ge=0, le=1, description="least overlap of the mask cut at logits +1 and -1")
+    max_box_overlap: float = Field(0.7, ge=0, le=1, description="of two boxes that overlap more, the better stays")
+
+
+class SamSegmenter(Segmenter):
+    """All but how words are read.
+
+    With `prompt` set, `propose` returns only what the words name.
+    """
+
+    family: ClassVar[Family]
+    threshold_key: ClassVar[str]  # the setting to lower where words are not found
+
+    def __init__(self, settings: SamSettings) -> None:
+        self.settings, self.prompt = settings, settings.prompt
+        self.weights = ChosenWeights(
+            settings.model, "segmenter.model", settings.revision, local_files_only=settings.local_files_only
+        )
+        require_at_hand(self.weights)
+        self._models: dict[str, Any] = {}
+        self._embeddings: dict[str, list[Tensor]] = {}
+
+    @abstractmethod
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]: ...
+
+    @remembered
+    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
+        if self.prompt:
+            return self._named(image, self.prompt)
+        size = tuple(image.shape[-2:])
+        model = self._model(self.family.image, image.device)
+        with torch.no_grad(), self._memory("segmenting"):
+            found = self._candidates(model, self._embed(model, image), size)
+            return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
+
+    @remembered
+    def segment(
+        self,
+        image: Float[Tensor, "3 height width"],
+        points: Sequence[tuple[float, float]] = (),
+        box: tuple[float, float, float, float] | None = None,
+    ) -> Proposal:
+        return self._prompted(image, points, (), box)
+
+    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
+        box, (height, width) = marks.box, image.shape[-2:]
+        if box is None and marks.prior is not None:  # where it is expected, as the box around that
+            x, y, w, h = as_proposal(marks.prior).box
+            box = (x / width, y / height, w / width, h / height) if w else None
+        return self._prompted(image, marks.positive, marks.negative, box)
+
+    def _prompted(
+        self,
+        image: Float[Tensor, "3 height width"],
+        positive: Sequence[tuple[float, float]],
+        negative: Sequence[tuple[float, float]],
+        box: tuple[float, float, float, float] | None,
+    ) -> Proposal:
+        """One object by points on it, points off it, and a box, all normalised."""
+        points = [*positive, *negative]
+        if not len(positive) and box is None:
+            raise InputError("segment: give at least one point or a box that says which object is meant.")
+        model = self._model(self.family.image, image.device)
+        side = model.config.prompt_encoder_config.image_size
+        prompts: dict[str, Tensor] = {}
+        if len(points):
+            prompts["input_points"] = image.new_tensor([[[list(point) for point in points]]]) * side
+        if box is not None:
+            x, y, width, height = box
+            prompts["input_boxes"] = image.new_tensor([[[x, y, x + width, y + height]]]) * side
+        prompts = {name: prompt.to(model.device, model.dtype) for name, prompt in prompts.items()}
+        if len(points):
+            prompts["input_labels"] = torch.tensor([[[1] * len(positive) + [0] * len(negative)]], device=model.device)
+        ambiguous = len(points) == 1 and box is None  # one point may mean a part or the whole: ask for all three
+        with torch.no_grad(), self._memory("segmenting"):
+            output = model(image_embeddings=self._embed(model, image), multimask_output=ambiguous, **prompts)
+            best = int(output.iou_scores[0, 0].argmax())
+            logits = enlarge(output.pred_masks[0, 0, best : best + 1], tuple(image.shape[-2:]))[0]
+        return proposal(logits, float(output.iou_scores[0, 0, best]))
+
+    @remembered
+    def track(
+        self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+    ) -> Tracks:
+        if not len(masks):
+            nobody = torch.zeros(len(images), 0, dtype=torch.bool, device=images.device)
+            return Tracks(images.new_zeros(len(images), 0, *images.shape[-2:]), nobody)
+        model = self._model(self.family.video, images.device)
+        with torch.no_grad(), self._memory("tracking objects"):
+            tracks = self._follow(model, images.to(model.device), masks.to(model.device, torch.float32))
+        return Tracks(tracks.logits.to(images.device), tracks.present.to(images.device))
+
+    def _named(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+        found = self.segment_text(image, text)
+        if not found:
+            raise PromptError(
+                f"segmenter.prompt: {text!r} was not found on the picture; name it in other words, lower "
+                f"{self.threshold_key}, or give masks with --mask."
+            )
+        return found
+
+    def _candidates(
+        self, model: Any, embeddings: list[Tensor], image_size: tuple[int, int]
+    ) -> list[tuple[Float[Tensor, "h w"], float]]:
+        """Ask for three masks at every point of a grid; keep the sure and stable ones that no better one covers.
+
+        Returns small logits and predicted IoU in [0, 1] of each, best first.
+        """
+        chosen = self.settings
+        points = point_grid(chosen.points_per_side).to(embeddings[0]) * model.config.prompt_encoder_config.image_size
+        found = []
+        for some in points.split(chosen.points_per_batch):
+            output = model(image_embeddings=embeddings, input_points=some[None, :, None], multimask_output=True)
+            logits, iou = output.pred_masks[0].flatten(0, 1), output.iou_scores[0].flatten()
+            logits, iou = (values[iou >= chosen.min_predicted_iou] for values in (logits, iou))
+            large = enlarge(logits, image_size)
+            stable = (stability(large) >= chosen.min_stability) & (large > 0).flatten(1).any(1)
+            # Only the small logits are kept: large masks of all points would fill the memory.
+            found.append((logits[stable], iou[stable].clamp(0, 1), boxes_of(large[stable] > 0)))
+            progress("segmenting", min(len(found) * chosen.points_per_batch, len(points)), len(points))
+        logits, iou, boxes = (torch.cat(parts) for parts in zip(*found))
+        return [(logits[index], float(iou[index])) for index in best_boxes(boxes, iou, chosen.max_box_overlap)]
+
+    def _embed(self, model: Any, image: Float[Tensor, "3 height width"]) -> list[Tensor]:
+        key = fingerprint(image)
+        if key not in self._embeddings:
+            if len(self._embeddings) >= MOST_KEPT:
+                self._embeddings.clear()
+            pixels = self._pixels(image[None].float(), model.config.prompt_encoder_config.image_size)
+            self._embeddings[key] = model.get_image_embeddings(pixels.to(model.device, model.dtype))
+        return list(self._embeddings[key])
+
+    def _pixels(self, images: Float[Tensor, "n 3 height width"], side: int) -> Float[Tensor, "n 3 side side"]:
+        """Make the network's input of images in [0, 1]: squashed to a square, as prompts are, and normalised."""
+        square = F.interpolate(images, (side, side), mode="bilinear", antialias=True, align_corners=False)
+        mean, std = (images.new_tensor(values)[:, None, None] for values in (self.family.mean, self.family.std))
+        return (square - mean) / std
+
+    def _model(self, name: str, photos_on: torch.device) -> Any:
+        """Load one of the family's classes when it is first needed; all read the same weights."""
+        if name not in self._models:
+            model = load_network(foreign("transformers", name), self.weights, dtype=torch.float32)
+            with self._memory("loading " + name):
+                device = pick_device(self.settings.device, photos_on, "segmenter.device")
+                self._models[name] = model.to(device).eval()
+            note("segmenter.weights", identity(self.weights))
+        return self._models[name]
+
+    def _memory(self, doing: str) -> AbstractContextManager[None]:
+        return out_of_memory_told(
+            doing, "try a smaller --set segmenter.points_per_batch, a smaller segmenter.model, or segmenter.device=cpu"
+        )
+
+    def _follow(
+        self, model: Any, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+    ) -> Tracks:
+        """Follow objects given on view 0 with the video predictor, the views taken as the frames of a video."""
+        module, _, name = self.family.session.partition(":")
+        views, size = len(images), tuple(images.shape[-2:])
+        side = model.config.image_size
+        session = getattr(importlib.import_module(module), name)(
+            video=self._pixels(images, side),
+            video_height=size[0],
+            video_width=size[1],
+            inference_device=images.device,
+            inference_state_device=images.device,
+            video_storage_device=images.device,
+            dtype=model.dtype,
+        )
+        for number, mask in enumerate(binary_masks(masks, side)):
+            session.add_mask_inputs(session.obj_id_to_idx(number), 0, mask[None, None])
+        session.obj_with_new_inputs = list(range(len(masks)))
+        model(session, frame_idx=0)  # turns the masks into memories; propagation alone refuses to start
+        logits, present = [], []
+        for output in model.propagate_in_video_iterator(session):
+            logits.append(enlarge(output.pred_masks[:, 0], size))
+            present.append(is_present(logits[-1], output.object_score_logits))
+            progress("tracking objects", len(logits), views)
+        return Tracks(torch.stack(logits), torch.stack(present))
+
+
+def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:
+    """Make one mask at the photo's size a proposal."""
+    inside = logits > 0
+    area, stable, iou = float(inside.float().mean()), float(stability(logits[None])), min(max(predicted_iou, 0.0), 1.0)
+    return Proposal(logits.sigmoid(), area, stable, iou, tuple(boxes_of(inside[None])[0].tolist()))
+
+
+def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:
+    """IoU of the masks cut at +1 and at -1; the first lies inside the second. 0 for a mask that is empty at -1."""
+    strict = (logits > STABILITY_OFFSET).sum((1, 2))
+    loose = (logits > -STABILITY_OFFSET).sum((1, 2))
+    return strict / loose.clamp(min=1)
+
+
+def boxes_of(inside: Bool[Tensor, "n height width"]) -> Float[Tensor, "n 4"]:
+    """Smallest box around each mask: x, y, width, height [pixels]; zeros for an empty one."""
+    (x, width), (y, height) = (_span(inside.any(dim)) for dim in (1, 2))  # columns, rows
+    return torch.stack((x, y, width, height), dim=1).float()
+
+
+def _span(occupied: Bool[Tensor, "n length"]) -> tuple[Tensor, Tensor]:
+    """First occupied index `[n]` and number of indices to the last `[n]`, 0 and 0 when none is."""
+    marks = occupied.int()
+    first = marks.argmax(1)
+    last = marks.shape[1] - 1 - marks.flip(1).argmax(1)
+    some = marks.any(1)
+    return first * some, (last - first + 1) * some
+
+
+def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float) -> list[int]:
+    """Non-maximum suppression: indices of boxes that no better one overlaps by more than `overlap`, best first."""
+    if not len(boxes):
+        return []
+    # Scores are raised above its threshold, which drops boxes of score 0 otherwise.
+    kept = cv2.dnn.NMSBoxes(boxes.tolist(), (1 + scores).tolist(), score_threshold=0.0, nms_threshold=overlap)
+    return [int(index) for index in kept]
+
+
+def point_grid(per_side: int) -> Float[Tensor, "point 2"]:
+    """x, y of the centres of per_side x per_side cells, in [0, 1], row by row."""
+    centres = (torch.arange(per_side) + 0.5) / per_side
+    y, x = torch.meshgrid(centres, centres, indexing="ij")
+    return torch.stack((x, y), dim=-1).flatten(0, 1)
+
+
+def is_present(
+    logits: Float[Tensor, "object height width"], scores: Float[Tensor, "object *_"]
+) -> Bool[Tensor, "object"]:
+    """Tell which objects are in a frame: those with a positive score or a mask that is not empty.
+
+    The predictor's `object_ids` always lists every object, lost or not, so it cannot serve as the paper's O_v.
+    """
+    return (scores.flatten() > 0) | (logits > 0).flatten(1).any(1)
+
+
+def binary_masks(masks: Float[Tensor, "object height width"], side: int) -> Float[Tensor, "object side side"]:
+    """Make the tracker's 0/1 masks of soft masks in [0, 1]."""
+    square = F.interpolate(masks[:, None], (side, side), mode="bilinear", antialias=True, align_corners=False)
+    return (square[:, 0] >= 0.5).to(masks)
+
+
+def enlarge(logits: Float[Tensor, "*n h w"], size: tuple[int, int]) -> Float[Tensor, "*n height width"]:
+    """Resize the network's small masks to the photo's size; they stay logits."""
+    flat = logits.flatten(0, -3)[:, None]
+    large = F.interpolate(flat.float(), size, mode="bilinear", align_corners=False)
+    return large[:, 0].unflatten(0, logits.shape[:-2])

@@ -1,0 +1,58 @@
+"""Segmenter `auto`: SAM2 where its weights are at hand, `classical` otherwise, and the run says which."""
+
+import torch
+
+import edit3r
+from edit3r.interfaces import Marks
+from edit3r.reporting import Report, collecting
+from edit3r.run_config import DEFAULTS, RunConfig
+
+CLICK = Marks(positive=((0.3, 0.5),))
+
+
+def test_without_weights_a_click_is_answered_by_classical(at_hand, photo):
+    with collecting(Report()) as report:
+        found = edit3r.build("segmenter", "auto").segment_marks(photo, CLICK)
+    assert report.notes["segmenter.picked"] == "classical"
+    alone = edit3r.build("segmenter", "classical").segment_marks(photo, CLICK)
+    assert torch.equal(found.soft_mask, alone.soft_mask)
+
+
+def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(at_hand, photo):
+    at_hand("sam2")
+    events = []
+    with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
+        segmenter = edit3r.build("segmenter", "auto")
+        found = segmenter.segment_marks(photo, CLICK)
+        tracks = segmenter.track(photo.expand(2, 3, 60, 80), found.soft_mask[None])
+    assert ("say", "segmenter.picked: sam2") in events
+    assert report.notes["segmenter.weights"]["name"] == "sam2"
+    alone = edit3r.build("segmenter", "sam2")
+    assert torch.equal(found.soft_mask, alone.segment_marks(photo, CLICK).soft_mask)
+    assert torch.equal(tracks.logits, alone.track(photo.expand(2, 3, 60, 80), found.soft_mask[None]).logits)
+
+
+def test_proposals_without_a_mark_stay_classical(at_hand, photo):
+    at_hand("sam2")
+    found = edit3r.build("segmenter", "auto").propose(photo)
+    assert torch.equal(found[0].soft_mask, edit3r.build("segmenter", "classical").propose(photo)[0].soft_mask)
+
+
+def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
+    at_hand("sam2")
+    segmenter = edit3r.build("segmenter", "auto")
+    assert segmenter.segment_text(photo, "the bike") is None
+    at_hand("grounding-dino")
+    assert segmenter.segment_text(photo, "the bike") is not None
+    assert float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1  # a word that classical knows
+
+
+def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
+    at_hand("sam2")
+    assert edit3r.build("segmenter", "auto").settings.pick == "sam2"
+    assert edit3r.build("segmenter", "auto", pick="classical", size=128).classical.settings.size == 128
+
+
+def test_it_is_what_a_run_takes_for_clicks(at_hand):
+    assert edit3r.build("editor", RunConfig().editor.name).parts["segmenter"].offer.component.name == "auto"
+    assert DEFAULTS["segmenter"] == "auto"
