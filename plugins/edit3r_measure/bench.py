@@ -257,7 +257,8 @@ def _grid(args: argparse.Namespace) -> int:
     common = {"rasterizer": args.rasterizer} if args.rasterizer else {}
     settings = _component_settings(args, set(asked))
     pairs = pairs_of(default_registry(tuple(args.plugin)), asked, common, settings)
-    _run_methods(args, [(n, method) for n, (method, reason) in enumerate(pairs) if not reason], every_error=True)
+    tried = [(n, method) for n, (method, skipped) in enumerate(pairs.values()) if not skipped]
+    _run_methods(args, tried, every_error=True)
     table = write_grid(Path(args.out), pairs, args.pictures)
     if not args.quiet:
         print(table)

@@ -8,105 +8,68 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from edit3r.errors import Edit3rError, SettingsError
-from edit3r.plugins import Offer
+from edit3r.errors import SettingsError
 from edit3r.registry import Registry
-from edit3r.weights import find
 from edit3r_measure.bench_item import Method
 from edit3r_measure.bench_page import write_page
 from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_columns, timing, title
 from edit3r_measure.oracle import ORACLE
-from edit3r_measure.report import format_or_dash, make_folder, markdown_table, write_text
+from edit3r_measure.report import format_or_dash, markdown_table, write_text
 
-SHOWN = (
-    "score",
-    "psnr-in-edit",
-    "psnr-in-background",
-    "edit-uptake-2d",
-    "consistency-2d",
-    "consistency-warped",
-    "sharpness",
-)
+SHOWN = ("score", "psnr-in-edit", "psnr-in-background", "edit-uptake-2d", "consistency-2d", "consistency-warped")
 """Measures of the table; the folders of the pairs hold all."""
 
-Pairs = Sequence[tuple[Method, str]]
-"""Methods, and why they cannot run here; "" when they can."""
+REACHES_OUT = "reaches out to the network, to a service that costs money, say; name it to include it."
 
 
 def pairs_of(
     registry: Registry, asked: Mapping[str, Sequence[str]], common: Mapping[str, Any], settings: Mapping[str, Any]
-) -> Pairs:
-    """Return every pair of the editors and reconstructors that are `asked` for by name, of all installed without names.
+) -> dict[str, tuple[Method, str]]:
+    """Return pairs of the editors and reconstructors that are `asked` for, of all installed without names, by label.
 
-    `common` are fields that all methods share; `settings` are those of components, by kind and name.
+    With each comes why it is not even tried, or "". `common` are fields that all methods share; `settings` are those of
+    components, by kind and name.
     """
-    known = {kind: [offer.component.name for offer in registry.offers(kind)] for kind in ("editor", "reconstructor")}
-    names = {kind: list(asked.get(kind) or known[kind]) for kind in known}
-    if not asked.get("editor"):
-        names["editor"].insert(0, ORACLE)
+    kinds = ("editor", "reconstructor")
+    offers = {kind: {offer.component.name: offer.component for offer in registry.offers(kind)} for kind in kinds}
+    names = {kind: list(asked.get(kind) or [*([ORACLE] if kind == "editor" else []), *offers[kind]]) for kind in offers}
     for kind, unknown in ((kind, set(settings.get(kind, {})) - set(names[kind])) for kind in names):
         if unknown:
             raise SettingsError(f"--set {kind}.{min(unknown)}: expected {kind}.NAME.SETTING of one in the grid.")
-    own = {(kind, name): settings.get(kind, {}).get(name, {}) for kind in names for name in names[kind]}
-    reasons = {
-        (kind, name): ""
-        if name == ORACLE
-        else _reason(registry, registry.find(kind, name), values, bool(asked.get(kind)))
-        for (kind, name), values in own.items()
-    }
-    pairs = []
+    pairs = {}
     for editor in names["editor"]:
+        component = offers["editor"].get(editor)
+        service = component is not None and component.needs_network and not component.weights
         for reconstructor in names["reconstructor"]:
             parts = {"editor": editor, "reconstructor": reconstructor}
-            chosen = {kind: {"name": name, **own[kind, name]} for kind, name in parts.items()}
-            reason = " ".join(dict.fromkeys(filter(None, (reasons[part] for part in parts.items()))))
-            pairs.append((Method(**chosen, **common), reason))
+            own = {kind: {"name": name, **settings.get(kind, {}).get(name, {})} for kind, name in parts.items()}
+            method = Method(**own, **common)
+            pairs[method.label] = (method, f"{editor} {REACHES_OUT}" if service and not asked.get("editor") else "")
     return pairs
 
 
-def _reason(registry: Registry, offer: Offer, settings: Mapping[str, Any], named: bool) -> str:
-    """Return why a component cannot be built here, in a sentence; "" when it can."""
-    component = offer.component
-    if component.needs_network and not component.weights and not named:
-        return f"{component.name} reaches out to the network (a service that costs money, say); name it to include it."
-    if component.needs_gpu and not torch.cuda.is_available():
-        return f"{component.name} needs a GPU, and there is none here."
-    parts = {"editor": registry.build("editor", "none")} if "editor" in component.parts else {}
-    try:
-        for weights in component.weights if component.needs_network else ():
-            find(weights)
-        registry.build(offer.kind, component.name, parts, **settings)
-    except Edit3rError as error:
-        return f"{component.name}: {error}"
-    return ""
-
-
-def write_grid(out: Path, pairs: Pairs, pictures: int) -> str:
+def write_grid(out: Path, pairs: Mapping[str, tuple[Method, str]], pictures: int) -> str:
     """Write grid.md and index.html, and return the table; the pairs' folders lie in `out`."""
-    make_folder(out)
-    ran = {method.label for method, reason in pairs if not reason}
-    columns = {column.label: column for column in read_columns([out])} if ran else {}
-    shown = [columns[method.label] for method, reason in pairs if not reason]
-    in_order = sorted(pairs, key=lambda pair: bool(pair[1]))  # first those that ran
-    rows = [_row(method.label, reason, columns.get(method.label)) for method, reason in in_order]
+    ran = [out / label for label, (_, skipped) in pairs.items() if not skipped]
+    columns = {column.label: column for column in (read_columns(ran) if ran else ())}
+    worked = [column for column in columns.values() if len(column.failures) < len(column.results)]
+    order = [*(column.label for column in worked), *pairs]  # those that gave something first
+    rows = [_row(label, pairs[label][1], columns.get(label)) for label in dict.fromkeys(order)]
     head = ["editor + reconstructor", "edits", "failed", *map(title, SHOWN), "[s CPU]", "what to know"]
     table = markdown_table(head, rows)
-    scenes = {result.scene for column in shown[:1] for result in column.results.values()}
+    scenes = {result.scene for column in worked for result in column.results.values()}
     text = (
-        f"# Grid of {len(pairs)} pairs\n\n{len(ran)} ran, on {len(shown[0].results) if shown else 0} edits of "
-        f"{len(scenes)} scenes; the others say why not. Means over scenes. Only `oracle` has a truth to meet.\n\n"
-        f"{table}\n"
+        f"# Grid of {len(pairs)} pairs\n\n{len(worked)} gave something on {len(scenes)} scenes, the others say why not. "
+        f"Means over scenes. Only `oracle` has a truth to meet.\n\n{table}\n"
     )
     write_text(out / "grid.md", text)
-    write_page(out / "index.html", text, shown, pictures)
+    write_page(out / "index.html", text, worked, pictures)
     return table
 
 
-def _row(label: str, reason: str, column: Column | None) -> list[str]:
+def _row(label: str, skipped: str, column: Column | None) -> list[str]:
     if column is None:
-        return [label, "0", "-", *("-" for _ in SHOWN), "-", reason]
+        return [label, "0", "-", *("-" for _ in SHOWN), "-", skipped]
     said = Counter(result.failure or result.remark.partition(":")[0] for result in column.results.values())
     said.pop("", None)
     notes = " ".join(f"{count} x {sentence}" for sentence, count in said.most_common())

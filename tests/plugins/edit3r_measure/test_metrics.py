@@ -300,6 +300,14 @@ def test_points_of_a_moved_picture_are_matched_where_they_went():
     assert len(matched_points(image[:48], np.random.default_rng(1).random((48, 96, 3)))[0]) < 5
 
 
+def test_what_is_there_twice_is_matched_once():
+    patch = gaussian_filter(np.random.default_rng(0).random((40, 40, 3)), (1.5, 1.5, 0))
+    patch = (patch - patch.min()) / np.ptp(patch)
+    once, twice = np.full((60, 120, 3), 0.5), np.full((60, 120, 3), 0.5)
+    once[10:50, 10:50] = twice[10:50, 10:50] = twice[10:50, 70:110] = patch
+    assert 10 < len(matched_points(twice, once)[0]) <= 1.1 * len(matched_points(once, once)[0])
+
+
 def test_a_match_counts_from_the_corner_of_the_picture():
     rows, columns = np.mgrid[:64, :96]
     spots = [(20, 30, 3.0), (60, 24, 5.0), (40, 50, 4.0)]  # column and row of the pixel in the middle, width
