@@ -59,7 +59,7 @@ def write_grid(out: Path, pairs: Mapping[str, tuple[Method, str]], pictures: int
     table = markdown_table(head, rows)
     scenes = {result.scene for column in worked for result in column.results.values()}
     text = (
-        f"# Grid of {len(pairs)} pairs\n\n{len(worked)} gave something on {len(scenes)} scenes, the others say why not. "
+        f"# Grid of {len(pairs)} pairs\n\n{len(worked)} gave something on {len(scenes)} scenes; others say why not. "
         f"Means over scenes. Only `oracle` has a truth to meet.\n\n{table}\n"
     )
     write_text(out / "grid.md", text)

@@ -133,25 +133,6 @@ def best_blurred_copy(
     return BlurredCopy(score, ssim(copy, target), sigma)
 
 
-# Depth against the truth.
-
-
-def within_share(
-    depth: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"], tolerance: float = 0.1
-) -> float:
-    """Return the share of pixels of known `truth` (> 0) whose depth is within `tolerance` after one common scale.
-
-    The scale is the median ratio. A pixel without a depth (0) counts as wrong.
-    """
-    known = truth > 0
-    measured = known & (depth > 0)
-    if not measured.any():
-        return 0.0
-    scale = np.median(truth[measured] / depth[measured])
-    right = measured & (np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance)
-    return float(right.sum() / known.sum())
-
-
 # What an edit did. Distances to the unedited photos reward doing nothing; these do not.
 
 

@@ -22,7 +22,6 @@ from edit3r_measure.metrics import (
     ssim,
     warped_difference,
     warped_image,
-    within_share,
 )
 from scipy.linalg import sqrtm
 from scipy.ndimage import gaussian_filter
@@ -82,18 +81,6 @@ def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
     target[:, 20:] = 0
     assert math.isinf(best_blurred_copy([picture], target, covered).psnr)
     assert best_blurred_copy([picture], target).psnr < 20
-
-
-def test_within_share_is_blind_to_scale_and_counts_missing_depth_as_wrong():
-    truth = np.full((10, 10), 2.0)
-    truth[0] = 0  # unknown
-    depth = np.where(truth > 0, 7.0, 3.0)
-    assert within_share(depth, truth) == 1
-    depth[1:4] = 0
-    assert within_share(depth, truth) == pytest.approx(6 / 9)
-    depth[4] = 7.9
-    assert within_share(depth, truth) == pytest.approx(5 / 9)
-    assert within_share(np.zeros((10, 10)), truth) == 0
 
 
 def test_psnr_of_a_tenth_off_everywhere_is_20_decibels(picture):
