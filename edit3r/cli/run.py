@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from edit3r.earlier_run import EarlierRun
     from edit3r.io.images import LoadedPhotos
     from edit3r.registry import Registry
+    from edit3r.types import Views
     from edit3r.selection import Selection
 
 SHORT_FLAGS = {"reconstructor": "recon"}
@@ -81,6 +82,8 @@ class RunCommand(Command):
                 report.emit("warn", text)
             with collecting(report), report.stage("read photos"):
                 photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
+                if args.cameras and not continued:
+                    config = with_known_poses(config, photos.views, registry)
             with atomic_folder(args.out, args.overwrite) as folder:
                 result = pipeline.run(
                     photos.views,
@@ -127,6 +130,19 @@ def read_photos(
     hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
     note_quality(config.model_dump(), len(paths))
     return photos, masks, hashes
+
+
+def with_known_poses(config: RunConfig, views: "Views", registry: "Registry") -> RunConfig:
+    """The configuration for views whose poses the user gave: they are used as they are, unless a matcher was chosen."""
+    from edit3r.reporting import say
+
+    chosen = config.reconstructor
+    has_matcher = "matcher" in registry.find("reconstructor", chosen.name).component.parts
+    if views.c2w is None or not has_matcher or "matcher" in chosen.settings:
+        return config
+    say("poses.source", "those that were given, as they are")
+    settings = {**chosen.settings, **DEFAULTS["known_poses"]}
+    return config.model_copy(update={"reconstructor": chosen.model_copy(update={"settings": settings})})
 
 
 def _masks_or_marks(
