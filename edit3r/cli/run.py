@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from edit3r.earlier_run import EarlierRun
     from edit3r.io.images import LoadedPhotos
     from edit3r.registry import Registry
-    from edit3r.types import Views
     from edit3r.selection import Selection
+    from edit3r.types import Views
 
 SHORT_FLAGS = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
