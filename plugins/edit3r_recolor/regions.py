@@ -23,7 +23,7 @@ FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
 
 NEAR = (13.0, 20.0)
-"""Colour differences [CIE94, lightness halved, hue by 1.7] up to which a pixel has a colour, and from which it has not."""
+"""Colour differences [CIE94, lightness halved, hue by 1.7] up to which a pixel has a colour, and from which not."""
 
 
 class ProposalFilter(Settings):
