@@ -60,9 +60,8 @@ class RunCommand(Command):
         from edit3r.console import JsonLines, StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
-        from edit3r.io.coverage import USUAL_FRAMES, choose_photos
-        from edit3r.io.images import LoadedPhotos, find_photos, load_photos, packaged_pair
-        from edit3r.quality import note_quality
+        from edit3r.io.coverage import USUAL_FRAMES
+        from edit3r.io.images import find_photos, packaged_pair
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
 
@@ -81,17 +80,7 @@ class RunCommand(Command):
             for text in report.warnings:
                 report.emit("warn", text)
             with collecting(report), report.stage("read photos"):
-                used = paths if continued else choose_photos(paths, config.views)
-                given = args.mask
-                if len(given) == len(paths):  # one for each photo, used or not
-                    given = [mask for mask, path in zip(given, paths) if path in used]
-                if continued:
-                    photos = LoadedPhotos(continued.edited, continued.records)
-                else:
-                    photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
-                masks = _masks_or_marks(args, given, photos, config)
-                hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
-                note_quality(config.model_dump(), len(paths))
+                photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
             with atomic_folder(args.out, args.overwrite) as folder:
                 result = pipeline.run(
                     photos.views,
@@ -109,6 +98,35 @@ class RunCommand(Command):
         if args.strict and result.verdict.label == "failed":
             raise RunError(f"the verdict is failed: {result.verdict.reason}")
         return 0
+
+
+def read_photos(
+    paths: list[Path],
+    config: RunConfig,
+    cameras: str | Path | None,
+    args: argparse.Namespace,
+    continued: "EarlierRun | None" = None,
+) -> "tuple[LoadedPhotos, Tensor | Selection | None, dict[str, str]]":
+    """Return those of the photos that are used, what is masked or marked on them, and the hashes of mask files.
+
+    `args` say the marks (images, earlier, mask, point, not_point, box); the photos of a `continued` run are its edits.
+    """
+    from edit3r.io.coverage import choose_photos
+    from edit3r.io.images import LoadedPhotos, load_photos
+    from edit3r.quality import note_quality
+
+    used = paths if continued else choose_photos(paths, config.views)
+    given = args.mask
+    if len(given) == len(paths):  # one for each photo, used or not
+        given = [mask for mask, path in zip(given, paths) if path in used]
+    if continued:
+        photos = LoadedPhotos(continued.edited, continued.records)
+    else:
+        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
+    masks = _masks_or_marks(args, given, photos, config)
+    hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
+    note_quality(config.model_dump(), len(paths))
+    return photos, masks, hashes
 
 
 def _masks_or_marks(
