@@ -1,6 +1,5 @@
 """The matcher `network`: pose and depth of unedited photos, view 0 against each other view by the network."""
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from pydantic import Field
@@ -10,7 +9,7 @@ from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import scale_poses
-from edit3r.geometry.maps import resize, upsample_depth
+from edit3r.geometry.maps import resize, upsample_depths
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.stage_checks import require_matchable
 from edit3r.types import Views
@@ -102,8 +101,8 @@ def _joined(
     others = torch.where(good, depths[:, :, 1] * units[..., None, None], 1.0)
     first = _first_depths(depths[:, :, 0].log() + units.log()[..., None, None], confidence[:, :, 0], placed)
     sure = torch.cat((confidence[:, :, 0].amax(1, keepdim=True), confidence[:, :, 1] * good), 1)
-    depths, sure = _at_full_size(torch.cat((first[:, None], others), 1), sure, small, images)
-    return MatchedGeometry(poses, depths, sure, torch.cat((torch.ones_like(placed[:, :1]), placed), 1))
+    depths, sure = upsample_depths(torch.cat((first[:, None], others), 1), sure, small, images)
+    return MatchedGeometry(poses, depths, sure.clamp(0, 1), torch.cat((torch.ones_like(placed[:, :1]), placed), 1))
 
 
 def _units(
@@ -123,20 +122,3 @@ def _first_depths(
     """View 0's depths: over the placed pairs the mean of their logs, weighted by confidence."""
     weights = (confidence + 0.01) * placed[..., None, None]
     return ((log_depths * weights).sum(1) / weights.sum(1)).exp()
-
-
-def _at_full_size(
-    depths: Float[Tensor, "batch view h2 w2"],
-    confidence: Float[Tensor, "batch view h2 w2"],
-    small: Float[Tensor, "batch view 3 h w"],
-    images: Float[Tensor, "batch view 3 height width"],
-) -> tuple[Float[Tensor, "batch view height width"], Float[Tensor, "batch view height width"]]:
-    """Depth and confidence of every pixel of the images, carried there along their edges."""
-    grid = depths.shape[-2:]
-    guides = resize(small, tuple(grid)).flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
-    large = images.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy()
-    inverse, trust = (1 / depths).flatten(0, 1).cpu().float().numpy(), confidence.flatten(0, 1).cpu().float().numpy()
-    carried = zip(*(upsample_depth(*maps) for maps in zip(inverse, trust, guides, large)))
-    fine, sure = (torch.from_numpy(np.stack(maps)).to(images) for maps in carried)
-    shape = (*images.shape[:2], *images.shape[-2:])
-    return 1 / fine.reshape(shape), sure.reshape(shape).clamp(0, 1)
