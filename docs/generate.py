@@ -3,13 +3,15 @@
 The reference (hooks, components with their settings, commands, Python) is built with the site and never checked in:
 mkdocs calls `on_files`. The examples stand in the pages, between markers, so that they can be read anywhere:
 
-    python docs/generate.py            rewrite the marked parts of docs/plugins/*.md from edit3r/templates
+    python docs/generate.py            rewrite the marked parts: of docs/plugins/*.md from edit3r/templates, of
+                                       docs/combinations.md from what components declare and a benchmark measured
     python docs/generate.py DIR        also write the reference pages into DIR
 """
 
 import argparse
 import importlib
 import inspect
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -18,7 +20,7 @@ from pathlib import Path
 import edit3r
 from edit3r.cli import COMMANDS
 from edit3r.cli.main import find_command
-from edit3r.component import KINDS, hook_name
+from edit3r.component import KINDS, Component, hook_name
 from edit3r.description import metadata_lines, settings_lines, yaml_example
 from edit3r.errors import Edit3rError
 from edit3r.plugins import Offer
@@ -175,8 +177,8 @@ def _described(module: str, name: str, value: object) -> str:
 
 
 def refreshed(page: str) -> str:
-    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`."""
-    makers = {"example": example_part, "claims": claims_part}
+    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`, and tables."""
+    makers = {"example": example_part, "claims": claims_part, "parts": parts_part, "seconds": seconds_part}
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
 
 
@@ -200,6 +202,72 @@ def claims_part(kind: str, _: str | None) -> str:
         sentence = (sentence or inspect.getdoc(getattr(contract, claim)) or "").split("\n")[0]
         rows.append(f"- {claim.removeprefix('test_').replace('_', ' ')}" + (f": {sentence}" if sentence else ""))
     return "\n" + "\n".join(rows) + "\n\n"
+
+
+# ---- the tables of docs/combinations.md ----
+
+
+def own_components(kind: str) -> list[Component]:
+    """Components of the plugins in this repository, whatever else is installed."""
+    own = {folder.name for folder in (DOCS.parent / "plugins").iterdir()}
+    return [offer.component for offer in default_registry().offers(kind) if offer.module.partition(".")[0] in own]
+
+
+def measured() -> dict:
+    """What `python benchmarks/combinations.py` left."""
+    return json.loads((DOCS.parent / "benchmarks" / "combinations.json").read_text(encoding="utf-8"))
+
+
+def parts_part(kind: str, _: str | None) -> str:
+    """Licences, weights and what was tried, of every component of a kind."""
+    rows = [
+        "| name | what it does | code | weights: MB, licence, commercial use | run with |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for component in own_components(kind):
+        weights = [
+            f"`{one.name}`: {one.size / 1e6:,.0f}, {one.licence}, **{one.commercial}**" for one in component.weights
+        ]
+        elsewhere = "fetched by the name you give, or a service" if component.needs_network else "none from elsewhere"
+        cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
+                 "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n" + "\n".join(rows) + "\n\n"
+
+
+def tried(kind: str, component: Component) -> str:
+    """Say what ran on real photos and with which weights; all else only in the tests."""
+    found, key = measured(), {"reconstructor": "recon"}.get(kind, kind)
+    shown = [
+        row for row in found["rows"] if row.get(key, "").partition(" ")[0] == component.name and "error" not in row
+    ]
+    said = ["real photos, below"] if shown else []
+    for weights in component.weights:
+        real = shown and weights.name in found["weights_at_hand"]
+        said.append(f"`{weights.name}`: {'real weights' if real else 'tiny random weights, in the tests'}")
+    return "; ".join(said) or ("stand-ins, in the tests" if component.needs_network else "the tests")
+
+
+def seconds_part(what: str, _: str | None) -> str:
+    """CPU seconds and memory of editor x reconstructor, matcher x reconstructor, or of segmenters."""
+    found = measured()
+    if what == "segmenter":
+        lines = [f"| `{row['segmenter']}` | {row['seconds']} |" for row in found["rows"] if "segmenter" in row]
+        return "\n" + "\n".join(["| segmenter | CPU s |", "| --- | --: |", *lines]) + "\n\n"
+    rows = [row for row in found["rows"] if what in row and (row["matcher"] == "classical" or what == "matcher")]
+    rows = [row for row in rows if what == "editor" or row["editor"] == "none"]
+    cells = {(row[what], row["recon"]): _cell(row) for row in rows}
+    recons = sorted({recon for _, recon in cells})
+    lines = [f"| {what} | " + " | ".join(f"`{recon}`" for recon in recons) + " |", "| --- " * (len(recons) + 1) + "|"]
+    for name in dict.fromkeys(name for name, _ in cells):
+        lines.append(f"| `{name}` | " + " | ".join(cells.get((name, recon), "–") for recon in recons) + " |")
+    absent = [f"`{one.name}`" for one in own_components(what) if one.name not in {name for name, _ in cells}]
+    absent += [f"`{one.name}`" for one in own_components("reconstructor") if one.name not in recons]
+    return "\n" + "\n".join(lines) + f"\n\nNot measured here: {', '.join(absent)}; and – in the table.\n\n"
+
+
+def _cell(row: dict) -> str:
+    return row.get("error") or f"{row['edit']} + {row['rest']} s, {row['mb']} MB, {row['verdict']}"
 
 
 def unlisted_pages(nav: list) -> list[str]:
@@ -226,7 +294,7 @@ def on_files(files, config):
 
 
 def main() -> None:
-    for path in sorted((DOCS / "plugins").glob("*.md")):
+    for path in (*sorted((DOCS / "plugins").glob("*.md")), DOCS / "combinations.md"):
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
     if len(sys.argv) > 1:

@@ -26,6 +26,7 @@ from torch import Tensor
 import edit3r
 from edit3r.errors import InputError
 from edit3r.reporting import note
+from edit3r.weights import at_hand
 
 Method = TypeVar("Method", bound=Callable)
 SUFFIX = ".safetensors.z"
@@ -141,16 +142,19 @@ def fingerprint(*things: Any) -> str:
 def identity(component: Any) -> str:
     """Return a digest of all that a component's answers depend on besides its arguments.
 
-    These are its name, plugin and version, its source file, settings, parts, and the weights of its network. A change
-    in another file of the plugin, without a new version, goes unnoticed.
+    These are its name, plugin and version, its source file, settings, parts, the weights of its network, and which of
+    the weights that it declares are at hand. A change in another file of the plugin, without a new version, goes
+    unnoticed.
     """
     offer = getattr(component, "offer", None)
     who = (offer.qualified_name, offer.version) if offer is not None else (type(component).__qualname__, "")
+    learned = [] if offer is None else [one.name for one in offer.component.weights if at_hand(one) is not None]
     settings = getattr(component, "settings", None)
     values = settings.model_dump_json() if settings is not None else ""
     parts = sorted((getattr(component, "parts", None) or {}).items())
     inner = [(kind, identity(part)) for kind, part in parts]
-    return fingerprint(edit3r.__version__, who, _source_digest(type(component)), values, inner, _weight_sums(component))
+    source = _source_digest(type(component))
+    return fingerprint(edit3r.__version__, who, source, values, inner, learned, _weight_sums(component))
 
 
 def _add(digest: "hashlib._Hash", thing: Any) -> None:

@@ -2,8 +2,15 @@
 
 import argparse
 from abc import ABC, abstractmethod
+from pathlib import Path
 
 from edit3r.config import Settings
+
+
+def scene_file(text: str) -> Path:
+    """Argument type of a saved scene: its file as it is, or the `scene.ply` of the run folder that is named."""
+    path = Path(text)
+    return path / "scene.ply" if path.is_dir() else path
 
 
 class Command(ABC):

@@ -4,6 +4,7 @@ The command line prints the message as one sentence and exits with `exit_code`; 
 """
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 
@@ -63,3 +64,19 @@ def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out; torch raises several types for it."""
     text = str(error).lower()
     return isinstance(error, MemoryError) or "out of memory" in text or "can't allocate" in text
+
+
+def as_known(error: Exception) -> Edit3rError:
+    """The error itself where it is ours, else one with a sentence for it."""
+    if isinstance(error, Edit3rError):
+        return error
+    if is_out_of_memory(error):
+        return RunError(
+            "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
+        )
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        where = f"{error.filename}: " if error.filename else ""
+        return RunError(f"{where}no space is left on the disk; free some, or give --out a folder on another disk.")
+    if isinstance(error, OSError) and error.filename:
+        return Edit3rError(f"{error.filename}: {error.strerror}.")
+    return RunError(f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback.")

@@ -21,17 +21,27 @@ _ENDS = (
 _OBJECT = re.compile(rf"\b(?:{_DETERMINERS})\s+((?:(?!(?:{_ENDS})\b)[\w'-]+\s*){{1,4}})", re.IGNORECASE)
 _WHOLE = re.compile(r"\b(picture|image|photo|scene|everything|whole|view|style|background)\b", re.IGNORECASE)
 _ADDS = re.compile(r"^\s*(?:please\s+)?(?:add|insert|place|put)\b", re.IGNORECASE)
+_CLAUSES = re.compile(r"[,.;!?]+|\band\b|\bthen\b|&", re.IGNORECASE)
+_KEEPS = re.compile(r"^\s*(?:but\s+)?(?:keep|leave|do not|don't)\b", re.IGNORECASE)
+_EXCEPT = re.compile(r"\b(?:everything|all|rest)\b.*?\b(?:except|but|besides|apart from|other than)\b", re.IGNORECASE)
 
 
-def object_in_prompt(prompt: str) -> str:
-    """Return what a prompt changes, such as 'the bike' of 'paint the bike red'; '' when it changes no one thing.
+def things_in_prompt(prompt: str) -> tuple[tuple[str, ...], bool]:
+    """Return what a prompt changes, such as 'the door' and 'the wall' of 'paint the door green and the wall white'.
 
-    Additions ('add a dog to the street') and edits of the whole image name nothing that could be masked.
+    True beside it: all but that changes ('everything except the bear'). Nothing, where it changes no one thing:
+    additions ('add a dog to the street') and edits of the whole image name nothing that could be masked.
     """
-    found = _OBJECT.search(prompt)
-    if found is None or _ADDS.match(prompt) or _WHOLE.search(found.group(1)):
-        return ""
-    return f"the {found.group(1).strip()}"
+    things: dict[str, None] = {}
+    excepted = _EXCEPT.search(prompt)
+    for clause in _CLAUSES.split(prompt[excepted.end() :] if excepted else prompt):
+        found = _OBJECT.search(clause)
+        if found is None or _KEEPS.match(clause):
+            continue
+        if _ADDS.match(clause) or _WHOLE.search(found.group(1)):
+            return (), False
+        things[f"the {found.group(1).strip()}"] = None
+    return tuple(things), bool(excepted and things)
 
 
 def masks_from_prompt(
@@ -39,14 +49,21 @@ def masks_from_prompt(
 ) -> Float[Tensor, "batch view height width"] | None:
     """Find soft masks around what a prompt is about; None, with a warning, when it is about no one thing.
 
-    The segmenter is asked for its own `prompt` setting where it has one, else for the prompt's object. Each mask is 1
-    on the object, falls off within a small margin around it and is exactly 0 beyond. Raises InputError for words that
-    it does not know, or does not find, unless a `guess` is allowed.
+    The segmenter is asked for its own `prompt` setting where it has one, else for each of the prompt's things. Each
+    mask is 1 on them, falls off within a small margin around them and is exactly 0 beyond. Raises InputError for words
+    that it does not know, or does not find, unless a `guess` is allowed.
     """
-    words = segmenter.prompt or object_in_prompt(prompt)
-    if not words:
+    things, all_but = ((segmenter.prompt,), False) if segmenter.prompt else things_in_prompt(prompt)
+    if not things:
         warn("the instruction names no one object, so nothing confines the edit; name it with segmenter.prompt=...")
         return None
-    found = [select_masks(scene, Selection(words=words, guess=guess), segmenter) for scene in views.images]
-    note("edit.confined_to", words)
-    return torch.stack([dilate_softly((scene.masks[:, 0] > 0.5).to(scene.masks)) for scene in found])
+    note("edit.confined_to", ("all but " if all_but else "") + " and ".join(things))
+    masks = []
+    for scene in views.images:
+        found = [select_masks(scene, Selection(words=words, guess=guess), segmenter) for words in things]
+        soft = dilate_softly(torch.stack([one.masks[:, 0] > 0.5 for one in found]).any(0).to(scene))
+        if all_but:  # a view that lost what is left alone stays as it is
+            kept = [all(one.how[view] != "not found" for one in found) for view in range(views.count)]
+            soft = (1 - soft) * torch.tensor(kept).to(scene)[:, None, None]
+        masks.append(soft)
+    return torch.stack(masks)

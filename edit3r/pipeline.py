@@ -123,7 +123,7 @@ def run(
             scene = _reconstruct(parts.reconstructor, edited if parts.editor.changes_shape else source, request, edited)
             request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
             before = _scene_before(request, parts, reconstruct, source, earlier)
-        scene = scene if before is None else replace(scene, cameras=before.cameras)
+        scene = scene if before is None else replace(scene, cameras=before.cameras.at(scene.cameras.image_size))
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = replace(request, before=None if before is None else before.gaussians)
@@ -135,7 +135,7 @@ def run(
         photos=source.select(used),
         edited=edited,
         gaussians=gaussians,
-        cameras=scene.cameras,
+        cameras=scene.cameras.at(edited.image_size),
         request=replace(request, before=None),
         editor=parts.editor,
         reconstructor=parts.reconstructor,
@@ -227,7 +227,8 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
     from edit3r.mask_from_prompt import masks_from_prompt
 
-    request = EditRequest(config.prompt, config.seed, masks, config.guess)
+    grid = config.grid if config.refine else 1.0
+    request = EditRequest(config.prompt, config.seed, masks, config.guess, grid)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
         if masks is None and parts.editor.needs_masks:
@@ -338,7 +339,7 @@ def _scene_before(
         return earlier.scene
     if parts.reconstructor.edits_views:  # it has no answer for photos that are not to be edited
         return None
-    return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
+    return recall("before", parts.reconstructor, (source, request.grid), lambda: reconstruct(source))
 
 
 def _refine(
@@ -366,6 +367,7 @@ def _judged(
 ) -> tuple[Rendering, Verdict]:
     """The refined scene from its input views, and the verdict."""
     first, rendered = (
-        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+        render_each(parts.rasterizer, of, scene.cameras.at(size), "render input views")
+        for of, size in ((scene.gaussians, scene.cameras.image_size), (gaussians, edited.image_size))
     )
     return rendered, judge(edited, first, rendered, placed, scene.measured)

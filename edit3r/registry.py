@@ -113,13 +113,18 @@ class Registry:
         """Build the component that a configuration chose; its settings may have any names."""
         return self._build(kind, choice.name, dict(choice.settings), dict(parts or {}), built={}, where=kind)
 
+    def check(self, kind: str, choice: PartChoice) -> None:
+        """Raise what building the component would raise about its name, its packages and its own settings."""
+        self._settings(self.find(kind, choice.name), choice.settings, kind)
+
+    def _settings(self, offer: Offer, values: Mapping[str, Any], where: str) -> Settings:
+        cls = self.settings_class(offer)
+        return make_settings(cls, _with_default_names(cls, offer.component.parts, values), where)
+
     def _build(self, kind: str, name: str, values: dict, given: dict, built: dict[str, Any], where: str) -> Any:
         """`where` is the key of this component in a configuration, such as 'reconstructor.backbone'."""
         offer = self.find(kind, name)
-        cls = self.load_class(offer)
-        settings_class = self.settings_class(offer)
-        values = _with_default_names(settings_class, offer.component.parts, values)
-        settings = make_settings(settings_class, values, where)
+        cls, settings = self.load_class(offer), self._settings(offer, values, where)
         siblings = dict(built)
         parts: dict[str, Any] = {}
         for part in offer.component.parts:

@@ -20,7 +20,6 @@ from edit3r.stage_checks import component_name
 from edit3r.types import Views
 
 Box = tuple[float, float, float, float]
-BRUSH_POINTS = 12  # a stroke speaks to a segmenter through so many points of it
 SAME_SURFACE = 0.08  # relative difference in depth within which two views show the same surface
 MIN_SHARE = 0.2  # of an object's pixels that must lie in another view for geometry to say where it is there
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
@@ -163,13 +162,15 @@ class _Work:
             prior = self.masks.get(view)
             expected = prior is not None and view not in chosen.boxes and bool((prior > 0.5).any())
             marks = Marks(
-                positive=(*_places(chosen.positive, view), *_of_stroke(chosen.added.get(view))),
-                negative=(*_places(chosen.negative, view), *_of_stroke(chosen.removed.get(view))),
+                positive=_places(chosen.positive, view),
+                negative=_places(chosen.negative, view),
                 box=chosen.boxes.get(view),
                 prior=prior if expected else None,
             )
-            if marks.positive or marks.box is not None or marks.prior is not None:
+            if marks.positive or marks.box is not None or (marks.negative and expected):
                 self._keep(view, self.segmenter.segment_marks(self.images[view], marks).soft_mask, "marked")
+            elif view in chosen.added or expected:  # what is painted is taken exactly
+                self._keep(view, torch.zeros_like(self.images[view, 0]) if prior is None else prior, "marked")
             else:
                 raise InputError(f"photo {view + 1} is only told what is not the object; {ASK} on it.")
         if view in chosen.added:
@@ -228,13 +229,3 @@ class _Work:
 def _places(points: tuple[tuple[int, float, float], ...], view: int) -> tuple[tuple[float, float], ...]:
     """x and y of the points on one view."""
     return tuple((x, y) for on, x, y in points if on == view)
-
-
-def _of_stroke(stroke: Float[Tensor, "height width"] | None) -> tuple[tuple[float, float], ...]:
-    """Evenly chosen places of a brush stroke, normalised."""
-    if stroke is None or not (stroke > 0.5).any():
-        return ()
-    rows, columns = torch.nonzero(stroke > 0.5, as_tuple=True)
-    some = torch.linspace(0, len(rows) - 1, min(BRUSH_POINTS, len(rows))).round().long()
-    height, width = stroke.shape
-    return tuple(((float(columns[i]) + 0.5) / width, (float(rows[i]) + 0.5) / height) for i in some)

@@ -30,7 +30,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
-    ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
+    ("editor", "looks"): {"prompt": "make it look like autumn"},
 }
 """What its contract needs to know."""
 
@@ -57,7 +57,6 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("dataset", "transforms"): "needs a folder of scenes",
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
-    ("trainer", "geometry"): "trains the network of matcher 'network' only",
     ("trainer", "depth-network"): "trains the depth network of matcher 'classical' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""

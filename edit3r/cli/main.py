@@ -1,7 +1,6 @@
 """Entry point of `edit3r`: find the command, parse its arguments, turn errors into one sentence and an exit code."""
 
 import argparse
-import errno
 import gc
 import importlib
 import os
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import edit3r
 from edit3r.cli import COMMANDS
-from edit3r.errors import Edit3rError, RunError, is_out_of_memory, suggest
+from edit3r.errors import Edit3rError, as_known, suggest
 
 if TYPE_CHECKING:
     from edit3r.command import Command
@@ -66,8 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        known = error if isinstance(error, Edit3rError) else _as_known(error)
-        print(f"edit3r: {' '.join(str(known).split())}", file=sys.stderr)
+        known = as_known(error)
+        sentence = " ".join(str(known).split())
+        # A file name may be no UTF-8, and whoever reads our errors may take nothing else.
+        print(f"edit3r: {sentence.encode(errors='backslashreplace').decode()}", file=sys.stderr)
         return known.exit_code
 
 
@@ -125,20 +126,6 @@ def _overview() -> str:
         "Start with: edit3r run\n"
         "Each command explains itself: edit3r run --help"
     )
-
-
-def _as_known(error: Exception) -> Edit3rError:
-    """A sentence for errors that are not ours."""
-    if is_out_of_memory(error):
-        return RunError(
-            "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
-        )
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        where = f"{error.filename}: " if error.filename else ""
-        return RunError(f"{where}no space is left on the disk; free some, or give --out a folder on another disk.")
-    if isinstance(error, OSError) and error.filename:
-        return Edit3rError(f"{error.filename}: {error.strerror}.")
-    return RunError(f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback.")
 
 
 if __name__ == "__main__":

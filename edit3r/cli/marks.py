@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from edit3r.errors import InputError
 
 if TYPE_CHECKING:
-    from edit3r.io.framing import Frame
+    from edit3r.io.framing import Frame, Lens
     from edit3r.io.images import LoadedPhotos
     from edit3r.selection import Selection
 
@@ -52,6 +52,8 @@ def _in_view(values: list[float], frame: "Frame") -> list[float]:
     height, width = frame.source
     if max(values) > 1:
         values = [value / side for value, side in zip(values, (width, height) * 2)]
+    if frame.lens is not None:
+        values = _straightened(values, frame.lens)
     left, top, right, bottom = frame.box
     shares = (width / (right - left), height / (bottom - top))
     x, y = values[0] * shares[0] - left / (right - left), values[1] * shares[1] - top / (bottom - top)
@@ -60,6 +62,16 @@ def _in_view(values: list[float], frame: "Frame") -> list[float]:
     far_x, far_y = min(1.0, x + values[2] * shares[0]), min(1.0, y + values[3] * shares[1])
     x, y = max(0.0, x), max(0.0, y)
     return [x, y, far_x - x, far_y - y]
+
+
+def _straightened(values: list[float], lens: "Lens") -> list[float]:
+    """A place, or the box around the four corners of a box, on the straightened photo."""
+    if len(values) == 2:
+        return list(lens.straightened_place(*values))
+    x, y, width, height = values
+    corners = [lens.straightened_place(x + a * width, y + b * height) for a in (0, 1) for b in (0, 1)]
+    (left, top), (right, bottom) = map(min, zip(*corners)), map(max, zip(*corners))
+    return [left, top, right - left, bottom - top]
 
 
 def _photo_of_mask(path: Path, given: list[str], photos: "LoadedPhotos") -> int:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edit3r.command import Command
+from edit3r.command import Command, scene_file
 
 MADE = ("pictures", "video", "viewer")
 
@@ -13,7 +13,7 @@ class RenderCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
+        add("scene", type=scene_file, metavar="SCENE", help="folder of a run, or Gaussians as 3DGS PLY")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json; default: cameras.json beside the scene")
         add("--make", nargs="+", choices=MADE, default=list(MADE), help="what to write (default: all three)")
         add("--only-view", type=int, metavar="I", help="only the Gaussians that come from photo I; the first is 0")

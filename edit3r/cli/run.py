@@ -60,9 +60,8 @@ class RunCommand(Command):
         from edit3r.console import JsonLines, StageConsole
         from edit3r.earlier_run import read_earlier_run
         from edit3r.io.atomic import atomic_folder
-        from edit3r.io.coverage import USUAL_FRAMES, choose_photos
-        from edit3r.io.images import LoadedPhotos, find_photos, load_photos, packaged_pair
-        from edit3r.quality import note_quality
+        from edit3r.io.coverage import USUAL_FRAMES
+        from edit3r.io.images import find_photos, packaged_pair
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
 
@@ -75,23 +74,13 @@ class RunCommand(Command):
             paths = found or [Path(record.file) for record in continued.records]
         config = _config(args, len(paths), earlier)
         registry = default_registry(tuple(args.plugin))
-        _check_names(registry, config)
+        check_names(registry, config)
         with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             report.on_event = console
             for text in report.warnings:
                 report.emit("warn", text)
             with collecting(report), report.stage("read photos"):
-                used = paths if continued else choose_photos(paths, config.views)
-                given = args.mask
-                if len(given) == len(paths):  # one for each photo, used or not
-                    given = [mask for mask, path in zip(given, paths) if path in used]
-                if continued:
-                    photos = LoadedPhotos(continued.edited, continued.records)
-                else:
-                    photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
-                masks = _masks_or_marks(args, given, photos, config)
-                hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
-                note_quality(config.model_dump(), len(paths))
+                photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
             with atomic_folder(args.out, args.overwrite) as folder:
                 result = pipeline.run(
                     photos.views,
@@ -109,6 +98,35 @@ class RunCommand(Command):
         if args.strict and result.verdict.label == "failed":
             raise RunError(f"the verdict is failed: {result.verdict.reason}")
         return 0
+
+
+def read_photos(
+    paths: list[Path],
+    config: RunConfig,
+    cameras: str | Path | None,
+    args: argparse.Namespace,
+    continued: "EarlierRun | None" = None,
+) -> "tuple[LoadedPhotos, Tensor | Selection | None, dict[str, str]]":
+    """Return those of the photos that are used, what is masked or marked on them, and the hashes of mask files.
+
+    `args` say the marks (images, earlier, mask, point, not_point, box); the photos of a `continued` run are its edits.
+    """
+    from edit3r.io.coverage import choose_photos
+    from edit3r.io.images import LoadedPhotos, load_photos
+    from edit3r.quality import note_quality
+
+    used = paths if continued else choose_photos(paths, config.views)
+    given = args.mask
+    if len(given) == len(paths):  # one for each photo, used or not
+        given = [mask for mask, path in zip(given, paths) if path in used]
+    if continued:
+        photos = LoadedPhotos(continued.edited, continued.records)
+    else:
+        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
+    masks = _masks_or_marks(args, given, photos, config)
+    hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
+    note_quality(config.model_dump(), len(paths))
+    return photos, masks, hashes
 
 
 def _masks_or_marks(
@@ -135,7 +153,8 @@ def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     for name, field in RunConfig.model_fields.items():
         if name == "refiners":  # a list with settings: --set refiners=[...]
             continue
-        default = "" if field.default in (None, "") else f" (default {getattr(field.default, 'name', field.default)})"
+        words = ",".join(field.default) if isinstance(field.default, tuple) else field.default
+        default = "" if words in (None, "") else f" (default {getattr(words, 'name', words)})"
         text = f"{field.description}{default}".replace("%", "%%")
         flag = f"--{SHORT_FLAGS.get(name, name).replace('_', '-')}"
         parser.add_argument(flag, dest=name, help=text, **_flag_form(field))
@@ -186,10 +205,10 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 
-def _check_names(registry: "Registry", config: RunConfig) -> None:
-    """Unknown names and missing packages end the run before any photo is read."""
+def check_names(registry: "Registry", config: RunConfig) -> None:
+    """Unknown names and settings and missing packages end the run before any photo is read."""
     choices = [(kind, getattr(config, kind)) for kind in PART_KEYS]
     choices += [("refiner", choice) for choice in config.all_refiners()]
     for kind, choice in choices:
         if choice is not None:
-            registry.load_class(registry.find(kind, choice.name))
+            registry.check(kind, choice)

@@ -28,7 +28,7 @@ try:
 except ImportError:  # Windows: no locks, and abandoned folders are not removed there
     fcntl = None
 
-__all__ = ["MARKER", "atomic_folder", "atomic_write", "check_replaceable", "write_between"]
+__all__ = ["MARKER", "atomic_folder", "atomic_write", "check_replaceable", "remove_abandoned", "write_between"]
 
 MARKER = ".edit3r-run"
 """In every finished folder: what it holds. Only a folder that holds just that is replaced without being asked to."""
@@ -59,6 +59,10 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
             os.replace(partial, path)
     except PermissionError:
         raise InputError(f"{path}: no permission to write there.") from None
+    except FileNotFoundError as error:  # a file system that takes no new files, such as /proc
+        if error.filename is None or not Path(error.filename).name.startswith(f".{path.stem}.partial-"):
+            raise
+        raise InputError(f"{path}: no file can be made there.") from None
 
 
 def write_between(page: Path, start: str, end: str, text: str) -> None:
@@ -249,7 +253,7 @@ def _exchange_in_one_step(new: bytes, old: bytes) -> bool:
 @contextmanager
 def _claimed(final: Path, stem: str, suffix: str = "") -> Iterator[Path]:
     """Yield a free hidden name beside `final` that no other process uses; what has that name afterwards is removed."""
-    _remove_abandoned(final, stem, suffix)
+    remove_abandoned(final, stem, suffix)
     for attempt in range(10):
         partial = final.with_name(f".{stem}.partial-{secrets.token_hex(4)}{suffix}")
         lock = _lock_of(partial)
@@ -270,8 +274,8 @@ def _lock_of(partial: Path) -> Path:
     return partial.with_name(f"{partial.name}.lock")
 
 
-def _remove_abandoned(final: Path, stem: str, suffix: str) -> None:
-    """Delete what killed writers of `final` left beside it."""
+def remove_abandoned(final: Path, stem: str, suffix: str = "") -> None:
+    """Delete what killed writers of `final`, a file STEM.SUFFIX or a folder STEM, left beside it."""
     if fcntl is None:
         return
     pattern = re.compile(rf"(\.{re.escape(stem)}\.partial-[0-9a-f]{{8}}{re.escape(suffix)})\.lock")

@@ -20,6 +20,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import to_pixels
 from edit3r.io.atomic import atomic_write
 from edit3r.io.decode import MAX_PIXELS, image_size
+from edit3r.io.framing import Lens
 from edit3r.types import Cameras
 
 __all__ = [
@@ -42,7 +43,6 @@ TOLERANCE = 0.01
 FOCAL = (0.01, 1000.0)  # of the longer side
 FARTHEST = 1e8  # of a position [the file's unit]: float32 would keep nothing of the rest
 FARTHEST_CENTRE = 100.0  # of the principal point [image widths, heights]
-MOST_DISTORTION = 100.0
 
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _PINHOLE_MODELS = (None, "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
@@ -64,6 +64,14 @@ class PosedCamera:
     def intrinsics(self) -> Float64[np.ndarray, "3 3"] | None:
         """`K` normalised as everywhere inside edit3r: fx, cx in widths, fy, cy in heights."""
         return None if self.K is None else self.K / np.array([[self.width], [self.height], [1.0]])
+
+    @property
+    def lens(self) -> Lens | None:
+        """What bends straight lines in the photo; None for a plain pinhole."""
+        if self.K is None or not self.distortion:
+            return None
+        (fx, _, cx), (_, fy, cy), _ = self.intrinsics.tolist()
+        return Lens((fx, fy), (cx, cy), self.distortion)
 
 
 def read_cameras(path: str | Path) -> list[PosedCamera]:
@@ -164,8 +172,7 @@ def _from_frame(frame: Mapping[str, Any], folder: Path) -> PosedCamera:
         pixels = intrinsics_from_outside(rows, width, height)
     pose = pose_from_outside(frame.get("transform_matrix"), "transform_matrix")
     distortion = tuple(float(frame.get(name, 0.0)) for name in _DISTORTION)
-    if not all(abs(value) <= MOST_DISTORTION for value in distortion):
-        raise ValueError(f"lens distortion {distortion}, expected at most {MOST_DISTORTION:g}")
+    Lens((1.0, 1.0), (0.5, 0.5), distortion)  # raises where it is none
     c2w = None if pose is None else pose @ _OPENGL_TO_OPENCV
     return PosedCamera(file, width, height, pixels, c2w, distortion if any(distortion) else ())
 

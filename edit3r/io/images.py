@@ -9,7 +9,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -124,6 +124,7 @@ def load_photos(
     for file, frame in track(list(zip(files, frames)), "read photos"):
         decoded = decode(file)
         found.append(finder.find(file, decoded))
+        frames[len(images)] = frame = replace(frame, lens=found[-1].lens)
         images.append(_to_tensor(frame.cut(decoded.pixels)))
     names = _names(files, names)
     photos = tuple(map(_record, names, files, frames, found))

@@ -13,6 +13,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import from_pixels, intrinsics_from_fov
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras
 from edit3r.io.decode import DecodedImage
+from edit3r.io.framing import Lens
 from edit3r.reporting import warn
 
 DEFAULT_FOV = 60.0
@@ -30,6 +31,7 @@ class Intrinsics:
     source: str
     c2w: Float64[Tensor, "4 4"] | None = None  # in the file's own frame and unit
     assumed: bool = False  # nobody knows them
+    lens: Lens | None = None  # one that bends straight lines, to be straightened
 
 
 def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
@@ -56,7 +58,8 @@ class IntrinsicsFinder:
             camera = camera_file.find(file, by_name=camera_file is self.given)
             if camera is not None and camera.K is not None and self._fits(camera, camera_file, file, size):
                 c2w = None if camera.c2w is None else torch.from_numpy(camera.c2w)
-                return Intrinsics(torch.from_numpy(camera.intrinsics), f"camera file {camera_file.path}", c2w)
+                source = f"camera file {camera_file.path}"
+                return Intrinsics(torch.from_numpy(camera.intrinsics), source, c2w, lens=camera.lens)
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
         if image.focal is not None:
@@ -97,8 +100,6 @@ class IntrinsicsFinder:
 
     def _fits(self, camera: PosedCamera, camera_file: "_CameraFile", file: Path, size: tuple[int, int]) -> bool:
         if abs(camera.width / camera.height * size[0] / size[1] - 1) <= SHAPE_TOLERANCE:
-            if camera.distortion:
-                warn(f"{camera_file.path}: lens distortion is not corrected; undistort the photos for best results.")
             return True
         problem = (
             f"{camera_file.path}: its camera for {file.name} is {camera.width}x{camera.height}, but the upright photo "

@@ -1,19 +1,17 @@
 """A folder of photos with known cameras (`cameras.json`, or nerfstudio's `transforms.json`), as evaluation uses it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
-from PIL import Image
 
 from edit3r.errors import InputError
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
 
-__all__ = ["Photo", "PosedFolder", "read_posed_folder", "undistorted"]
+__all__ = ["Photo", "PosedFolder", "read_posed_folder"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +34,8 @@ class PosedFolder:
     def load(self, index: int, size: int) -> Photo:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
-        image = undistorted(read_image(self.path / camera.file), camera)
-        frame = frame_for((image.height, image.width), (size, size))
+        image = read_image(self.path / camera.file)
+        frame = replace(frame_for((image.height, image.width), (size, size)), lens=camera.lens)
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
         return Photo(np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w)
 
@@ -52,12 +50,3 @@ def read_posed_folder(path: str | Path) -> PosedFolder:
     if not cameras:
         raise InputError(f"{found[0]}: no photo has both a pose (c2w) and intrinsics (K).")
     return PosedFolder(path.resolve().name, path, cameras)
-
-
-def undistorted(image: Image.Image, camera: PosedCamera) -> Image.Image:
-    """The image (or a mask of its size, mode L) as a plain pinhole would have taken it."""
-    if not camera.distortion:
-        return image
-    pixels = camera.intrinsics * np.array([[image.width], [image.height], [1.0]])
-    pixels[:2, 2] -= 0.5  # OpenCV counts from pixel centres
-    return Image.fromarray(cv2.undistort(np.asarray(image), pixels, np.array(camera.distortion)))

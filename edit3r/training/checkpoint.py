@@ -66,8 +66,8 @@ class TrainingState:
             self.step, self.skipped = int(content["step"]), int(content["skipped"])
             self.best, self.validated = float(content["best"]), int(content.get("validated", content["step"]))
             _restore_random_states(content["random"])
-        except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
-            reason = str(error).splitlines()[0]
+        except Exception as error:  # damaged numbers make whoever gets them raise what they like
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise InputError(
                 f"{path}: made for another network or optimiser ({reason}); resume with the configuration that it was "
                 "trained with, or start again with --overwrite instead of --resume."
@@ -104,7 +104,10 @@ def load_weights(network: nn.Module, path: str | Path) -> None:
     if not file.is_file():
         raise InputError(f"{path}: no such weights; give a .safetensors file, or the folder best of a training.")
     try:
-        network.load_state_dict(safetensors.torch.load_file(file))
+        weights = safetensors.torch.load_file(file)
+        if not all(bool(tensor.isfinite().all()) for tensor in weights.values()):
+            raise RuntimeError("it holds values that are not finite")
+        network.load_state_dict(weights)
     except (safetensors.SafetensorError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(f"{file}: not weights of this network ({reason}).") from None

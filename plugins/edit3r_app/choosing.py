@@ -8,11 +8,11 @@ from concurrent.futures import TimeoutError as NotYet
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from PIL import Image, ImageDraw
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from edit3r.cache import Cache, using
 from edit3r.earlier_run import read_views_of_run
@@ -27,8 +27,22 @@ from edit3r.types import Views
 from edit3r_app.jobs import JobsFolder
 
 MOST_MARKS = 200
+MOST_PLACES = 4000  # of all brush strokes on a scene
 GEOMETRY_PATIENCE = 20.0  # [s] that a click waits for poses and depths before masks are carried by pictures alone
 TINT = torch.tensor([1.0, 0.25, 0.55])
+
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One stroke of the brush, or of the eraser, over one photo."""
+
+    view: int
+    add: bool
+    radius: Annotated[float, Field(gt=0, le=0.5)]  # share of the photo's longer side
+    places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
 
 
 @dataclass
@@ -38,20 +52,28 @@ class Draft:
     positive: list[tuple[int, float, float]] = field(default_factory=list)
     negative: list[tuple[int, float, float]] = field(default_factory=list)
     boxes: dict[int, tuple[float, float, float, float]] = field(default_factory=dict)  # by photo: x, y, width, height
+    strokes: list[Stroke] = field(default_factory=list)
     words: str = ""
     guess: bool = False
     form: dict[str, Any] = field(default_factory=dict)  # what was typed: the wish, names of components, settings
 
     @property
     def marked(self) -> bool:
-        return bool(self.positive or self.boxes or self.words)
+        return bool(self.positive or self.boxes or self.words or any(stroke.add for stroke in self.strokes))
 
-    def selection(self) -> Selection:
+    @property
+    def marks(self) -> str:
+        """All that masks depend on, as JSON."""
+        return json.dumps({key: value for key, value in asdict(self).items() if key != "form"})
+
+    def selection(self, height: int, width: int) -> Selection:
+        """The marks on photos of this size [pixels]."""
         marks = (tuple(self.positive), tuple(self.negative), dict(self.boxes))
-        return Selection(*marks, words=self.words, guess=self.guess)
+        brushes = (_painted([one for one in self.strokes if one.add == add], height, width) for add in (True, False))
+        return Selection(*marks, *brushes, words=self.words, guess=self.guess)
 
     def clear_marks(self) -> None:
-        self.positive, self.negative, self.boxes, self.words, self.guess = [], [], {}, "", False
+        self.positive, self.negative, self.boxes, self.strokes, self.words, self.guess = [], [], {}, [], "", False
 
 
 _DRAFT = TypeAdapter(Draft)
@@ -67,6 +89,8 @@ def read_draft(folder: JobsFolder, state: str) -> Draft:
 def write_draft(folder: JobsFolder, state: str, draft: Draft) -> None:
     if len(draft.positive) + len(draft.negative) > MOST_MARKS:
         raise InputError(f"more than {MOST_MARKS} clicks; clear them and begin with a box.")
+    if len(draft.strokes) > MOST_MARKS or sum(len(stroke.places) for stroke in draft.strokes) > MOST_PLACES:
+        raise InputError("more strokes of the brush than are kept; clear them, and paint with a larger brush.")
     with atomic_write(folder.beside(state) / "draft.json") as partial:
         partial.write_text(json.dumps(asdict(draft)), encoding="utf-8")
 
@@ -102,8 +126,7 @@ class Chooser:
         if not draft.marked:
             return None
         with self._working, torch.no_grad():
-            marks = json.dumps({key: value for key, value in asdict(draft).items() if key != "form"})
-            return self._answers(state, self._stamp(state), marks)
+            return self._answers(state, self._stamp(state), draft.marks)
 
     def picture(self, state: str, draft: Draft, view: int) -> bytes:
         """JPEG of one photo with its mask tinted and outlined, and the marks drawn."""
@@ -156,8 +179,24 @@ class Chooser:
         with suppress(NotYet):
             geometry = self._geometry(state, stamp).result(GEOMETRY_PATIENCE)
         segmenter = self._segmenter()
-        selection = _DRAFT.validate_json(marks).selection()
+        selection = _DRAFT.validate_json(marks).selection(*views.images.shape[-2:])
         return select_masks(views.images[0], selection, segmenter, geometry, views.intrinsics)
+
+
+def _painted(strokes: list[Stroke], height: int, width: int) -> dict[int, torch.Tensor]:
+    """What the strokes cover, as masks [height, width] of 0 and 1 by view."""
+    drawn: dict[int, Image.Image] = {}
+    for stroke in strokes:
+        pen = ImageDraw.Draw(drawn.setdefault(stroke.view, Image.new("L", (width, height))))
+        radius = max(1.0, stroke.radius * max(width, height))
+        places = [(x * width, y * height) for x, y in stroke.places]
+        pen.line(places, fill=255, width=round(2 * radius), joint="curve")
+        for x, y in (places[0], places[-1]):
+            pen.ellipse([x - radius, y - radius, x + radius, y + radius], fill=255)
+    return {
+        view: torch.frombuffer(bytearray(one.tobytes()), dtype=torch.uint8).view(height, width) / 255
+        for view, one in drawn.items()
+    }
 
 
 def _tinted(image: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:

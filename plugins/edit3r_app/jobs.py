@@ -21,6 +21,7 @@ from edit3r.io.atomic import atomic_write
 from edit3r.io.images import SUFFIXES, find_photos, is_plain_name, unique_names
 
 PRIVATE = ".edit3r-app"
+DRAFT = "upload-"  # how the names of files begin in it that are still being received
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 NOTHING_MORE = ("done", "failed", "cancelled")
 

@@ -16,7 +16,7 @@ from edit3r.quality import PRESETS
 from edit3r.registry import default_registry
 from edit3r.run_config import DEFAULTS, RunConfig
 from edit3r_app import forms, uploads
-from edit3r_app.choosing import Chooser, Draft, read_draft, write_draft
+from edit3r_app.choosing import Chooser, Draft, Stroke, read_draft, write_draft
 from edit3r_app.jobs import Job, JobsFolder, redo, tree, undo
 from edit3r_app.runner import Runner, read_progress, time_left
 
@@ -284,8 +284,10 @@ class ScenePage:
         with _card("Click the thing to change"):
             _quiet("One click on one photo; its mask shows on all. Without a mark the wish itself says where.")
             with ui.row().classes("items-center w-full"):
-                modes = {"add": "Add", "remove": "Remove", "box": "Box"}
+                modes = {"add": "Add", "remove": "Remove", "box": "Box", "paint": "Paint", "erase": "Erase"}
                 ui.toggle(modes, value="add", on_change=lambda event: self._set_mode(event.value))
+                self.brush = ui.slider(min=1, max=12, value=4, on_change=lambda: self._set_mode(self.mode))
+                self.brush.props("aria-label='size of the brush'").style("width: 110px").set_visibility(False)
                 words = ui.input(placeholder="or in words: the sky", value=self._draft().words).props("outlined")
                 words.on("keydown.enter", lambda: self._find(words.value or ""))
                 ui.button("Find", on_click=lambda: self._find(words.value or "")).props("outline")
@@ -312,7 +314,7 @@ class ScenePage:
         write_draft(self.folder, self.state, draft)
 
     def _version(self) -> int:
-        return zlib.crc32(repr((self._draft().selection(), self.names)).encode())
+        return zlib.crc32(repr((self._draft().marks, self.names)).encode())
 
     def _show_masks(self) -> None:
         self.version = self._version()
@@ -321,20 +323,27 @@ class ScenePage:
             image.update()
 
     def _set_mode(self, mode: str) -> None:
+        brushing = mode in ("paint", "erase")
         self.mode = mode
-        self.grid.classes(**{"add" if mode == "box" else "remove": "e3-box"})
+        self.brush.set_visibility(brushing)
+        self.grid.classes(replace="e3-photos" + " e3-box" * (mode == "box") + " e3-brush" * brushing)
+        self.grid._props["data-brush"] = str(2 * self.brush.value / 100)
+        self.grid.update()
 
     async def _mark(self, event: Event) -> None:
         """A click or a drag on a photo, as the page's script tells it."""
         try:
             view, box = int(event.args["view"]), bool(event.args["box"])
-            (x, y), (u, v) = ((min(max(float(n), 0.0), 1.0) for n in event.args[key]) for key in ("from", "to"))
-        except (KeyError, TypeError, ValueError):
+            places = [tuple(min(max(float(n), 0.0), 1.0) for n in place) for place in event.args["places"]]
+            (x, y), (u, v) = places[0], places[-1]
+        except (IndexError, KeyError, TypeError, ValueError):
             return
         remove = self.mode == "remove" or bool(event.args.get("remove"))
 
         def mark(draft: Draft) -> None:
-            if box:
+            if self.mode in ("paint", "erase"):
+                draft.strokes.append(Stroke(view, self.mode == "paint", self.brush.value / 100, places))
+            elif box:
                 draft.boxes[view] = (min(x, u), min(y, v), abs(u - x), abs(v - y))
             else:
                 (draft.negative if remove else draft.positive).append((view, x, y))
@@ -346,7 +355,10 @@ class ScenePage:
         await self._change(lambda draft: vars(draft).update(words=words.strip()[:200], guess=guess))
 
     async def _change(self, change: Callable[[Draft], Any]) -> None:
-        self._edit_draft(change)
+        try:
+            self._edit_draft(change)
+        except InputError as error:
+            ui.notify(str(error), type="negative")
         await self._answer()
         self._show_masks()
 

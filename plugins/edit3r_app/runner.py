@@ -22,7 +22,7 @@ from typing import Any
 import yaml
 
 from edit3r.errors import InputError
-from edit3r_app.jobs import NOTHING_MORE, Job, JobsFolder, manifest_of
+from edit3r_app.jobs import DRAFT, NOTHING_MORE, Job, JobsFolder, manifest_of
 
 try:
     import fcntl
@@ -131,7 +131,13 @@ class Runner:
                 ) from None
         self._thread = threading.Thread(target=self._work, daemon=True)
 
+    def clear_left_over(self) -> None:
+        """Remove the halves of uploads that a killed server left; no other server works in this folder."""
+        for draft in self.folder.private.glob(f"{DRAFT}*"):
+            draft.unlink(missing_ok=True)
+
     def start(self) -> None:
+        self.clear_left_over()
         for job in self.folder.jobs():  # written down as running, but nothing says by which process
             if job.state == "running" and not (self.folder.private / f"{job.name}.pid").exists():
                 self.folder.write(replace(job, state="queued"))

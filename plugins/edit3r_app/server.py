@@ -2,12 +2,10 @@
 
 import io
 import os
-import socket
 import tempfile
 import urllib.parse
 import zipfile
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -52,16 +50,6 @@ def serve(folder: JobsFolder, *, host: str, port: int, token: str | None, size: 
         show_welcome_message=False,
         reconnect_timeout=20,
     )
-
-
-def free_port(host: str, wish: int | None) -> int:
-    """`wish`, or without one 8090 or the next that is free. Raises InputError where it is taken."""
-    for port in [wish] if wish is not None else [*range(8090, 8190), 0]:
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe, suppress(OSError):
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
-            return probe.getsockname()[1]
-    raise InputError(f"--host {host} --port {wish}: cannot be listened on; is another program there? Try another port.")
 
 
 def _add_routes(folder: JobsFolder, chooser: Chooser) -> None:

@@ -16,7 +16,7 @@ from edit3r.errors import Edit3rError, InputError
 from edit3r.io.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.io.decode import READABLE, decode
 from edit3r.io.images import SUFFIXES, unique_names
-from edit3r_app.jobs import JobsFolder
+from edit3r_app.jobs import DRAFT, JobsFolder
 
 MOST_PHOTOS = 60  # of one set; a reconstruction of more takes hours on the machine of one person
 MOST_BYTES = 100 * 1024**2  # of one photo
@@ -39,7 +39,7 @@ def refuse_unwanted(folder: JobsFolder, scene: str, name: str, size: int | None)
 async def receive(folder: JobsFolder, scene: str, name: str, size: int | None, chunks: AsyncIterator[bytes]) -> Path:
     """Take in one file and return where it lies. Raises InputError, in one sentence, for what is refused."""
     refuse_unwanted(folder, scene, name, size)
-    draft, received = folder.private / f"upload-{secrets.token_hex(8)}", 0
+    draft, received = folder.private / f"{DRAFT}{secrets.token_hex(8)}", 0
     try:
         with draft.open("wb") as file:
             async for chunk in chunks:
@@ -114,7 +114,7 @@ def copied(folder: JobsFolder, name: str, photos: list[Path]) -> str:
 
 
 def _copy(folder: JobsFolder, scene: str, photo: Path, name: str) -> Path:
-    draft = folder.private / f"upload-{secrets.token_hex(8)}"
+    draft = folder.private / f"{DRAFT}{secrets.token_hex(8)}"
     try:
         shutil.copyfile(photo, draft)
         return accept(folder, scene, name, draft)

@@ -1,4 +1,4 @@
-"""Editors that need no learned weights: none at all, a stand-in, images from elsewhere, any program."""
+"""Editors that need no learned weights: none at all, looks, retouching, a stand-in, images from elsewhere, programs."""
 
 from edit3r import Component, hookimpl
 
@@ -32,5 +32,10 @@ def register_editors():
             "removes what is masked and shows what the other photos see behind it; the rest is inpainted",
             parts=("matcher",),
             min_views=2,
+        ),
+        Component(
+            "looks",
+            "edit3r_editors.looks:LooksEditor",
+            "a named look for the picture or what is masked (autumn, sketch, marble ...): filters, nothing generative",
         ),
     )

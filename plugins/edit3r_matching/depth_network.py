@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from edit3r_matching_network.encoder import FRONT_CHANNELS, Front, imagenet_front, standardised
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.layers import Conv2d, GroupNorm
 from edit3r.training.checkpoint import load_weights
 from edit3r_matching.cameras import CalibratedImage
+from edit3r_matching.front import FRONT_CHANNELS, Front, imagenet_front, standardised
 from edit3r_matching.plane_sweep import Neighbour
 
 STRIDE = 4

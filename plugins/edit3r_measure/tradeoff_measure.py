@@ -35,9 +35,9 @@ from edit3r.registry import Registry, default_registry
 from edit3r.reporting import progress
 from edit3r.run_config import make_run_config
 from edit3r.types import Reconstruction
+from edit3r.workers import run_resumable
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import RenderedView, predict, score_edit
-from edit3r_measure.runner import run_resumable
 from edit3r_measure.scene_sources import SceneFolder
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")

@@ -12,18 +12,16 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import safetensors.torch
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r import reporting
-from edit3r.errors import InputError
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences, find_correspondences, warp
 from edit3r.layers import Conv2d
-from edit3r.training.checkpoint import WEIGHTS
+from edit3r.training.checkpoint import WEIGHTS, load_weights
 from edit3r_model.edit_colour import CHANNELS, change_of, fit_colour_maps
 from edit3r_model.small_encoder import (
     STRIDE,
@@ -283,12 +281,9 @@ def load_network(weights: str) -> SmallNetwork:
         return SmallNetwork().eval()
     path = SHIPPED if weights == "shipped" else Path(weights)
     path = path / WEIGHTS if path.is_dir() else path
-    card, state = read_card(path), _read(path)
+    card = read_card(path)
     network = SmallNetwork(width=int(card.get("width", 32)))
-    missing = set(network.state_dict()) ^ set(state)
-    if missing:
-        raise InputError(f"{path}: not weights of this network (such as {sorted(missing)[0]!r} does not fit).")
-    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
+    load_weights(network, path)
     reporting.note("edit3r.weights", path.name)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     licence = card.get("licence", "not stated")
@@ -300,12 +295,3 @@ def read_card(path: Path) -> dict:
     """Read the JSON card beside a weight file (data, steps, licence); {} when there is none."""
     card = path.with_suffix(".json")
     return json.loads(card.read_text(encoding="utf-8")) if card.is_file() else {}
-
-
-def _read(path: Path) -> dict[str, Tensor]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such weights file; give a .safetensors file, 'shipped' or 'untrained'.")
-    try:
-        return safetensors.torch.load_file(path)
-    except Exception as error:
-        raise InputError(f"{path}: not a safetensors file ({error}).") from None

@@ -3,13 +3,12 @@
 Every image pixel becomes one Gaussian, at the image's own resolution and sharpness.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r import config, reporting
@@ -51,9 +50,6 @@ class Edit3rReconstructor(Reconstructor):
             ),
             description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
         )
-        geometry: Literal["matching", "network"] = Field(
-            "matching", description="where pose and depth come from; 'network' is short for matcher=network"
-        )
         weights: str = Field(
             "shipped",
             description="'shipped', 'untrained', a file or the folder best of `edit3r train`; 'official' or other "
@@ -90,16 +86,6 @@ class Edit3rReconstructor(Reconstructor):
         )
         footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
-        @model_validator(mode="before")
-        @classmethod
-        def _matcher_by_geometry(cls, values: Any) -> Any:
-            if not isinstance(values, Mapping) or values.get("geometry") != "network":
-                return values
-            matcher = PartChoice.model_validate(values.get("matcher", "network"))
-            if matcher.name != "network":
-                raise ValueError(f"geometry=network asks for matcher=network, but matcher is {matcher.name!r}")
-            return {**values, "matcher": matcher}
-
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher
@@ -115,20 +101,21 @@ class Edit3rReconstructor(Reconstructor):
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         """Reconstruct; without `source` the edited images must agree well enough to be matched themselves.
 
-        `request` is not used. Differentiable only while the network is in training mode.
+        Of `request` the `grid` counts. Differentiable only while the network is in training mode.
         """
         if self.full is not None:
             reporting.note("edit3r.form", "full")
             return self.full(views)
-        reporting.note("edit3r.geometry", "network" if self.settings.matcher.name == "network" else "matching")
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
-        views, source = geometry.calibrated(views), geometry.calibrated(source)
+        grid = views.image_size if request is None else request.grid_of(views.image_size)
+        views, source = (geometry.calibrated(shown).at(grid) for shown in (views, source))
+        measured, geometry = geometry.measured, geometry.at(grid)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
             reconstruction = self._with_surroundings(reconstruction, source, geometry)
-        return replace(reconstruction, placed=geometry.registered, measured=geometry.measured)
+        return replace(reconstruction, placed=geometry.registered, measured=measured)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""

@@ -1,8 +1,9 @@
-"""Read a prompt into steps and a place: a closed grammar that says so when a sentence is outside it.
+"""Read a prompt into requests: a closed grammar that says so when a sentence is outside it.
 
-A prompt is a row of clauses ("paint the bike red and make it darker"). In each, the last group of change words is
-what to do and the words before it (or after it, for "darken the wall") are the object. Whatever is neither a change,
-an object in its place nor a filler word is an error, so that no part of an instruction is silently dropped.
+A prompt is a row of clauses ("paint the door green and the wall white"). In each, the last group of change words is
+what to do and the words before it (or after it, for "darken the wall") are the thing. "Everything except the bear"
+turns the place around; "from grey to brown" changes only pixels near the first colour. Whatever is neither a change, a
+thing in its place nor a filler word is an error, so that no part of an instruction is silently dropped.
 """
 
 import difflib
@@ -16,22 +17,31 @@ from edit3r_recolor.steps import Adjust, Paint, Sample, Step, Tint
 from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 
 ABILITIES = (
-    "The recolor editor can paint (paint the bike red, turn the wall light blue; CSS colour names or #rrggbb), make "
-    "brighter, darker, warmer, colder, redder, greener, bluer, more or less saturated, more or less contrast, "
-    "greyscale (black and white), sepia, inverted, or recolor at random. For anything else take another editor."
+    "The recolor editor can paint (paint the bike red, turn the wall light blue; CSS colour names or #rrggbb; from "
+    "grey to brown; everything but the bike), make brighter, darker, warmer, colder, redder, greener, bluer, more or "
+    "less saturated, more or less contrast, greyscale (black and white), sepia, inverted, or recolor at random. For "
+    "anything else take another editor."
 )
 TINT_SHARE = 0.35
 
-Scope = Literal["object", "everything", "background"]
+Scope = Literal["object", "everything", "background", "all but"]
 
 
 @dataclass(frozen=True)
 class Instruction:
-    """A prompt that was understood: what to do, in order, and where."""
+    """One thing of a prompt and what to do with it."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[Step, ...]  # in order
     scope: Scope
     subject: tuple[str, ...] = ()  # words for the object, such as ("bike",); only a segmenter can look them up
+    near: Paint | None = None  # only pixels near this colour change; None: all
+    words: tuple[str, ...] = ()  # of the prompt, that say all this
+
+    def __str__(self) -> str:
+        named = " ".join(self.subject) or ("all" if self.scope == "everything" else self.scope)
+        thing = f"all but {named}" if self.scope == "all but" else named
+        where = f" where it is near {self.near.colour}" if self.near else ""
+        return f"{thing}{where}: {', '.join(map(str, self.steps))}"
 
 
 @dataclass(frozen=True)
@@ -43,28 +53,32 @@ class _Change:
     step: Step
 
 
-def parse_prompt(prompt: str) -> Instruction:
-    """Read what `prompt` asks for; an empty one asks for a sampled recolouring of the object. Raises PromptError."""
+def parse_prompt(prompt: str) -> tuple[Instruction, ...]:
+    """Read what `prompt` asks for, one instruction a place, in the order of the sentence. Raises PromptError."""
     if not prompt.strip():
-        return Instruction((Sample(),), "object")
+        raise PromptError(
+            f"nothing is asked for; say it with --prompt, or take --editor none for the photos as they are. {ABILITIES}"
+        )
     clauses = [tokens for tokens in _clauses(prompt) if not _keeps(tokens) and not set(tokens) <= words.POLITENESS]
     if not clauses:
         raise PromptError(f"{prompt!r} asks for no change of colour. {ABILITIES}")
-    steps: list[Step] = []
-    places: list[tuple[Scope, tuple[str, ...]]] = []
+    found: dict[tuple, list[Instruction]] = {}  # by place
+    place: tuple = ()
     for tokens in clauses:
-        clause_steps, subject = _parse_clause(tokens, prompt)
-        steps += clause_steps
-        if subject or not places:
-            places.append(_place(subject, clause_steps))
-    if len(set(places)) > 1:
-        listed = " and ".join(repr(" ".join(subject) or scope) for scope, subject in dict.fromkeys(places))
-        raise PromptError(f"{prompt!r} names {listed}; the recolor editor changes one region at a time. Run it twice.")
+        read = _parse_clause(tokens, prompt)
+        if not (place and read.near is None and set(read.subject) <= words.PRONOUNS):  # else: it is what was named last
+            place = (*_place(read), read.near)
+        found.setdefault(place, []).append(read)
+    return tuple(_together(place, reads, prompt) for place, reads in found.items())
+
+
+def _together(place: tuple, reads: list[Instruction], prompt: str) -> Instruction:
+    """Make the clauses about one place one instruction."""
     # Painting first: adjusting a colour that is then painted over would be lost.
-    ordered = sorted(steps, key=lambda step: not isinstance(step, Paint))
-    if sum(isinstance(step, Paint) for step in ordered) > 1:
-        raise PromptError(f"{prompt!r} asks for two colours at once; name one.")
-    return Instruction(tuple(ordered), *places[0])
+    steps = sorted((step for read in reads for step in read.steps), key=lambda step: not isinstance(step, Paint))
+    if sum(isinstance(step, Paint) for step in steps) > 1:
+        raise PromptError(f"{prompt!r} asks for two colours at once; name one, or what else gets the other.")
+    return Instruction(tuple(steps), *place, tuple(word for read in reads for word in read.words))
 
 
 def _clauses(prompt: str) -> list[list[str]]:
@@ -81,8 +95,12 @@ def _keeps(tokens: list[str]) -> bool:
     return tokens[0] in ("keep", "leave", "keeping", "leaving") and set(tokens[1:]) <= words.KEPT_ANYWAY
 
 
-def _parse_clause(tokens: list[str], prompt: str) -> tuple[list[Step], tuple[str, ...]]:
-    """Return the steps and the subject words of one clause."""
+def _parse_clause(tokens: list[str], prompt: str) -> Instruction:
+    """Read one clause; its subject holds the words as they are, pronouns too."""
+    said, text = tokens, " ".join(tokens)
+    tokens = words.EXCEPTION.sub(r"\1 the", text, count=1).split()  # what is excepted stands there as the thing
+    all_but = tokens != said
+    tokens, near = _without_origin(tokens)
     if negations := [token for token in tokens if token in words.NEGATIONS]:
         raise PromptError(
             f"{negations[0]!r} in {prompt!r}: negations are not understood; say what should change. {ABILITIES}"
@@ -98,10 +116,23 @@ def _parse_clause(tokens: list[str], prompt: str) -> tuple[list[Step], tuple[str
         raise PromptError(f"Cannot carry out {' '.join(after)!r} in {prompt!r}. {ABILITIES}")
     subject = before or after
     _refuse_words([word for word in subject if word in words.MORE | words.LESS], prompt)
-    if _is_colour(subject, tokens):
-        raise PromptError(f"{prompt!r} picks a region by its colour, which the recolor editor cannot. {ABILITIES}")
+    if near is None and _is_colour(subject, tokens):  # "turn red into blue"
+        near, subject = Paint(*read_colour(list(subject))[:2]), ()
+    if all_but and not subject:
+        raise PromptError(f"{prompt!r} does not say what is left as it is. {ABILITIES}")
     amount = 0.5 if set(tokens) & words.WEAK else 1.7 if set(tokens) & words.STRONG else 1.0
-    return [_scaled(change.step, amount) for change in group], subject
+    steps = tuple(_scaled(change.step, amount) for change in group)
+    used = tuple(token for token in said if token not in words.FILLERS or (all_but and token == "but"))
+    return Instruction(steps, "all but" if all_but else "object", subject, near, used)
+
+
+def _without_origin(tokens: list[str]) -> tuple[list[str], Paint | None]:
+    """Take "from COLOUR" out of a clause."""
+    for start in (i for i, token in enumerate(tokens) if token == "from"):
+        colour = read_colour(tokens[start + 1 :])
+        if colour is not None:
+            return [*tokens[:start], *tokens[start + 1 + colour[2] :]], Paint(*colour[:2])
+    return tokens, None
 
 
 def _refuse_words(found: list[str], prompt: str) -> None:
@@ -202,12 +233,13 @@ def _scaled(step: Step, amount: float) -> Step:
     return replace(step, amount=min(1.0, step.amount * amount)) if isinstance(step, Tint) else step
 
 
-def _place(subject: tuple[str, ...], steps: list[Step]) -> tuple[Scope, tuple[str, ...]]:
-    """Say where a clause applies; without an object, colours go on the object and adjustments on everything."""
-    named = tuple(word for word in subject if word not in words.PRONOUNS | words.OBJECT_WORDS | words.EVERYTHING)
+def _place(read: Instruction) -> tuple[Scope, tuple[str, ...]]:
+    """Say where a clause applies; without a thing, colours go on the object and adjustments on everything."""
+    subject = set(read.subject)
+    named = tuple(word for word in read.subject if word not in words.PRONOUNS | words.OBJECT_WORDS | words.EVERYTHING)
     if named:
-        return ("background", ()) if set(named) <= words.BACKGROUND else ("object", named)
-    if set(subject) & words.EVERYTHING:
+        return ("background", ()) if set(named) <= words.BACKGROUND else (read.scope, named)
+    if subject & words.EVERYTHING or (read.near is not None and not subject):
         return "everything", ()
-    painted = set(subject) & words.OBJECT_WORDS or any(isinstance(step, Paint | Sample) for step in steps)
-    return ("object" if painted else "everything"), ()
+    painted = subject & words.OBJECT_WORDS or any(isinstance(step, Paint | Sample) for step in read.steps)
+    return (read.scope if painted or read.scope == "all but" else "everything"), ()

@@ -1,6 +1,7 @@
 """The words that the prompt reader knows: colours, changes and fillers. What is not here it must not guess."""
 
 import colorsys
+import re
 
 from PIL import ImageColor
 
@@ -35,7 +36,8 @@ _EVERYDAY_COLOURS = {
     "scarlet": "#ff2400",
     "silvery": "#c0c0c0",
     "terracotta": "#e2725b",
-    # As a painter would mix them: CSS's pure primaries are lamps, and its green is very dark.
+    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its brown is a red.
+    "brown": "#7a4a26",
     "red": "#dc1414",
     "green": "#1e9632",
     "blue": "#1e50dc",
@@ -109,6 +111,10 @@ UNSUPPORTED = _words(
 """Words that ask for what colours alone cannot do."""
 
 NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
+
+_ALL = "|".join((*sorted(EVERYTHING), "rest"))
+EXCEPTION = re.compile(rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b")
+"""What stands before the thing that is left as it is; its group may hold more words for everything."""
 
 POLITENESS = _words("please thanks thank you ok okay")
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edit3r.command import Command
+from edit3r.command import Command, scene_file
 
 if TYPE_CHECKING:
     from edit3r_refiners.settings import SimplifySettings
@@ -15,7 +15,7 @@ class SimplifyCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("scene", metavar="SCENE.ply", help="Gaussians as 3DGS PLY, such as scene.ply of a run")
+        add("scene", type=scene_file, metavar="SCENE", help="folder of a run, or Gaussians as 3DGS PLY")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json of the views; default: beside the scene")
         add(
             "--gaussians",

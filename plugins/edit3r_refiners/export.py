@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edit3r.command import Command
+from edit3r.command import Command, scene_file
 
 
 class ExportCommand(Command):
@@ -13,7 +13,12 @@ class ExportCommand(Command):
         from edit3r.run_config import FORMATS
 
         add = parser.add_argument
-        add("scene", metavar="SCENE", help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat")
+        add(
+            "scene",
+            type=scene_file,
+            metavar="SCENE",
+            help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat",
+        )
         add("--to", required=True, nargs="+", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
         add("--out", metavar="FILE", help="the file to write, for one format; default: beside the scene")
         add("--overwrite", action="store_true", help="replace files that are there")
@@ -25,8 +30,7 @@ class ExportCommand(Command):
         from edit3r.io.export import FORMATS, export_scene, load_scene
         from edit3r.reporting import Report, collecting
 
-        scene = Path(args.scene)
-        scene = scene / "scene.ply" if scene.is_dir() else scene
+        scene: Path = args.scene
         if args.out and len(args.to) > 1:
             raise InputError("--out names one file; give one format with it, or leave --out away.")
         base = scene.name.removesuffix(".ply").removesuffix(".compressed") if scene.suffix == ".ply" else scene.stem

@@ -18,7 +18,7 @@ from edit3r.errors import InputError
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
-from edit3r.io.posed_folder import PosedFolder, read_posed_folder, undistorted
+from edit3r.io.posed_folder import PosedFolder, read_posed_folder
 from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_angle, choose_by_gap
 
 
@@ -107,6 +107,7 @@ class SceneRegions:
         file = self.path / MASKS / str(number) / f"{Path(camera.file).stem}.png"
         if not file.is_file():
             return torch.zeros(size, size)
-        mask = undistorted(read_image(file).convert("L"), camera)
-        cut = frame_for((mask.height, mask.width), (size, size)).cut(mask, Image.Resampling.BILINEAR)
+        mask = read_image(file).convert("L")
+        frame = replace(frame_for((mask.height, mask.width), (size, size)), lens=camera.lens)
+        cut = frame.cut(mask, Image.Resampling.BILINEAR)
         return torch.from_numpy(np.asarray(cut, np.float32) / 255)

@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 from safetensors.torch import save
 
+import edit3r
 from edit3r import Settings
 from edit3r.cache import Cache, fingerprint, identity, remembered, using
 from edit3r.errors import InputError
@@ -61,6 +62,16 @@ def test_trained_weights_are_another_component():
     with torch.no_grad():
         doubling.network.weight[0, 0] += 1e-3
     assert identity(doubling) != before
+
+
+def test_fetched_weights_make_another_component(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    component = edit3r.build("segmenter", "classical")
+    without = identity(component)
+    assert identity(component) == without
+    (tmp_path / "u2netp").mkdir()
+    (tmp_path / "u2netp" / component.offer.component.weights[0].files[0][0].rpartition("/")[2]).write_bytes(b"")
+    assert identity(component) != without
 
 
 def test_names_of_views_change_no_fingerprint_and_pixels_do():

@@ -6,7 +6,7 @@ import torch
 from edit3r import Views
 from edit3r.errors import InputError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.mask_from_prompt import masks_from_prompt, object_in_prompt
+from edit3r.mask_from_prompt import masks_from_prompt, things_in_prompt
 from edit3r.reporting import Report, collecting
 
 
@@ -43,7 +43,7 @@ VIEWS = Views(torch.rand(1, 3, 3, 24, 32), torch.eye(3).expand(1, 3, 3, 3))
 
 
 @pytest.mark.parametrize(
-    ("instruction", "thing"),
+    ("instruction", "things"),
     [
         ("paint the bike red", "the bike"),
         ("turn the old wooden chair into marble", "the old wooden chair"),
@@ -55,10 +55,19 @@ VIEWS = Views(torch.rand(1, 3, 3, 24, 32), torch.eye(3).expand(1, 3, 3, 3))
         ("turn the whole scene into a painting", ""),
         ("make the background blurry", ""),
         ("", ""),
+        ("paint the door green and the wall white", "the door, the wall"),
+        ("turn the man and the woman into robots", "the man, the woman"),
+        ("paint the bike red and shiny, keep the background", "the bike"),
+        ("paint the bike red and make the whole picture darker", ""),
     ],
 )
-def test_the_object_of_an_instruction(instruction, thing):
-    assert object_in_prompt(instruction) == thing
+def test_the_things_of_an_instruction(instruction, things):
+    assert things_in_prompt(instruction) == (tuple(filter(None, things.split(", "))), False)
+
+
+@pytest.mark.parametrize("words", ["everything except the bear", "all but the bear", "the rest besides the bear"])
+def test_what_is_left_alone(words):
+    assert things_in_prompt(f"paint {words} red") == (("the bear",), True)
 
 
 def test_the_named_object_is_masked_and_followed():
@@ -80,6 +89,23 @@ def test_the_segmenters_prompt_goes_before_the_instruction():
 def test_all_that_the_words_name_is_in_the_mask():
     masks = masks_from_prompt("x", VIEWS, Reader("the bike. the car.", bike=(2, 2), car=(15, 20)))
     assert masks[0, 0, 3, 3] == 1 and masks[0, 0, 16, 21] == 1
+
+
+def test_two_things_of_one_sentence_are_both_in_the_mask():
+    masks = masks_from_prompt("paint the door red and the wall blue", VIEWS, Reader(door=(2, 2), wall=(15, 20)))
+    assert masks[0, 0, 3, 3] == 1 and masks[0, 0, 16, 21] == 1 and masks[0, 0, 3, 21] == 0
+    with pytest.raises(InputError, match="'the wall' was not found"):
+        masks_from_prompt("paint the door red and the wall blue", VIEWS, Reader(door=(2, 2)))
+
+
+def test_everything_except_a_thing_is_in_the_mask():
+    reader, report = Reader(bear=(6, 8)), Report()
+    reader.lost = (2,)
+    with collecting(report):
+        masks = masks_from_prompt("paint everything except the bear red", VIEWS, reader)
+    assert (masks[0, 0, 6:10, 8:12] == 0).all() and masks[0, 0, 20, 28] == 1
+    assert masks[0, 2].max() == 0  # the bear may be anywhere on it
+    assert report.notes["edit.confined_to"] == "all but the bear"
 
 
 def test_a_view_where_it_is_lost_stays_unedited_and_is_told():

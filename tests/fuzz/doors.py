@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import torch
-from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, mangled_tree, nasty
+from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
 
 from edit3r.cache import Cache
@@ -38,6 +38,7 @@ from edit3r.io.viewer import save_viewer
 from edit3r.registry import default_registry
 from edit3r.run_config import make_run_config
 from edit3r.training.checkpoint import TrainingState, copied_weights
+from edit3r.training.checkpoint import load_weights as load_trained
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 SIZE = (24, 32)
@@ -163,12 +164,11 @@ def resume_states(rng, folder, given):
 
 
 def weights(rng, folder, given):
-    from edit3r_matching_network.network import SHIPPED, load_network
+    from edit3r_matching.depth_network import SHIPPED, DepthNetwork
     from edit3r_model.checkpoints import load_weights
     from safetensors.torch import save
 
-    sizes = json.dumps(mangled_tree(rng, {"width": 8, "heads": 2, "fine_width": 8}))
-    content = save({"a.weight": torch.zeros(3, 3), "b": torch.ones(2)}, {"sizes": sizes})
+    content = save({"a.weight": torch.zeros(3, 3), "b": torch.ones(2)})
     file = folder / rng.choice(("w.safetensors", "w.ckpt", "w.pth"))
     content = rng.choice((content, given.files["last.pt"]))
     file.write_bytes(mangled_bytes(rng, content) if rng.random() < 0.6 else content)
@@ -180,7 +180,8 @@ def weights(rng, folder, given):
     if rng.random() < 0.5:
         load_weights(file)
     else:
-        network = load_network(str(file))
+        network = DepthNetwork()
+        load_trained(network, file)
         assert all(value.isfinite().all() for value in network.state_dict().values())
 
 
@@ -243,6 +244,28 @@ def manifests(rng, folder, given):
         assert torch.isfinite(loaded.photos.images).all() and loaded.inputs == len(item.inputs)
 
 
+def jobs_files(rng, folder, given):
+    from edit3r_batch.jobs import read_jobs
+
+    photos = [str(photo) for photo in given.photos]
+    job = {
+        "id": "bike",
+        "photos": photos,
+        "prompt": "paint it",
+        "seed": 3,
+        "point": ["1:3,4"],
+        "editor": {"name": "none"},
+    }
+    second = json_bytes(rng, job) if rng.random() < 0.8 else mangled_bytes(rng, json.dumps(job).encode())
+    (folder / "jobs.jsonl").write_bytes(json.dumps({**job, "id": "first"}).encode() + b"\n" + second)
+    jobs = read_jobs(folder / "jobs.jsonl", {"size": 32}, default_registry())
+    for name, job in jobs.items():
+        assert (folder / name).resolve().parent == folder and not (folder / name).exists()
+        assert json.loads(json.dumps(job.record)) == job.record
+        make_run_config(job.settings)
+    assert len({name.casefold() for name in jobs}) == len(jobs)
+
+
 def recipes(rng, folder, given):
     from edit3r_recolor.scene import FORMAT, SceneRecipe
 
@@ -253,9 +276,12 @@ def recipes(rng, folder, given):
 
 
 def prompts(rng, folder, given):
+    from edit3r_editors.looks import LOOKS, read_look
     from edit3r_recolor.prompt import parse_prompt
 
-    text = mangled_text(rng, "paint the bike light blue, make it much darker and warmer")
+    from edit3r.mask_from_prompt import things_in_prompt
+
+    text = mangled_text(rng, "paint the bike light blue, make it much darker; all but the wall from grey to red")
     text *= rng.choice((1, 1, 1, 40, 20_000))
     prompt = make_run_config({"prompt": text}).prompt
     save_ply(folder / "scene.ply", _scene(), comment_lines=[f"prompt: {prompt}"])
@@ -264,7 +290,13 @@ def prompts(rng, folder, given):
     page = (folder / "viewer.html").read_text(encoding="utf-8")
     meta = page.partition('<script id="meta" type="application/json">')[2].partition("</script>")[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
-    assert parse_prompt(prompt).steps
+    things, all_but = things_in_prompt(prompt)
+    assert all(things) and (things or not all_but)
+    if rng.random() < 0.3:
+        assert (
+            read_look(prompt + rng.choice((" marble", " gold and night", " as a pencil sketch")), masked=True) in LOOKS
+        )
+    assert all(request.steps for request in parse_prompt(prompt))
 
 
 def names(rng, folder, given):
@@ -361,6 +393,7 @@ DOORS: dict[str, Callable] = {
     for door in (
         *(pictures, masks, cameras, yaml_files, assignments, checkpoints, resume_states, weights, plies, run_folders),
         *(manifests, recipes, prompts, names, output_paths, service_answers, videos, uploads, app_records),
+        jobs_files,
         *((exports,) if importlib.util.find_spec("gaussforge") else ()),
     )
 }

@@ -1,19 +1,28 @@
 """Commands that are killed while they write leave the old result or the new one, and the next start clears the rest."""
 
+import asyncio
+import hashlib
 import os
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
-from edit3r_measure.runner import run_resumable
+from edit3r_app.jobs import Job, JobsFolder
+from edit3r_app.runner import Runner
+from edit3r_app.uploads import receive
 
+from edit3r.cache import Cache
 from edit3r.cli.main import main
 from edit3r.io import atomic
+from edit3r.io.fetching import fetch
 from edit3r.io.images import packaged_pair
 from edit3r.testing.training import tiny_job
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
+from edit3r.weights import Weights, find
+from edit3r.workers import run_resumable
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
@@ -113,3 +122,126 @@ def test_a_killed_run_over_an_earlier_one_leaves_that_or_the_new_one(tmp_path):
         assert contents(out) == contents(old), step
         run_command(out)
         assert contents(out) == contents(old) and [path.name for path in out.parent.iterdir()] == ["out"], step
+
+
+def cache_command(out):
+    cache = Cache()
+    for value in range(3):
+        cache.recall("depth", str(value), lambda: torch.full((4,), float(value)))  # noqa: B023
+    with atomic.atomic_folder(out, overwrite=True) as folder:
+        cache.save(folder / "cache")
+
+
+def test_a_cache_killed_while_it_is_saved_is_whole_or_not_there(tmp_path):
+    cache_command(tmp_path / "straight")
+    killed = 0
+    for step in STEPS:
+        out = tmp_path / str(step) / "out"
+        out.parent.mkdir()
+        if not killed_at(step, out.parent, lambda: cache_command(out)):  # noqa: B023
+            break
+        killed += 1
+        assert not out.exists() or contents(out) == contents(tmp_path / "straight"), step
+        cache_command(out)
+        assert contents(out) == contents(tmp_path / "straight") and len(list(out.parent.iterdir())) == 1, step
+    assert killed >= 5
+
+
+def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path):
+    old = tmp_path / "old"
+    run_command(old)
+    shutil.copyfile(old / "scene.ply", tmp_path / "small.ply")
+    options = ["--cameras", str(old / "cameras.json"), "--gaussians", "500", "--rasterizer", "torch", "--quiet"]
+    place = tmp_path / "place"
+    place.mkdir()
+    out, seen = place / "small.ply", set()
+
+    def command():
+        assert main(["simplify", str(old / "scene.ply"), "--out", str(out), *options]) == 0
+
+    for step in STEPS:
+        shutil.copyfile(old / "scene.ply", out)
+        killed = killed_at(step, place, command)
+        seen.add(out.read_bytes())
+        if not killed:
+            break
+    command()
+    assert seen == {(old / "scene.ply").read_bytes(), out.read_bytes()} and step > 2
+    assert [path.name for path in place.iterdir()] == ["small.ply"]
+
+
+HUB_FILES = {"config.json": b"{}", "model.bin": bytes(range(256)) * 40}
+
+
+@pytest.fixture
+def hub(monkeypatch):
+    """A model hub of two files in place of the client's calls; what is fetched comes in pieces."""
+
+    def sibling(name, content):
+        return SimpleNamespace(
+            rfilename=name, lfs=SimpleNamespace(sha256=hashlib.sha256(content).hexdigest()), size=len(content)
+        )
+
+    def http_get(url, file, resume_size, **_):
+        rest = HUB_FILES[url.rpartition("/")[2]][resume_size:]
+        for start in range(0, len(rest), 2048):
+            file.write(rest[start : start + 2048])
+            file.flush()
+            os.utime(file.name)  # an event that a kill can come at
+
+    about = SimpleNamespace(sha="0" * 40, siblings=[sibling(*one) for one in HUB_FILES.items()])
+    monkeypatch.setattr("huggingface_hub.HfApi.model_info", lambda *_, **__: about)
+    monkeypatch.setattr("huggingface_hub.file_download.http_get", http_get)
+
+
+def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(tmp_path, hub):
+    files = tuple((name, "") for name in HUB_FILES)
+    weights = Weights("thing", "a test", 10_242, "MIT", "yes", "hub:stand/in", "0" * 40, files)
+    killed = 0
+    for step in range(200):
+        place = tmp_path / str(step)
+        place.mkdir()
+        if not killed_at(step, place, lambda: fetch(weights, place, report=str)):  # noqa: B023
+            break
+        killed += 1
+        if (place / "thing").exists():
+            assert {name: (place / "thing" / name).read_bytes() for name in HUB_FILES} == HUB_FILES, step
+        got = fetch(weights, place, report=str)
+        assert got == find(weights, place)
+        assert {name: (got / name).read_bytes() for name in HUB_FILES} == HUB_FILES, step
+        assert {path.name for path in place.iterdir()} <= {"thing", ".lock"}, step
+    assert killed > 15
+
+
+def test_an_app_killed_in_the_middle_of_an_upload_or_a_new_job_starts_again_with_whole_ones(tmp_path):
+    photo = Path(packaged_pair()[0][0]).read_bytes()
+
+    async def pieces():
+        for start in range(0, len(photo), 1 << 16):
+            yield photo[start : start + (1 << 16)]
+
+    def act(root):
+        folder = JobsFolder(root)
+        scene = folder.new_scene("bear")
+        asyncio.run(receive(folder, scene, "p.jpg", len(photo), pieces()))
+        folder.new_job(Job("", scene, settings={"prompt": "paint it red"}))
+
+    seen = set()
+    for step in range(100):
+        root = tmp_path / str(step)
+        root.mkdir()
+        killed = killed_at(step, root, lambda: act(root))  # noqa: B023
+        folder = JobsFolder(root)
+        runner = Runner(folder)
+        runner.clear_left_over()
+        runner.stop()
+        kept = [path.read_bytes() for path in root.glob("bear/images/*")]
+        asked = [job.prompt for job in folder.jobs()]
+        assert kept in ([], [photo]) and asked in ([], ["paint it red"]), step
+        seen.add((len(kept), len(asked)))
+        left = {path.name for path in folder.private.iterdir()}
+        assert not any(name.startswith("upload-") for name in left), (step, left)
+        act(root)
+        if not killed:
+            break
+    assert seen == {(0, 0), (1, 0), (1, 1)}

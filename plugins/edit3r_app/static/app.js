@@ -58,7 +58,7 @@ for (const kind of ["dragover", "dragleave", "drop"])
     edit3rSend(files, zone.dataset.scene, folder);
   });
 
-// A click, or in the mode "box" a drag, on a photo; places are x and y in [0, 1] of it.
+// A click, in the mode "box" a drag, in the modes of the brush a stroke, on a photo; places are x and y in [0, 1] of it.
 let edit3rDrag = null;
 const edit3rPlace = (event, image) => {
   const area = image.getBoundingClientRect();
@@ -68,25 +68,48 @@ const edit3rPlace = (event, image) => {
 document.addEventListener("pointerdown", (event) => {
   const image = event.target.closest("img.e3-mark");
   if (!image || event.button) return;
-  edit3rDrag = { image, from: edit3rPlace(event, image), box: !!image.closest(".e3-box") };
-  if (edit3rDrag.box) edit3rDrag.shown = image.parentElement.appendChild(Object.assign(document.createElement("div"), { className: "e3-rect" }));
+  const [box, brush] = [".e3-box", ".e3-brush"].map((mode) => image.closest(mode));
+  edit3rDrag = { image, places: [edit3rPlace(event, image)], box: !!box, brush: !!brush };
+  if (box) edit3rDrag.shown = image.parentElement.appendChild(Object.assign(document.createElement("div"), { className: "e3-rect" }));
+  if (!brush) return;
+  const { width, height } = image.getBoundingClientRect();
+  const shown = Object.assign(document.createElement("canvas"), { className: "e3-stroke", width, height });
+  const pen = Object.assign(shown.getContext("2d"), { lineWidth: brush.dataset.brush * Math.max(width, height), lineCap: "round", lineJoin: "round", strokeStyle: "#ff408c99" });
+  Object.assign(edit3rDrag, { shown: image.parentElement.appendChild(shown), pen });
+  edit3rStroke();
 });
 document.addEventListener("pointermove", (event) => {
-  if (!edit3rDrag || !edit3rDrag.box) return;
-  const [[x, y], [u, v]] = [edit3rDrag.from, edit3rPlace(event, edit3rDrag.image)];
+  if (!edit3rDrag || !edit3rDrag.shown) return;
+  const { image, places, shown, brush } = edit3rDrag;
+  const [u, v] = edit3rPlace(event, image);
+  if (brush) {
+    const [x, y] = places[places.length - 1];
+    if (Math.hypot(u - x, v - y) < 0.008) return;
+    places.push([u, v]);
+    return edit3rStroke();
+  }
+  const [x, y] = places[0];
   const [left, top, width, height] = [Math.min(x, u), Math.min(y, v), Math.abs(u - x), Math.abs(v - y)].map((value) => 100 * value + "%");
-  Object.assign(edit3rDrag.shown.style, { left, top, width, height });
+  Object.assign(shown.style, { left, top, width, height });
 });
 document.addEventListener("pointercancel", () => edit3rEnd());
 document.addEventListener("pointerup", (event) => {
   if (!edit3rDrag) return;
-  const { image, from, box } = edit3rDrag;
-  const to = edit3rPlace(event, image);
+  const { image, places, box, brush } = edit3rDrag;
+  places.push(edit3rPlace(event, image));
   edit3rEnd();
-  const moved = Math.hypot(to[0] - from[0], to[1] - from[1]) > 0.02;
-  if (moved && !box) return; // scrolled
-  emitEvent("edit3r_mark", { view: Number(image.dataset.view), from, to, box: box && moved, remove: event.altKey });
+  const [[x, y], [u, v]] = [places[0], places[places.length - 1]];
+  const moved = Math.hypot(u - x, v - y) > 0.02;
+  if (moved && !box && !brush) return; // scrolled
+  emitEvent("edit3r_mark", { view: Number(image.dataset.view), places, box: box && moved, remove: event.altKey });
 });
+function edit3rStroke() {
+  const { pen, places, shown } = edit3rDrag;
+  pen.clearRect(0, 0, shown.width, shown.height);
+  pen.beginPath();
+  for (const [x, y] of places.concat(places.slice(-1))) pen.lineTo(x * shown.width, y * shown.height);
+  pen.stroke();
+}
 function edit3rEnd() {
   if (edit3rDrag && edit3rDrag.shown) edit3rDrag.shown.remove();
   edit3rDrag = null;

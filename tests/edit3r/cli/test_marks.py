@@ -1,6 +1,7 @@
 """--point, --box and --mask, read into a selection."""
 
 import argparse
+import json
 
 import pytest
 import torch
@@ -57,3 +58,22 @@ def test_what_cannot_be_read_says_what_was_expected(photos, words):
 def test_a_place_outside_the_photo_is_an_error(photos):
     with pytest.raises(InputError, match="outside"):
         read(photos, "--point", "200,30")
+
+
+def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):
+    lens = {"w": 60, "h": 40, "fl_x": 45.0, "k1": -0.3}
+    Image.new("RGB", (240, 160)).save(tmp_path / "a.png")
+    Image.new("RGB", (240, 160), "red").save(tmp_path / "b.png")
+    frames = [{"file_path": name} for name in ("a.png", "b.png")]
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    bent = load_photos([tmp_path / "a.png", tmp_path / "b.png"], size=60)
+    ((_, x, y),) = read(bent, "--point", "0.1,0.15").positive
+    assert x < 0.1 - 0.01 and y < 0.15 - 0.01  # barrel distortion had drawn it to the middle
+    left, _, width, _ = read(bent, "--box", "0.1,0.15,0.8,0.7").boxes[0]
+    assert left == pytest.approx(x, abs=1e-3) and width == pytest.approx(1 - 2 * x, abs=2e-3)
+    mask = Image.new("L", (240, 160))
+    mask.paste(255, (16, 16, 32, 32))  # around the place
+    mask.save(tmp_path / "a_mask.png")
+    (found,) = read(bent, "--mask", str(tmp_path / "a_mask.png")).masks.values()
+    _, columns = (found > 0.5).nonzero(as_tuple=True)
+    assert float(columns.float().mean() + 0.5) / 60 == pytest.approx(x, abs=0.02)

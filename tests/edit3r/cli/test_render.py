@@ -36,9 +36,9 @@ def scene(tmp_path):
     return tmp_path
 
 
-def _render(folder, *options: str) -> int:
+def _render(folder, *options: str, of: str = "scene.ply") -> int:
     cameras = ["--cameras", str(folder / "transforms.json"), "--make", "pictures", "--out", str(folder / "out")]
-    return main(["render", str(folder / "scene.ply"), *cameras, "--rasterizer", "torch", "--quiet", *options])
+    return main(["render", str(folder / of), *cameras, "--rasterizer", "torch", "--quiet", *options])
 
 
 @pytest.mark.parametrize(("view", "colour"), [(0, [1, 0, 0]), (1, [0, 1, 0])])
@@ -52,3 +52,7 @@ def test_only_the_gaussians_of_one_photo_are_drawn(scene, view, colour):
 def test_a_photo_that_gave_no_gaussians_is_an_error_that_lists_those_that_did(scene, capsys):
     assert _render(scene, "--only-view", "2") == 2
     assert "no Gaussians of photo 2; it has 0, 1." in capsys.readouterr().err
+
+
+def test_the_folder_of_a_run_stands_for_its_scene(scene):
+    assert _render(scene, of=".") == 0 and len(list((scene / "out").rglob("a.png"))) == 1

@@ -71,7 +71,7 @@ def test_a_folder_killed_at_every_step(tmp_path, monkeypatch, earlier, in_one_st
             write_folder(out, earlier)
         killed = killed_at(step, lambda: write_folder(out, "new"))  # noqa: B023
         seen.add(content(out))
-        atomic._remove_abandoned(out, "out", "")  # what the next start does first
+        atomic.remove_abandoned(out, "out", "")  # what the next start does first
         assert content(out) in (earlier, "new") and {path.name for path in place.iterdir()} <= {"out"}, step
         write_folder(out, "next")
         assert content(out) == "next" and [path.name for path in place.iterdir()] == ["out"], step
@@ -124,7 +124,7 @@ def test_the_folder_of_a_living_run_and_names_of_others_stay(tmp_path):
     (tmp_path / ".other.partial-12345678").mkdir()
     (tmp_path / ".other.partial-12345678.lock").touch()
     with atomic_folder(tmp_path / "out") as folder:
-        atomic._remove_abandoned(tmp_path / "out", "out", "")
+        atomic.remove_abandoned(tmp_path / "out", "out", "")
         assert folder.exists()
     assert [path.name for path in (tmp_path / "out").iterdir()] == [MARKER]
     assert len(list(tmp_path.iterdir())) == 4

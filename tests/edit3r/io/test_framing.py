@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from edit3r.io.framing import Frame, common_size, frame_for
+from edit3r.io.framing import Frame, Lens, common_size, frame_for
 
 sizes = st.tuples(st.integers(1, 6000), st.integers(1, 6000))
 
@@ -70,3 +70,42 @@ def test_reducing_averages_instead_of_skipping():
     stripes[:, ::2] = 255
     cut = np.asarray(frame_for((64, 64), (8, 8)).cut(Image.fromarray(stripes)))
     assert np.abs(cut.astype(int) - 127).max() < 12
+
+
+BARREL = Lens((0.8, 1.2), (0.52, 0.47), (-0.2, 0.03, 0.01, -0.005, 0.0))
+
+
+def bent(lens, u, v):
+    """Where the lens shows what a pinhole would show at (u, v): OpenCV's formula, written out."""
+    (fx, fy), (cx, cy), (k1, k2, p1, p2, k3) = lens.focal, lens.centre, lens.distortion
+    x, y = (u - cx) / fx, (v - cy) / fy
+    r = x * x + y * y
+    radial = 1 + k1 * r + k2 * r**2 + k3 * r**3
+    along = x * radial + 2 * p1 * x * y + p2 * (r + 2 * x * x)
+    down = y * radial + p1 * (r + 2 * y * y) + 2 * p2 * x * y
+    return along * fx + cx, down * fy + cy
+
+
+@given(st.floats(0.1, 0.9), st.floats(0.1, 0.9))
+@settings(deadline=None)
+def test_a_place_on_a_bent_photo_is_found_on_the_straight_one(u, v):
+    assert BARREL.straightened_place(*bent(BARREL, u, v)) == pytest.approx((u, v), abs=1e-4)
+
+
+@pytest.mark.parametrize("place", [(0.2, 0.25), (0.75, 0.3), (0.3, 0.8), (0.5, 0.5)])
+def test_a_straightened_photo_shows_what_a_pinhole_would(place):
+    (u, v), (width, height) = bent(BARREL, *place), (400, 300)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    spot = np.exp(-((columns - u * width) ** 2 + (rows - v * height) ** 2) / 18)
+    frame = Frame((height, width), (0, 0, width, height), (height, width), BARREL)
+    shown = np.asarray(frame.cut(Image.fromarray((255 * spot).astype(np.uint8)))) / 255
+    middle = (shown * columns).sum() / shown.sum() / width, (shown * rows).sum() / shown.sum() / height
+    assert middle == pytest.approx(place, abs=1.5e-3)
+
+
+@pytest.mark.parametrize(
+    "change", [{"focal": (0.0, 1.0)}, {"centre": (float("nan"), 0.5)}, {"distortion": (1e3, 0, 0, 0, 0)}]
+)
+def test_a_lens_of_impossible_numbers_is_none(change):
+    with pytest.raises(ValueError, match="expected"):
+        Lens(**{"focal": (1.0, 1.0), "centre": (0.5, 0.5), "distortion": (0.1, 0, 0, 0, 0), **change})

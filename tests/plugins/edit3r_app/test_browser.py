@@ -141,6 +141,21 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     )
     other.close()
 
+    # the brush paints on a photo, the eraser takes away
+    image = page.locator("img.e3-mark").first
+    for mode in ("Paint", "Erase"):
+        page.get_by_role("button", name=mode, exact=True).click()
+        page.locator(".e3-brush").wait_for()
+        place, before = image.bounding_box(), image.get_attribute("src")
+        page.mouse.move(place["x"] + 20, place["y"] + 20)
+        page.mouse.down()
+        page.mouse.move(place["x"] + 60, place["y"] + 30, steps=4)
+        assert page.locator("canvas.e3-stroke").count() == 1
+        page.mouse.up()
+        page.wait_for_function(
+            "([one, before]) => one.getAttribute('src') != before", arg=[image.element_handle(), before]
+        )
+
     # the edit, through a server that is killed and started again meanwhile
     wish(page, "paint it blue")
     page.get_by_text("Cancel").wait_for()

@@ -5,7 +5,6 @@ import pytest
 import torch
 from edit3r_measure import tradeoff_measure
 from edit3r_measure.novel_view import RenderedView, score_edit
-from edit3r_measure.runner import read_rows
 from edit3r_measure.scene_sources import SceneSource, sample_scene, write_scene
 from edit3r_measure.tradeoff_measure import Job, Sweep, measure, perceptual_distance
 
@@ -14,6 +13,7 @@ from edit3r.geometry.cameras import intrinsics_from_fov
 from edit3r.interfaces import SceneSample
 from edit3r.io.posed_folder import Photo
 from edit3r.types import Cameras
+from edit3r.workers import read_rows
 
 JOB = Job(unedited={}, edited={})
 POINTS = {"a": {"size": 8}, "b": {"size": 9}}

@@ -12,9 +12,8 @@ from edit3r_model.small_reconstructor import Edit3rReconstructor, assemble
 from PIL import Image
 from safetensors.torch import save_file
 
-from edit3r.config import make_settings
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError, SettingsError
+from edit3r.errors import InputError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.io.run_folder import WeightsRecord
@@ -268,13 +267,6 @@ def test_a_view_that_could_not_be_placed_is_not_shown():
     result = build("reconstructor", "edit3r", parts={"matcher": Lost()}, network_size=64)(_views(3), _views(3))
     assert (result.gaussians.from_view(2).opacities == 0).all()
     assert (result.gaussians.from_view(1).opacities > 0).any()
-
-
-def test_network_geometry_is_the_network_matcher():
-    chosen = Edit3rReconstructor.Settings(geometry="network")
-    assert chosen.matcher.name == "network"
-    with pytest.raises(SettingsError, match="asks for matcher=network, but matcher is 'classical'"):
-        make_settings(Edit3rReconstructor.Settings, {"geometry": "network", "matcher": "classical"}, "reconstructor")
 
 
 def test_untrained_weights_are_announced():

@@ -1,19 +1,16 @@
 """The same photos, edit and seed give the same scene for any number of threads."""
 
-import pytest
 import torch
 
 import edit3r
 from edit3r.io.images import load_views, packaged_pair
 
 
-@pytest.mark.parametrize("geometry", ["matched", "network"])
-def test_the_scene_does_not_depend_on_the_number_of_threads(geometry):
+def test_the_scene_does_not_depend_on_the_number_of_threads():
     photos, cameras = packaged_pair()
     views = load_views(photos, cameras=cameras, size=128)
     edited = edit3r.Views(views.images.flip(2), views.intrinsics, views.names)
-    settings = {} if geometry == "matched" else {"geometry": geometry}
-    reconstructor = edit3r.build("reconstructor", "edit3r", **settings)
+    reconstructor = edit3r.build("reconstructor", "edit3r")
     before, scenes = torch.get_num_threads(), []
     for threads in (1, 2, 4):
         torch.set_num_threads(threads)

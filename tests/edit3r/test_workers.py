@@ -2,11 +2,12 @@
 
 import math
 import os
+import signal
 
 import pytest
-from edit3r_measure.runner import Workers, append_row, read_rows, repair, run_resumable
 
 from edit3r.errors import InputError, RunError
+from edit3r.workers import Workers, append_row, read_rows, repair, run_resumable
 
 JOBS = {"a": {"value": 1}, "b": {"value": 2}, "c": {"value": 3}}
 
@@ -44,6 +45,22 @@ def test_an_interrupted_run_goes_on_and_leaves_the_file_of_a_straight_one(path, 
 def test_processes_give_the_same_rows(path, tmp_path):
     rows = run_resumable(JOBS, dict, path, workers=Workers(2, threads=1))
     assert rows == run_resumable(JOBS, dict, tmp_path / "one.jsonl")
+
+
+def dies_of_two(job):
+    if job["value"] == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {**job, "process": os.getpid()}
+
+
+def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
+    with pytest.raises(RunError, match=r"worker process died.*What is done is kept"):
+        run_resumable(JOBS, dies_of_two, path, workers=Workers(2))
+    for count in (1, 2):
+        own = path.with_name(f"{count}.jsonl")
+        rows = run_resumable(JOBS, dies_of_two, own, workers=Workers(count, may_die=True))
+        assert list(rows) == list("abc") and set(rows["b"]) == {"key", "failure"}
+        assert all("process" in rows[key] and rows[key]["process"] != os.getpid() for key in "ac")
 
 
 def test_rows_of_other_jobs_stay(path):

@@ -1,0 +1,160 @@
+"""`edit3r batch`: each job once, an ordinary run folder each, whoever did it and however often it was interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from edit3r.cli.main import main
+from edit3r.io.images import packaged_pair
+
+HERE = Path(__file__).parent
+QUICK = ["--set", "editor=harmful", "--set", "reconstructor=flat", "--set", "rasterizer=torch", "--set", "refine=0"]
+QUICK += ["--set", "gaussians=all", "--set", "size=24", "--set", "frames=2", "--set", "outputs=scene,images"]
+QUICK += ["--plugin", str(HERE / "harmful.py"), "--plugin", str(HERE.parent / "flat_scene.py")]
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDIT3R_TEST_LOG", str(tmp_path / "log"))
+    for name, photo in zip("ab", packaged_pair()[0]):
+        Image.open(photo).resize((48, 32)).save(tmp_path / f"{name}.png")
+    return tmp_path
+
+
+def jobs_file(place, *prompts, **settings):
+    lines = [{"photos": ["a.png", "b.png"], "prompt": p, "seed": n, **settings} for n, p in enumerate(prompts, 1)]
+    (place / "jobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return str(place / "jobs.jsonl")
+
+
+def batch(file, out, *options):
+    return main(["batch", file, "--out", str(out), *QUICK, *options])
+
+
+def done_seeds(place):
+    return sorted(int(line.split()[0]) for line in (place / "log").read_text().splitlines())
+
+
+def contents(out):
+    """Every file and what it holds, but for the times of run.json and the sizes that the marker lists."""
+    files = [path for path in out.rglob("*") if path.is_file() and path.name not in ("run.json", ".edit3r-run")]
+    return {str(path.relative_to(out)): path.read_bytes() for path in files}
+
+
+def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
+    options = ["--size", "64", "--frames", "2", "--prompt", "make it warmer", "--fov", "50"]
+    photos = [str(place / "a.png"), str(place / "b.png")]
+    assert main(["run", *photos, *options, "--out", str(place / "run"), "--quiet"]) == 0
+    for name in ("first", "second"):  # the second finds everything loaded
+        line = {
+            "id": name,
+            "photos": ["a.png", "b.png"],
+            "prompt": "make it warmer",
+            "fov": 50,
+            "size": 64,
+            "frames": 2,
+        }
+        with (place / "jobs.jsonl").open("a") as file:
+            file.write(json.dumps({**line, "fov": 50}) + "\n")
+    assert main(["batch", str(place / "jobs.jsonl"), "--out", str(place / "out")]) == 0
+    for name in ("first", "second"):
+        made = contents(place / "out" / name)
+        assert json.loads(made.pop("job.json"))["fov"] == 50
+        assert made == contents(place / "run")
+    again = [*("--from", str(place / "out" / "second"), "--out", str(place / "more"), "--quiet"), *options[2:6]]
+    assert main(["run", *again]) == 0
+    assert "2 jobs: 2 " in capsys.readouterr().out
+
+
+def test_two_workers_leave_the_files_of_one_and_weights_are_loaded_once_in_each(place):
+    file = jobs_file(place, *"abcdef")
+    assert batch(file, place / "one") == 0
+    assert len({line.split()[2] for line in (place / "log").read_text().splitlines()}) == 1
+    (place / "log").unlink()
+    assert batch(file, place / "two", "--workers", "2") == 0
+    assert contents(place / "one") == contents(place / "two")
+    assert done_seeds(place) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(place, capsys):
+    file = jobs_file(place, "die", "ok", "fail", "crash", "ok")
+    assert batch(file, place / "out", "--workers", "2") == 1
+    told = capsys.readouterr()
+    assert "3 of 5 jobs gave no result" in told.err and "5 jobs: 3 no result, 2 " in told.out
+    summary = json.loads((place / "out" / "summary.json").read_text())
+    reasons = [row["reason"] for row in summary["rows"]]
+    assert "worker process died" in reasons[0] and reasons[2] == "the model | is not in the mood."
+    assert "ZeroDivisionError" in reasons[3] and summary["verdicts"]["no result"] == 3
+    assert r"the model \| is" in (place / "out" / "summary.md").read_text()
+    folders = {path.name for path in (place / "out").iterdir() if path.is_dir()}
+    assert folders == {"job-000002", "job-000005"}
+    assert batch(file, place / "out") == 1  # what failed is tried once more
+    assert done_seeds(place) == [1, 1, 2, 3, 3, 4, 4, 5]
+
+
+def test_a_job_with_other_settings_is_told_and_replaced_only_with_overwrite(place, capsys):
+    assert batch(jobs_file(place, *"abc"), place / "out") == 0
+    before = contents(place / "out")
+    changed = jobs_file(place, *"axc")
+    assert batch(changed, place / "out") == 2
+    assert "line 2: 'job-000002' was done with another prompt; give" in capsys.readouterr().err
+    assert contents(place / "out") == before
+    assert batch(changed, place / "out", "--overwrite") == 0
+    assert done_seeds(place) == [1, 2, 2, 3]
+    assert json.loads((place / "out" / "job-000002" / "job.json").read_text())["prompt"] == "x"
+
+
+def test_a_folder_that_is_no_job_is_left_alone(place, capsys):
+    (place / "out" / "job-000002").mkdir(parents=True)
+    (place / "out" / "job-000002" / "thesis.tex").write_text("mine")
+    assert batch(jobs_file(place, *"ab"), place / "out", "--overwrite") == 2
+    assert "thesis.tex" in capsys.readouterr().err and not (place / "out" / "job-000001").exists()
+
+
+def test_a_folder_that_was_taken_away_is_made_again(place):
+    file = jobs_file(place, *"ab")
+    assert batch(file, place / "out") == 0
+    (place / "out" / "job-000001").rename(place / "elsewhere")
+    assert batch(file, place / "out") == 0
+    assert done_seeds(place) == [1, 1, 2] and (place / "out" / "job-000001" / "run.json").is_file()
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups here")
+def test_a_killed_batch_goes_on_with_no_job_lost_or_done_twice(place):
+    file = jobs_file(place, *["wait"] * 10)
+    command = [sys.executable, "-m", "edit3r", "batch", file, "--out", str(place / "out"), *QUICK, "--workers", "2"]
+    straight = jobs_file(place, *["wait"] * 10)
+    child = subprocess.Popen([*command, "--quiet"])
+    while sum(path.name == "run.json" for path in place.glob("out/job-*/*")) < 3:
+        assert child.poll() is None
+        time.sleep(0.02)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    workers = {int(line.split()[1]) for line in (place / "log").read_text().splitlines()}
+    end = time.monotonic() + 60
+    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < end:
+        time.sleep(0.02)  # they end with the process that started them
+    finished = {path.name: path.stat().st_ino for path in (place / "out").glob("job-*")}
+    assert 3 <= len(finished) < 10
+    assert batch(straight, place / "out", "--workers", "2") == 0
+    assert {name: (place / "out" / name).stat().st_ino for name in finished} == finished
+    assert len(done_seeds(place)) <= 10 + 2  # at most the two that were in the middle
+    assert batch(straight, place / "straight") == 0
+    assert contents(place / "out") == contents(place / "straight")
+    assert not [path for path in (place / "out").iterdir() if "partial" in path.name]
+
+
+def test_two_batches_in_one_folder_are_refused(place, capsys):
+    from filelock import FileLock
+
+    (place / "out").mkdir()
+    with FileLock(place / "out" / ".batch.lock"):
+        assert batch(jobs_file(place, "a"), place / "out") == 2
+    assert "another batch is at work there" in capsys.readouterr().err

@@ -1,0 +1,108 @@
+"""Named looks: which one a prompt means, and that a look follows the surfaces and not the picture's frame."""
+
+import numpy as np
+import pytest
+import torch
+from edit3r_editors.looks import LOOKS, read_look
+from skimage import data
+
+from edit3r.cli.main import main
+from edit3r.errors import PromptError, SettingsError
+from edit3r.registry import build
+from edit3r.reporting import Report, collecting
+from edit3r.types import EditRequest, Views
+
+PHOTO = torch.from_numpy(data.astronaut()[:256, 100:420].astype(np.float32) / 255).permute(2, 0, 1)
+VIEWS = Views(torch.stack((PHOTO, PHOTO.flip(2)))[None], torch.eye(3).expand(1, 2, 3, 3), ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("prompt", "look"),
+    [
+        ("make it look like autumn", "autumn"),
+        ("As a pencil sketch, please!", "sketch"),
+        ("marble", "marble"),
+        ("turn the whole scene into a cartoon", "cartoon"),
+        ("a watercolour painting", "watercolour"),
+        ("black and white", "greyscale"),
+        ("paint it gold", "gold"),
+    ],
+)
+def test_a_prompt_chooses_a_look(prompt, look):
+    assert read_look(prompt, masked=False) == look
+
+
+@pytest.mark.parametrize(
+    ("prompt", "says"),
+    [
+        ("", "names no look"),
+        ("make it look like mars", "names no look"),
+        ("make it autunm", "Did you mean 'autumn'"),
+        ("not like winter", "negations"),
+        ("everything but the bear in gold", "negations"),
+        ("autumn or rather winter", "autumn and winter"),
+        ("turn the bear into marble", "'bear'.*--point.*--mask.*--segmenter"),
+    ],
+)
+def test_what_names_no_one_look_is_an_error_with_the_way_out(prompt, says):
+    with pytest.raises(PromptError, match=says) as caught:
+        read_look(prompt, masked=False)
+    assert "--from" in str(caught.value) or all(look in str(caught.value) for look in LOOKS)
+
+
+def test_other_words_may_say_what_is_masked():
+    assert read_look("turn the bear into marble", masked=True) == "marble"
+    with pytest.raises(PromptError, match="negations"):
+        read_look("don't turn the bear into marble", masked=True)
+
+
+def edited(prompt="", **settings) -> torch.Tensor:
+    return build("editor", "looks", **settings).edit(VIEWS, EditRequest(prompt)).images
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_a_look_is_clearly_seen_and_alike_wherever_a_surface_lies_in_the_picture(look):
+    """Cut the photo elsewhere, or mirror it, and every surface keeps its look."""
+    drawn = edited(look=look)[0, 0]
+    assert (drawn - PHOTO).abs().mean() > 0.02
+    moved = LOOKS[look].draw(PHOTO[None, :, 7:, 13:])[0]
+    inside = slice(24, -24)
+    assert (drawn[:, 7:, 13:] - moved)[:, inside, inside].abs().mean() < 0.012
+
+
+def test_looks_differ_from_each_other():
+    drawn = torch.stack([edited(look=look)[0, 0] for look in LOOKS])
+    apart = (drawn[:, None] - drawn[None]).abs().mean((2, 3, 4)) + torch.eye(len(LOOKS))
+    assert apart.min() > 0.02
+
+
+@pytest.mark.parametrize(
+    ("look", "green"), [("autumn", lambda c: c[0] > c[1] > c[2]), ("winter", lambda c: max(c) - min(c) < 0.2)]
+)
+def test_seasons_change_what_is_green(look, green):
+    meadow = torch.tensor([0.25, 0.5, 0.2])[:, None, None].expand(1, 3, 24, 24)
+    assert green(LOOKS[look].draw(meadow)[0, :, 12, 12].tolist())
+
+
+def test_greyscale_is_grey_and_strength_is_the_share_of_a_look():
+    grey = edited("black and white")
+    assert (grey - grey.mean(2, keepdim=True)).abs().max() < 1e-5
+    assert torch.equal(edited("night", strength=0), VIEWS.images)
+    assert torch.allclose(edited("night", strength=0.5), 0.5 * (VIEWS.images + edited("night")), atol=1e-6)
+
+
+def test_what_was_understood_is_noted():
+    with collecting(Report()) as report:
+        edited("make it look like autumn")
+    assert report.notes["edit.understood"].startswith("look autumn on the whole picture")
+
+
+def test_an_unknown_look_is_refused_before_any_photo_is_read():
+    with pytest.raises(SettingsError, match=r"editor\.look"):
+        build("editor", "looks", look="mars")
+
+
+def test_describe_lists_every_look(capsys):
+    assert main(["describe", "editor", "looks"]) == 0
+    told = capsys.readouterr().out
+    assert all(look in told for look in LOOKS)
