@@ -35,7 +35,7 @@ FLOATING_OPACITY = 0.02
 
 
 class Edit3rReconstructor(Reconstructor):
-    """Matched poses and depths, repaired by a network that also draws disagreeing edits to the reference's.
+    """Matched poses and depths, and a network that draws disagreeing edits to the reference's.
 
     View 0 is the reference: its edit is kept as it is. Where another view's edit is the same function of colour, that
     view keeps its own edited colours exactly, as it does without any edit.
@@ -48,7 +48,7 @@ class Edit3rReconstructor(Reconstructor):
             PartChoice(
                 name="classical", settings={"working_size": 160, "detection_size": 448, "keypoints": 2500, "planes": 64}
             ),
-            description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
+            description="reads pose and depth from the photos; coarser and quicker than on its own",
         )
         weights: str = Field(
             "shipped",
