@@ -176,18 +176,18 @@ def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator
                 idle.append(worker)
             except _WorkerDied as error:
                 if not workers.may_die:
-                    raise RunError(f"{error}; what is done is kept: run again, {_LESS_MEMORY}.") from None
-                row = key, {"failure": f"{error}; run again, {_LESS_MEMORY}."}
+                    raise RunError(f"{error} What is done is kept.") from None
+                row = key, {"failure": str(error)}
             yield row
     finally:
         crew.end()
 
 
-_LESS_MEMORY = "with fewer --workers if memory is short"
-
-
 class _WorkerDied(Exception):
     """A worker ended in the middle of a job."""
+
+    def __str__(self) -> str:
+        return "the worker process died: out of memory, or a crash inside a library; run again, with fewer --workers."
 
 
 class _InProcesses:
@@ -213,7 +213,7 @@ class _InProcesses:
         try:
             return future.result()
         except BrokenProcessPool:
-            raise _WorkerDied("the worker process died: out of memory, or a crash inside a library") from None
+            raise _WorkerDied from None
 
     def end(self) -> None:
         for pool in self._pools:
@@ -252,7 +252,7 @@ class _OnRay:
         self._started = not ray.is_initialized()
         if self._started:
             here = {"num_cpus": workers.count * cores, "include_dashboard": False}
-            ray.init(log_to_driver=False, **({} if os.environ.get("RAY_ADDRESS") else here))
+            ray.init(log_to_driver=False, logging_level="ERROR", **({} if os.environ.get("RAY_ADDRESS") else here))
         self._actor = ray.remote(num_cpus=cores)(_Task)
 
     def start(self) -> Any:
@@ -271,8 +271,8 @@ class _OnRay:
             return self._ray.get(ticket)
         except exceptions.RayTaskError as error:
             raise error.cause from None
-        except exceptions.RayError as error:
-            raise _WorkerDied(f"the worker died ({' '.join(str(error).split())[:300]})") from None
+        except exceptions.RayError:
+            raise _WorkerDied from None
 
     def end(self) -> None:
         if self._started:

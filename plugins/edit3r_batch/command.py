@@ -43,6 +43,7 @@ class BatchCommand(Command):
 
         from edit3r.config import find_config, merge, parse_assignments, read_yaml
         from edit3r.registry import default_registry
+        from edit3r.verdict import LABELS
         from edit3r.workers import Workers
         from edit3r_batch.jobs import read_jobs
 
@@ -64,7 +65,8 @@ class BatchCommand(Command):
         counts = Counter(row["verdict"] for row in rows)
         _write_summary(out, rows, counts)
         if not args.quiet:
-            print(_table(sorted(rows, key=lambda row: row["verdict"] != NO_RESULT)[:MOST_SHOWN], longest=80))
+            worst = [NO_RESULT, *reversed(LABELS)]
+            print(_table(sorted(rows, key=lambda row: worst.index(row["verdict"]))[:MOST_SHOWN], longest=80))
             print(f"{_counted(counts)}; {out / 'summary.md'}")
         if counts[NO_RESULT]:
             raise RunError(f"{counts[NO_RESULT]} of {len(rows)} jobs gave no result; {out / 'summary.md'} says why.")

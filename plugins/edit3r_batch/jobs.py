@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
+from edit3r.cli.run import check_names
 from edit3r.config import Settings, make_settings, merge
 from edit3r.errors import Edit3rError, InputError, SettingsError, suggest
 from edit3r.io.coverage import USUAL_FRAMES, VIDEO_SUFFIXES
@@ -129,8 +130,7 @@ def _check(job: Job, registry: Registry, checked: set[str]) -> None:
         except OSError as error:
             raise InputError(f"{str(path)[:200]}: {error.strerror}.") from None
     config = make_run_config(job.settings, photos=count)
-    chosen = [(kind, choice) for kind in PART_KEYS if (choice := getattr(config, kind)) is not None]
-    for kind, choice in (*chosen, *(("refiner", choice) for choice in config.all_refiners())):
-        if (key := f"{kind} {choice!r}") not in checked:
-            registry.check(kind, choice)
-            checked.add(key)
+    choices = repr((*(getattr(config, kind) for kind in PART_KEYS), *config.all_refiners()))
+    if choices not in checked:
+        check_names(registry, config)
+        checked.add(choices)

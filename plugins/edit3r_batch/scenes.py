@@ -1,34 +1,26 @@
 """What a worker does with a job: the run, as `edit3r run` does it, with what the jobs before have loaded."""
 
+import argparse
 import errno
-import hashlib
 import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from edit3r.cli.marks import selection_from
+from edit3r.cli.run import read_photos, with_known_poses
 from edit3r.config import PartChoice
 from edit3r.errors import RunError, as_known
 from edit3r.io.atomic import MARKER, atomic_folder
-from edit3r.io.coverage import USUAL_FRAMES, choose_photos, frame_origins
-from edit3r.io.images import LoadedPhotos, find_photos, load_photos
-from edit3r.io.masks import load_masks
+from edit3r.io.coverage import USUAL_FRAMES, frame_origins
+from edit3r.io.images import find_photos
 from edit3r.plugins import load_plugins
-from edit3r.quality import note_quality
 from edit3r.registry import Registry
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
 from edit3r_batch.jobs import Job
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from edit3r.selection import Selection
 
 RECORD = "job.json"
 """In the folder of each job beside what a run leaves: what was asked for."""
@@ -64,48 +56,38 @@ class SceneRunner:
 
     def __call__(self, job: Job) -> dict[str, Any]:
         """Do the job, unless its folder is there, and return its row; a failure is a row too, with its sentence."""
-        folder, paths = self.out / job.id, []
+        folder = self.out / job.id
         try:
             if record_of(folder) != job.record:
-                most = max(USUAL_FRAMES, int(job.settings.get("views") or 0))
-                paths = find_photos([job.path(name) for name in job.wish.photos], most)
-                self._run(job, folder, paths)
+                with atomic_folder(folder, self.overwrite) as partial:
+                    self._run(job, partial)
             return row_of(folder)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise as_known(error) from None  # the next job would fail as well
             return {"failure": " ".join(str(as_known(error)).split())}
+
+    def _run(self, job: Job, folder: Path) -> None:
+        from edit3r import pipeline, results
+
+        report, wish, paths = Report(), job.wish, []
+        marks = {key: list(getattr(wish, key)) for key in ("point", "not_point", "box")}
+        marks |= {"images": True, "earlier": None, "mask": [job.path(name) for name in wish.mask]}
+        cameras = job.path(wish.cameras) if wish.cameras else None
+        try:
+            with collecting(report), report.stage("read photos"):
+                most = max(USUAL_FRAMES, int(job.settings.get("views") or 0))
+                paths = find_photos([job.path(name) for name in wish.photos], most)
+                config = make_run_config(job.settings, photos=len(paths))
+                photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks))
+                if cameras:
+                    config = with_known_poses(config, photos.views, self.registry)
+            result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)
+            results.write(folder, replace(result, records=photos.photos, mask_files=hashes))
         finally:
             for taken in {path.parent for path in paths if path in frame_origins}:  # frames of a video
                 shutil.rmtree(taken, ignore_errors=True)
-
-    def _run(self, job: Job, folder: Path, paths: list[Path]) -> None:
-        from edit3r import pipeline, results
-
-        report, wish = Report(), job.wish
-        with atomic_folder(folder, self.overwrite) as partial, collecting(report):
-            config = make_run_config(job.settings, photos=len(paths))
-            cameras = job.path(wish.cameras) if wish.cameras else None
-            with report.stage("read photos"):
-                used = choose_photos(paths, config.views)
-                photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
-                files = [job.path(name) for name in wish.mask]
-                if len(files) == len(paths):  # one for each photo, used or not
-                    files = [file for file, path in zip(files, paths) if path in used]
-                masks = _masks(job, files, photos)
-                note_quality(config.model_dump(), len(paths))
-            result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)
-            hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files}
-            results.write(partial, replace(result, records=photos.photos, mask_files=hashes))
-            (partial / RECORD).write_text(json.dumps(job.record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def _masks(job: Job, files: list[str], photos: LoadedPhotos) -> "Tensor | Selection | None":
-    """Masks of all photos, or what is marked on some of them."""
-    if files and len(files) == len(photos.photos):
-        return load_masks(files, photos)
-    marks = {key: list(getattr(job.wish, key)) for key in ("point", "not_point", "box")}
-    return selection_from(SimpleNamespace(**marks, mask=files), photos)
+        (folder / RECORD).write_text(json.dumps(job.record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def record_of(folder: Path) -> dict[str, Any]:
