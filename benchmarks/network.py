@@ -1,4 +1,4 @@
-"""Time, memory and error of the NoPoSplat network in every precision and engine; regenerates the table in the docs.
+"""Time, memory and error of the NoPoSplat network in every precision; regenerates the table in the docs.
 
     python benchmarks/network.py --size full --threads 1 --write docs/network.md
 
@@ -21,14 +21,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 MODES = {
-    "float32, eager": {"precision": "float32", "engine": "eager"},
-    "float32, packed": {"precision": "float32", "engine": "packed"},
-    "float32, compile": {"precision": "float32", "engine": "compile"},
-    "bfloat16, packed": {"precision": "bfloat16", "engine": "packed"},
-    "bfloat16 backbone, float32 heads": {"precision": "bfloat16", "head_precision": "float32", "engine": "packed"},
-    "int8 linears, float32 heads": {"precision": "int8", "head_precision": "float32", "engine": "packed"},
-    "int8 linears, bfloat16 heads": {"precision": "int8", "head_precision": "bfloat16", "engine": "packed"},
-    "int8 linears and convolutions": {"precision": "int8", "head_precision": "int8", "engine": "packed"},
+    "float32": {"precision": "float32"},
+    "auto": {"precision": "auto"},
+    "bfloat16": {"precision": "bfloat16"},
+    "bfloat16 backbone, float32 heads": {"precision": "bfloat16", "head_precision": "float32"},
+    "int8 linears, float32 heads": {"precision": "int8", "head_precision": "float32"},
+    "int8 linears, bfloat16 heads": {"precision": "int8", "head_precision": "bfloat16"},
+    "int8 linears and convolutions": {"precision": "int8", "head_precision": "int8"},
 }
 SIZES = {
     "full": ({}, {}, (256, 256)),
@@ -143,7 +142,7 @@ def _plain(size: str) -> Callable:
     from edit3r_model.gaussian_adapter import adapt
     from plain_noposplat import PlainNetwork
 
-    network = _reconstructor(size, {"engine": "eager"})
+    network = _reconstructor(size, {})
     depth, decoder_depth = network.backbone.settings.depth, network.backbone.settings.decoder_depth
     plain = PlainNetwork({k: v.detach() for k, v in network.named_parameters()}, depth, decoder_depth)
 

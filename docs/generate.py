@@ -238,7 +238,9 @@ def parts_part(kind: str, _: str | None) -> str:
 def tried(kind: str, component: Component) -> str:
     """Say what ran on real photos and with which weights; all else only in the tests."""
     found, key = measured(), {"reconstructor": "recon"}.get(kind, kind)
-    shown = [row for row in found["rows"] if row.get(key) == component.name and "error" not in row]
+    shown = [
+        row for row in found["rows"] if row.get(key, "").partition(" ")[0] == component.name and "error" not in row
+    ]
     said = ["real photos, below"] if shown else []
     for weights in component.weights:
         real = shown and weights.name in found["weights_at_hand"]

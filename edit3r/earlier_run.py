@@ -66,7 +66,7 @@ def _read(root: str | Path, reader: Callable[[Path, dict[str, Any]], Read]) -> R
     """What `reader` makes of the folder and the content of its run.json."""
     root = Path(root)
     if not root.is_dir():
-        raise InputError(f"{root}: no such folder; --from takes the folder of an earlier run.")
+        raise InputError(f"{root}: no such folder; expected that of an earlier run, as edit3r run wrote it with --out.")
     folder = RunFolder(root)
     for needed in (folder.manifest, folder.scene, folder.cameras):
         if not needed.is_file():

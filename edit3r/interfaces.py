@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn.functional import interpolate
 
 from edit3r.command import Command
 from edit3r.config import Settings
@@ -183,7 +184,8 @@ class Reconstructor(Configured, ABC):
         """Reconstruct `views`; `source` is the same photos before editing, which agree with each other.
 
         `request` is what the views were edited by; a reconstructor that edits by itself (`edits_views`) needs it,
-        others ignore it. Poses that somebody knows are `views.c2w`; it may ignore them, and give its own.
+        others may heed its `grid` alone: the cameras they return then have the grid's `image_size`. Poses that somebody
+        knows are `views.c2w`; it may ignore them, and give its own.
 
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
@@ -243,6 +245,13 @@ class MatchedGeometry:
     def calibrated(self, views: Views) -> Views:
         """`views` with the intrinsics that this geometry was read with."""
         return views if self.intrinsics is None else replace(views, intrinsics=self.intrinsics)
+
+    def at(self, size: tuple[int, int]) -> "MatchedGeometry":
+        """This geometry for views of another (height, width) [pixels]."""
+        depths, confidence = (  # nearest: depths are never mixed across an edge
+            interpolate(maps, size, mode="nearest-exact") for maps in (self.depths, self.confidence)
+        )
+        return replace(self, depths=depths, confidence=confidence)
 
 
 class Matcher(Configured, ABC):

@@ -19,14 +19,14 @@ from torch import Tensor
 from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError, MatchingError, PromptError
+from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
 from edit3r.io.images import Photo
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.run_config import DEFAULTS, RunConfig
-from edit3r.selection import Selection, select_masks
+from edit3r.selection import Selection, geometry_of, select_masks
 from edit3r.stage_checks import (
     check_edit,
     check_reconstruction,
@@ -123,7 +123,7 @@ def run(
             scene = _reconstruct(parts.reconstructor, edited if parts.editor.changes_shape else source, request, edited)
             request = replace(request, masks=_masks_of_change(request, views, edited, earlier, config))
             before = _scene_before(request, parts, reconstruct, source, earlier)
-        scene = scene if before is None else replace(scene, cameras=before.cameras)
+        scene = scene if before is None else replace(scene, cameras=before.cameras.at(scene.cameras.image_size))
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = replace(request, before=None if before is None else before.gaussians)
@@ -135,7 +135,7 @@ def run(
         photos=source.select(used),
         edited=edited,
         gaussians=gaussians,
-        cameras=scene.cameras,
+        cameras=scene.cameras.at(edited.image_size),
         request=replace(request, before=None),
         editor=parts.editor,
         reconstructor=parts.reconstructor,
@@ -196,12 +196,8 @@ class _Components:
 
 def _masks_of(selection: Selection, parts: _Components, views: Views) -> Float[Tensor, "1 view height width"]:
     """Masks of what a user selected, carried between views by the reconstructor's own matcher where it has one."""
-    matcher, geometry = getattr(parts.reconstructor, "parts", {}).get("matcher"), None
-    if matcher is not None and views.count > 1 and len(set(selection.masks)) < views.count:
-        try:
-            geometry = matcher.match(views)
-        except MatchingError as error:
-            warn(f"masks are carried by what the photos show, not by geometry: {error}")
+    carried = len(set(selection.masks)) < views.count
+    geometry = geometry_of(getattr(parts.reconstructor, "parts", {}).get("matcher"), views) if carried else None
     with torch.no_grad():
         selected = select_masks(views.images[0], selection, parts.any_segmenter, geometry, views.intrinsics)
     return selected.masks.transpose(0, 1)
@@ -231,7 +227,8 @@ def _request(parts: _Components, views: Views, masks: Tensor | None, config: Run
     """The wish as the stages get it; without masks, a segmenter that was asked for finds what the prompt is about."""
     from edit3r.mask_from_prompt import masks_from_prompt
 
-    request = EditRequest(config.prompt, config.seed, masks, config.guess)
+    grid = config.grid if config.refine else 1.0
+    request = EditRequest(config.prompt, config.seed, masks, config.guess, grid)
     segmenter = parts.own_segmenter if masks is None else None
     if segmenter is None:
         if masks is None and parts.editor.needs_masks:
@@ -342,7 +339,7 @@ def _scene_before(
         return earlier.scene
     if parts.reconstructor.edits_views:  # it has no answer for photos that are not to be edited
         return None
-    return recall("before", parts.reconstructor, source, lambda: reconstruct(source))
+    return recall("before", parts.reconstructor, (source, request.grid), lambda: reconstruct(source))
 
 
 def _refine(
@@ -370,6 +367,7 @@ def _judged(
 ) -> tuple[Rendering, Verdict]:
     """The refined scene from its input views, and the verdict."""
     first, rendered = (
-        render_each(parts.rasterizer, of, scene.cameras, "render input views") for of in (scene.gaussians, gaussians)
+        render_each(parts.rasterizer, of, scene.cameras.at(size), "render input views")
+        for of, size in ((scene.gaussians, scene.cameras.image_size), (gaussians, edited.image_size))
     )
     return rendered, judge(edited, first, rendered, placed, scene.measured)

@@ -74,11 +74,11 @@ def note(key: str, value: Any) -> None:
 
 
 def say(key: str, text: str) -> None:
-    """Note a choice that was made for the user, and show it; once per text."""
+    """Note a choice that was made for the user under `key`, such as 'matcher.picked', and show it; once per text."""
     report = _current.get()
     if report is not None and report.notes.get(key) != text:
         note(key, text)
-        report.emit("say", f"{key}: {text}")
+        report.emit("say", f"{key.partition('.')[0]}: {text}")
 
 
 def warn(text: str) -> None:

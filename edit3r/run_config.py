@@ -65,7 +65,14 @@ class RunConfig(Settings):
     max_gaussians: int | None = Field(
         None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
     )
-    refine: int = Field(15, ge=0, le=10000, description="most photometric steps towards the edited views")
+    refine: int = Field(40, ge=0, le=10000, description="most photometric steps, each towards one edited view")
+    grid: float = Field(
+        0.67,
+        gt=0,
+        le=1,
+        description="share of the photos' sides at which Gaussians are made, one a pixel, where --refine follows, "
+        "which brings the detail of the photos themselves; 1: at the photos' own",
+    )
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
     )

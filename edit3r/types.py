@@ -20,6 +20,7 @@ from typing import TypeVar
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 MAX_DEGREE = 4
 Moved = TypeVar("Moved", bound="_Tensors")
@@ -79,6 +80,13 @@ class Views(_Tensors):
         """(height, width) [pixels]."""
         return self.images.shape[3], self.images.shape[4]
 
+    def at(self, size: tuple[int, int]) -> "Views":
+        """The views with images of another (height, width) [pixels]."""
+        if size == self.image_size:
+            return self
+        small = interpolate(self.images.flatten(0, 1), size, mode="bilinear", antialias=True)
+        return replace(self, images=small.unflatten(0, self.images.shape[:2]))
+
     def select(self, indices: Iterable[int]) -> "Views":
         """The views at `indices`, in that order."""
         index = list(indices)
@@ -96,11 +104,16 @@ class EditRequest(_Tensors):
     seed: int = 0  # one for all views, so that every view gets the same edit
     masks: Float[Tensor, "batch view height width"] | None = None  # in [0, 1]; 1: may change; None: everywhere
     guess: bool = False  # True: the user allows a guess at what is meant, where nobody can tell
+    grid: float = 1.0  # share of the views' sides at which Gaussians are made, one a pixel, in (0, 1]
     before: "Gaussians | None" = None  # the scene before this edit, same cameras, for refiners that ask for it
 
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
+
+    def grid_of(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(height, width) of the grid of Gaussians over images of `size`."""
+        return max(1, round(self.grid * size[0])), max(1, round(self.grid * size[1]))
 
     def of_views(self, indices: Iterable[int]) -> "EditRequest":
         """The same request for the views at `indices` only."""
@@ -131,6 +144,10 @@ class Cameras(_Tensors):
         """The cameras at `indices`, in that order."""
         index = list(indices)
         return Cameras(self.c2w[:, index], self.intrinsics[:, index], self.image_size)
+
+    def at(self, size: tuple[int, int]) -> "Cameras":
+        """The cameras with images of another (height, width) [pixels]."""
+        return replace(self, image_size=tuple(size))
 
 
 @dataclass(frozen=True, repr=False)

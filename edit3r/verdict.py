@@ -50,8 +50,9 @@ def judge(
     """Judge the rendering of the placed views against their edited images.
 
     `first` shows the scene before any refiner and decides, unless `rendered`, the final one, is worse: photometric
-    steps make every scene show its own photos, whether other viewpoints gain or not. `placed` has one entry for each
-    photo used; `edited`, the renderings and `measured` (share of pixels with measured depth, None where nobody knows
+    steps make every scene show its own photos, whether other viewpoints gain or not. It is compared at its own size,
+    that of the grid of Gaussians. `placed` has one entry for each photo used; `edited`, the renderings and `measured`
+    (share of pixels with measured depth, None where nobody knows
     it) hold the placed ones only. Of several scenes the worst counts.
     """
     before, psnr = (_psnr(rendering, edited) for rendering in (first, rendered))
@@ -63,7 +64,7 @@ def judge(
 
 def _psnr(rendered: Rendering, edited: Views) -> list[float]:
     """PSNR [dB] of each view; of several scenes the worst counts."""
-    difference = rendered.images.clamp(0, 1) - edited.images
+    difference = rendered.images.clamp(0, 1) - edited.at(rendered.images.shape[-2:]).images
     error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
     return (-10 * torch.log10(error)).tolist()
 

@@ -31,7 +31,6 @@ SETTINGS: dict[tuple[str, str], dict] = {
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
-    ("reconstructor", "noposplat"): {"trained_with": {"engine": "eager"}},
 }
 """What its contract needs to know."""
 

@@ -43,7 +43,8 @@ class ClassicalReconstructor(Reconstructor):
 
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         geometry = self.matcher.match(views if source is None else source)
-        views = geometry.calibrated(views)
+        grid = views.image_size if request is None else request.grid_of(views.image_size)
+        measured, views, geometry = geometry.measured, geometry.calibrated(views).at(grid), geometry.at(grid)
         chosen = self.settings
         guessed = torch.where(seen_by_others(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
         opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
@@ -56,4 +57,4 @@ class ClassicalReconstructor(Reconstructor):
             gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
         if chosen.apron > 0:
             gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
-        return Reconstruction(gaussians, cameras, geometry.registered, geometry.measured)
+        return Reconstruction(gaussians, cameras, geometry.registered, measured)

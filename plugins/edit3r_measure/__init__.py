@@ -1,8 +1,19 @@
-"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`."""
+"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`, and a data set to measure on."""
 
 from edit3r import Component, hookimpl
 
 EDIT3R_API = 1
+
+
+@hookimpl
+def register_datasets() -> list[Component]:
+    return [
+        Component(
+            "implicit",
+            "edit3r_measure.implicit_scenes:ImplicitDataset",
+            "smooth bodies coloured by formulas, with exact poses, depth and edited truth; to measure on",
+        )
+    ]
 
 
 @hookimpl

@@ -1,8 +1,9 @@
-"""`edit3r bench build|run|report`: the editing benchmark.
+"""`edit3r bench build|run|grid|report`: the editing benchmark.
 
 build   folder of photos | generated scenes  ->  manifest.json             (`bench_build`, `bench_proposals`)
 run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`)
-report  folders of results                   ->  tables, plots, a page     (`bench_report`, `bench_page`)
+grid    manifest                             ->  the same for all pairs    (`bench_grid`)
+report  folders of results                   ->  tables, a page            (`bench_report`, `bench_page`)
 """
 
 import argparse
@@ -28,7 +29,7 @@ class BenchCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the three steps and their options."""
         parser.set_defaults(step_main=lambda args: parser.print_help() or 2)  # when no step is named
-        steps = parser.add_subparsers(metavar="build|run|report")
+        steps = parser.add_subparsers(metavar="build|run|grid|report")
         for name, (declare, main) in STEPS.items():
             step = steps.add_parser(name, help=declare.__doc__, description=declare.__doc__)
             declare(step)
@@ -55,11 +56,12 @@ def _declare_build(parser: argparse.ArgumentParser) -> None:
     add("--labels", default="", metavar="A,B", help="what the photos show; with --detector what it looks for")
     add("--detector", metavar="NAME", help="finds labels and boxes, such as grounding-dino")
     add("--segmenter", metavar="NAME", help="cuts masks out of the boxes, such as sam2 or classical")
+    add("--truth", metavar="EDITOR", help="edits the held-back photos too, such as recolor: its pictures are the truth")
     add("--llm", metavar="URL", help="OpenAI-compatible address of a language model that proposes edits")
     add("--llm-model", metavar="NAME", help="its name there; its key is read from OPENAI_API_KEY")
     add("--vetting", metavar="FILE", help="vetting file (default: beside --out, NAME.vetting.yaml)")
     add("--no-vetting", action="store_true", help="take the first five proposals of each scene unseen")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="detector.*, segmenter.* or generator.*")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="of generator, detector, segmenter or truth")
     _add_common(parser)
 
 
@@ -97,8 +99,11 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
 
     if (args.llm is None) != (args.llm_model is None):
         raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
-    registry, settings = default_registry(tuple(args.plugin)), _component_settings(args, {"detector", "segmenter"})
-    named = {"detector": args.detector, "segmenter": args.segmenter}
+    registry, settings = (
+        default_registry(tuple(args.plugin)),
+        _component_settings(args, {"detector", "segmenter", "truth"}),
+    )
+    named = {"detector": args.detector, "segmenter": args.segmenter, "truth": args.truth}
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
     given = {
@@ -110,7 +115,11 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
         "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
         "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
     }
-    tools = {kind: registry.build(kind, name, **settings.get(kind, {})) for kind, name in named.items() if name}
+    tools = {
+        kind: registry.build("editor" if kind == "truth" else kind, name, **settings.get(kind, {}))
+        for kind, name in named.items()
+        if name
+    }
     build = make_settings(PhotoBuild, {**given, **tools, **_image_size(args)}, where="build")
     if args.no_vetting:
         return build.manifest(build.propose())
@@ -157,12 +166,23 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
     add("--clip", default="", metavar="MODEL", help="measure CLIP t2i and direction with this model or folder")
     add("--inception", default="", metavar="FILE", help="measure C-FID and C-KID with inception-2015-12-05.pt")
     add("--lpips", action="store_true", help="measure LPIPS against the truth (extra lpips)")
-    add("--no-effnet", action="store_true", help="leave the EfficientNet variants of C-FID and C-KID out")
+    add("--no-order", action="store_true", help="do not reconstruct again with the inputs in another order")
+    add("--no-effnet", action="store_true", help="leave out what EfficientNet's features measure")
     add("--no-verify", action="store_true", help="accept pictures that differ from the manifest's hashes")
     _add_common(parser)
 
 
 def _run(args: argparse.Namespace) -> int:
+    _run_methods(args, _methods(args), whole_folder=not args.config)
+    if not args.quiet:
+        print(f"next: edit3r bench report {args.out}")
+    return 0
+
+
+def _run_methods(
+    args: argparse.Namespace, methods: "list[tuple[int, Method]]", whole_folder: bool = False, every_error: bool = False
+) -> None:
+    """Take each method through the manifest, into a folder of its own inside `--out` or into the `whole_folder`."""
     from edit3r.workers import Workers
     from edit3r_measure.bench_item import BenchRun, run_bench
     from edit3r_measure.bench_manifest import EDIT_TYPES
@@ -172,29 +192,28 @@ def _run(args: argparse.Namespace) -> int:
     types = tuple(args.types.split(",")) if args.types else ()
     if set(types) - set(EDIT_TYPES):
         raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")
-    metrics = MetricSettings(effnet=not args.no_effnet, inception=args.inception, clip=args.clip, lpips=args.lpips)
+    networks = {"effnet": not args.no_effnet, "inception": args.inception, "clip": args.clip, "lpips": args.lpips}
+    metrics = MetricSettings(**networks, order=not args.no_order)
     workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads)
     out = Path(args.out)
-    for position, method in _methods(args):
+    for position, method in methods:
         run = BenchRun(
             manifest_file=Path(args.manifest),
             method=method,
-            out=out / method.label if args.config else out,
+            out=out if whole_folder else out / method.label,
             metrics=metrics,
             scenes=args.scenes,
             edits=args.edits,
             types=types,
             plugins=tuple(args.plugin),
             verify=not args.no_verify,
+            every_error=every_error,
             position=position,
         )
         results = run_bench(run, workers, (lambda _: None) if args.quiet else partial(_print_progress, method.label))
         if not args.quiet:
             failed = sum(bool(result.failure) for result in results.values())
             print(f"{method.label}: {len(results)} edits, {failed} failed; {run.out}")
-    if not args.quiet:
-        print(f"next: edit3r bench report {out}")
-    return 0
 
 
 def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
@@ -216,6 +235,37 @@ def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
     return [(n, method) for n, method in enumerate(methods) if not args.only or method.label in args.only]
 
 
+def _declare_grid(parser: argparse.ArgumentParser) -> None:
+    """Take every installed editor with every reconstructor through a benchmark: one table, one page."""
+    _declare_run(parser)
+    parser.add_argument(
+        "--pictures", type=int, default=5, metavar="N", help="most edits shown with pictures (default 5)"
+    )
+    parser.epilog = "--editor and --recon take names with commas between; --set reconstructor.refit.steps=50"
+
+
+def _grid(args: argparse.Namespace) -> int:
+    from edit3r.registry import default_registry
+    from edit3r_measure.bench_grid import pairs_of, write_grid
+
+    if args.config or args.only:
+        raise SettingsError("edit3r bench grid: --config and --only belong to edit3r bench run.")
+    asked = {
+        kind: [name.strip() for name in (names or "").split(",") if name.strip()]
+        for kind, names in (("editor", args.editor), ("reconstructor", args.recon))
+    }
+    common = {"rasterizer": args.rasterizer} if args.rasterizer else {}
+    settings = _component_settings(args, set(asked))
+    pairs = pairs_of(default_registry(tuple(args.plugin)), asked, common, settings)
+    tried = [(n, method) for n, (method, skipped) in enumerate(pairs.values()) if not skipped]
+    _run_methods(args, tried, every_error=True)
+    table = write_grid(Path(args.out), pairs, args.pictures)
+    if not args.quiet:
+        print(table)
+        print(Path(args.out) / "index.html")
+    return 0
+
+
 def _print_progress(label: str, progress: "Progress") -> None:
     """Print one line about an item, with the time left."""
     failure, seconds = progress.row["failure"], progress.seconds_left
@@ -229,7 +279,7 @@ def _print_progress(label: str, progress: "Progress") -> None:
 
 
 def _declare_report(parser: argparse.ArgumentParser) -> None:
-    """Write tables, plots and one page from the results of several methods."""
+    """Write tables and one page from the results of several methods."""
     add = parser.add_argument
     add("folders", nargs="+", metavar="DIR", help="folders of edit3r bench run, or folders of such")
     add("--out", metavar="DIR", help="folder for the report (default: report/ in the first folder)")
@@ -266,5 +316,10 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
-STEPS = {"build": (_declare_build, _build), "run": (_declare_run, _run), "report": (_declare_report, _report)}
+STEPS = {
+    "build": (_declare_build, _build),
+    "run": (_declare_run, _run),
+    "grid": (_declare_grid, _grid),
+    "report": (_declare_report, _report),
+}
 """Each step of the command: what declares its options, with its help, and what does it."""

@@ -13,13 +13,14 @@ from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.errors import InputError
-from edit3r.interfaces import Detector, SceneSample, Segmenter
+from edit3r.interfaces import Detector, Editor, SceneSample, Segmenter
 from edit3r.io.atomic import atomic_write
 from edit3r.io.cameras import CAMERA_FILES, read_cameras
-from edit3r.io.images import evenly, find_photos, load_photos
+from edit3r.io.images import evenly, find_photos, load_photos, save_image
 from edit3r.registry import Registry
 from edit3r.reporting import progress, track, warn
 from edit3r.stage_checks import component_name
+from edit3r.types import EditRequest
 from edit3r_measure import bench_proposals
 from edit3r_measure.bench_manifest import (
     EDITS_PER_SCENE,
@@ -63,6 +64,7 @@ class GeneratedSettings(Settings):
     image_size: int = Field(128, ge=32, le=1024, description="height and width of the pictures [pixels]")
     seed: int = Field(2026, ge=0, description="of the scenes")
     frames: int = Field(4, ge=3, le=16, description="pictures a scene; first and last are given, the rest held back")
+    inputs: int = Field(2, ge=2, le=15, description="how many of them are given, evenly spaced")
     angles: tuple[float, float] = Field((3.0, 8.0), description="between neighbouring pictures [degrees]")
     area: tuple[float, float] = Field((0.02, 0.5), description="share of every picture that a local edit must cover")
     change: float = Field(0.05, ge=0, description="least mean absolute change where it changes [sRGB]")
@@ -94,6 +96,7 @@ def build_generated(scenes: int, settings: GeneratedSettings, registry: Registry
 def _generated_items(name: str, index: int, settings: GeneratedSettings, registry: Registry) -> list[ItemRecord] | None:
     """Return the five edits of scene `index`; None as soon as one of them is hardly to be seen."""
     items = []
+    inputs = tuple(evenly(range(settings.frames), settings.inputs))
     drawn = {"seed": settings.seed, "image_size": settings.image_size, "context": settings.frames, "targets": 0}
     for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
         own = {**drawn, "angles": list(settings.angles), **edit}
@@ -108,8 +111,8 @@ def _generated_items(name: str, index: int, settings: GeneratedSettings, registr
                 type=kind,
                 prompt=prompt,
                 seed=EDITS_PER_SCENE * index + number,
-                inputs=(0, settings.frames - 1),
-                held_back=tuple(range(1, settings.frames - 1)),
+                inputs=inputs,
+                held_back=tuple(frame for frame in range(settings.frames) if frame not in inputs),
                 sample=record.model_copy(update={"sha256": hash_of_sample(sample)}),
             )
         )
@@ -193,6 +196,7 @@ class PhotoBuild(Settings):
     detector: Detector | None = None
     segmenter: Segmenter | None = None
     model: LanguageModel | None = None
+    truth: Editor | None = None  # edits all frames, held-back ones too; what it makes is the truth
 
     @cached_property
     def scenes(self) -> list[PhotoFolder]:
@@ -259,6 +263,7 @@ class PhotoBuild(Settings):
                 inputs=scene.inputs,
                 held_back=scene.held_back,
                 masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
+                truth=self._truth(name, scene, edit),
             )
             for name, edit in zip(names, edits)
         ]
@@ -280,6 +285,23 @@ class PhotoBuild(Settings):
             for file, mask in zip(files, masks):
                 with atomic_write(file) as partial:
                     Image.fromarray((mask * 255).round().byte().numpy()).save(partial)
+        return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
+
+    def _truth(self, item: str, scene: PhotoFolder, edit: ProposedEdit) -> tuple[FrameRecord, ...]:
+        """Write every frame as the editor that makes the truth edits it; none without one."""
+        if self.truth is None:
+            return ()
+        frames = (*scene.inputs, *scene.held_back)
+        views = load_photos([scene.path / scene.files[index] for index in frames], size=self.image_size).views
+        edited = self.truth.edit(views, EditRequest(edit.prompt, self.seed, guess=True)).images[0]
+        change = (edited - views.images[0]).abs().amax((1, 2, 3))
+        unchanged = [scene.files[index] for index, most in zip(frames, change) if most <= VISIBLE]
+        if unchanged:
+            raise InputError(f"scene {scene.id!r}, {edit.prompt!r}: the editor left {unchanged[0]} as it was; drop it.")
+        folder = make_folder(self.out.parent / f"{self.out.stem}-truth")
+        files = [folder / f"{item}-{index:03d}.png" for index in frames]
+        for file, image in zip(files, edited):
+            save_image(image, file)
         return tuple(FrameRecord(file=self._relative(file), sha256=hash_of_file(file)) for file in files)
 
     def _relative(self, path: Path) -> str:

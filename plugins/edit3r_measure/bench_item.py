@@ -12,20 +12,23 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from jaxtyping import Float
 from pydantic import Field, field_validator, model_validator
+from torch import Tensor
 
 import edit3r
 from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.errors import InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
+from edit3r.errors import Edit3rError, InputError, MatchingError, PluginError, PromptError, RunError, SettingsError
 from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.paths import between_and_around
 from edit3r.interfaces import Editor
 from edit3r.io.images import save_image
 from edit3r.io.run_folder import installed_versions
+from edit3r.pipeline import composite
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, StageRecord, collecting
-from edit3r.types import Cameras
+from edit3r.types import Cameras, EditRequest
 from edit3r.workers import Progress, Workers, read_rows, run_resumable
 from edit3r_measure.bench_manifest import ItemRecord, LoadedItem, Manifest, load_item, read_bench_manifest
 from edit3r_measure.bench_metrics import (
@@ -34,6 +37,7 @@ from edit3r_measure.bench_metrics import (
     MetricSettings,
     measure,
     measure_failure,
+    remark,
     score,
 )
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
@@ -57,6 +61,13 @@ class Method(Settings):
     reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
     rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
     edit_views: Literal["all", "first"] = Field("all", description="edit every view, or the reference only")
+    edit_renders: bool = Field(
+        False, description="reconstruct the photos, and edit its renderings one by one: no edited scene is made"
+    )
+    gaussians_of: Literal["all", "first"] = Field(
+        "all", description="first: show only those of the reference (single-view lifting)"
+    )
+    run: dict[str, Any] = Field(default_factory=dict, description="settings of the run, such as refine: 0")
     poses: bool = Field(True, description="hand true poses to reconstructors that read them, where they are known")
     truth: bool | None = Field(
         None, description="judge by the edited truth where it is known; default: for the oracle, whose edit it is"
@@ -115,6 +126,11 @@ class ItemResult:
     timing: Mapping[str, Any] | None = None  # as `timing_of` tells it; None after a failure
     facts: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def remark(self) -> str:
+        """That the edit changed nothing, in words; "" when it did or failed."""
+        return "" if self.failure else remark(self.metrics)
+
 
 def read_results(folder: Path) -> dict[str, ItemResult]:
     """Return the results of a folder by item id."""
@@ -143,6 +159,7 @@ class BenchRun:
     types: tuple[str, ...] = ()  # only these
     plugins: tuple[str, ...] = ()  # local plugin files
     verify: bool = True
+    every_error: bool = False  # that a user could cause is a result too
     position: int = 0  # of the method's column in reports
     _built: dict[str, Any] = field(default_factory=dict)
 
@@ -167,11 +184,12 @@ class BenchRun:
         item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
         cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
+        failures = (Edit3rError,) if self.every_error else FAILURES
         try:
             with collecting(report), torch.no_grad():
                 output, facts = self._edit_and_render(item, report)
-        except FAILURES as error:
-            return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item)), str(error)))
+        except failures as error:
+            return asdict(ItemResult(*named, measure_failure(item, self._has_truth(item), networks), str(error)))
         metrics = measure(item, output, networks)
         save_strips(self.out / "pictures" / record.id, item, output)
         return asdict(ItemResult(*named, metrics, "", timing_of(report.stages, cold), facts))
@@ -182,35 +200,67 @@ class BenchRun:
         return wished and item.truth is not None
 
     def _edit_and_render(self, item: LoadedItem, report: Report) -> tuple[MethodOutput, dict[str, Any]]:
-        method, views = self.method, item.given
+        method = self.method
+        editor = "none" if method.edit_renders else self._editor(item, item.truth)
+        output, count = self._reconstruct(item, editor, range(item.inputs), report)
+        if method.edit_renders:
+            with report.stage("edit (the renderings)"):
+                images = self._edit_each(item, output.images)
+            output = replace(output, images=images, edited=images[: item.inputs])
+        elif self.metrics.order and item.inputs > 2:
+            # The other inputs come the other way round, with the same 2D edits: the reconstruction alone is asked.
+            order = [0, *range(item.inputs - 1, 0, -1)]
+            replayed = OracleEditor(output.edited[order], OracleSettings(disagreement=0))
+            images = self._reconstruct(item, replayed, order, Report())[0].images
+            # Between predicted cameras, where no pose is known, the held-back frames would not compare.
+            reordered = images[[0, *(range(item.inputs, len(images)) if item.cameras is not None else ())]]
+            output = replace(output, reordered=reordered)
+        return output, {"gaussians": count, "warnings": report.warnings}
+
+    def _reconstruct(
+        self, item: LoadedItem, editor: Editor | PartChoice | str, order: Sequence[int], report: Report
+    ) -> tuple[MethodOutput, int]:
+        """Edit and reconstruct the inputs in this order; return what the scene shows and its number of Gaussians."""
+        method, views = self.method, item.photos.select(order)
         if method.poses and item.cameras is not None:
-            views = replace(views, c2w=item.cameras.c2w[:, : item.inputs])
+            views = replace(views, c2w=item.cameras.c2w[:, list(order)])
         result = edit3r.run(
             views,
             item.record.prompt,
-            editor=self._editor(item),
+            editor=editor,
             recon=self._component("reconstructor", method.reconstructor),
-            masks=None if item.masks is None else item.masks[None, : item.inputs],
+            masks=None if item.masks is None else item.masks[None, list(order)],
             edit_views=method.edit_views,
             seed=item.record.seed,
             registry=self.registry,
             report=report,
+            **method.run,
         )
         cameras = evaluation_cameras(item, result.cameras)
+        gaussians = result.gaussians.from_view(0) if method.gaussians_of == "first" else result.gaussians
         rasterizer = self._component("rasterizer", method.rasterizer)
         with report.stage("render"):
-            rendering = render_each(rasterizer, result.gaussians, cameras, "render")
+            rendering = render_each(rasterizer, gaussians, cameras, "render")
         images, depths = rendering.images[0].clamp(0, 1), rendering.depths[0, :, 0]
-        output = MethodOutput(images, result.edited.images[0], depths, cameras, self._has_truth(item))
-        return output, {"gaussians": result.gaussians.count, "warnings": report.warnings}
+        return MethodOutput(images, result.edited.images[0], depths, cameras, self._has_truth(item)), gaussians.count
 
-    def _editor(self, item: LoadedItem) -> Editor | PartChoice:
+    def _edit_each(
+        self, item: LoadedItem, images: Float[Tensor, "frame 3 height width"]
+    ) -> Float[Tensor, "frame 3 height width"]:
+        """Edit renderings instead of photos; what a mask leaves out stays. The oracle adds the true change."""
+        truth = None if item.truth is None else (images + item.truth - item.photos.images[0]).clamp(0, 1)
+        masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
+        request = EditRequest(item.record.prompt, item.record.seed, masks)
+        edited = self._editor(item, truth).edit(replace(item.photos, images=images[None]), request).images
+        return edited[0] if masks is None else composite(images[None], edited, masks)[0]
+
+    def _editor(self, item: LoadedItem, truth: Float[Tensor, "frame 3 height width"] | None) -> Editor | PartChoice:
         editor = self.method.editor
         if editor.name != ORACLE:
             return self._component("editor", editor)
-        if item.truth is None:
+        if truth is None:
             raise InputError(f"{item.record.id}: the editor 'oracle' needs scenes whose edited truth is known.")
-        return OracleEditor(item.truth[: item.inputs], make_settings(OracleSettings, editor.settings, where="editor"))
+        return OracleEditor(truth, make_settings(OracleSettings, editor.settings, where="editor"))
 
     def _component(self, kind: str, choice: PartChoice) -> Any:
         """Build a component once; a reconstructor that edits is built by the run, with each item's editor."""

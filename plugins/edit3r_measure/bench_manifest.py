@@ -9,9 +9,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from pydantic import Field
@@ -22,7 +24,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.maps import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.images import is_plain_name, load_photos
+from edit3r.io.images import is_plain_name, load_photos, read_image
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
@@ -80,6 +82,7 @@ class ItemRecord(Settings):
     inputs: tuple[int, ...] = Field(description="frames given to the method; the first is the reference")
     held_back: tuple[int, ...] = Field((), description="frames that the method is not given, for measuring")
     masks: tuple[FrameRecord, ...] = Field((), description="per input frame, white may change; empty: everywhere")
+    truth: tuple[FrameRecord, ...] = Field((), description="per used frame, inputs first, the edited photo if known")
     sample: SampleRecord | None = Field(None, description="for a generated scene")
 
 
@@ -146,6 +149,8 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
         if len(item.inputs) < 1 or len(item.masks) not in (0, len(item.inputs)):
             raise InputError(f"{path}: item {item.id!r} needs input frames, and a mask for each of them or none.")
         used = (*item.inputs, *item.held_back)
+        if len(item.truth) not in (0, len(used)):
+            raise InputError(f"{path}: item {item.id!r} needs a true picture for each frame it uses, or none.")
         wrong = [index for index in used if index < 0 or (item.sample is None and index >= frames_of[item.scene])]
         if wrong:
             raise InputError(f"{path}: item {item.id!r} uses frame {wrong[0]}, which its scene does not have.")
@@ -180,8 +185,13 @@ def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Regist
 
 
 def load_sample(record: SampleRecord, registry: Registry) -> SceneSample:
-    """Make a generated scene again."""
-    return registry.build("dataset", record.dataset, **record.settings)[record.index]
+    """Make a generated scene again; the last ones are kept for the other methods of a run."""
+    return _sample(record.dataset, json.dumps(record.settings, sort_keys=True), record.index, registry)
+
+
+@lru_cache(maxsize=100)
+def _sample(dataset: str, settings: str, index: int, registry: Registry) -> SceneSample:
+    return registry.build("dataset", dataset, **json.loads(settings))[index]
 
 
 def hash_of_sample(sample: SceneSample) -> str:
@@ -235,7 +245,9 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     frames = [scene.frames[index] for index in order]
     folder = root / scene.folder
     if verify:
-        for path, record in [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in item.masks]:
+        for path, record in [(folder / f.file, f) for f in frames] + [
+            (root / m.file, m) for m in (*item.masks, *item.truth)
+        ]:
             if not path.is_file():
                 raise InputError(f"{path}: item {item.id!r} of the manifest needs this picture, and it is not there.")
             if hash_of_file(path) != record.sha256:
@@ -245,8 +257,12 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))
     views, posed = loaded.views, camera_file is not None and loaded.views.c2w is not None
-    masks = None
-    if item.masks:
+    masks = truth = None
+    if item.truth:
+        pictures = [np.asarray(read_image(root / record.file), np.float32) / 255 for record in item.truth]
+        truth = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).contiguous()
+        masks = None if item.type == "Global" else change_masks(views.images[0], truth)
+    elif item.masks:
         given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
         masks = load_masks([root / record.file for record in item.masks], given)[0]
         unknown = masks.new_full((len(item.held_back), *masks.shape[1:]), float("nan"))  # measures nothing there
@@ -257,7 +273,7 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
         inputs=len(item.inputs),
         cameras=_relative(Cameras(views.c2w, views.intrinsics, views.image_size)) if posed else None,
         depths=None,
-        truth=None,
+        truth=truth,
         masks=masks,
     )
 

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
@@ -23,6 +24,7 @@ from edit3r_measure.features import (
     InceptionFeatures,
     crops,
     direction_similarity,
+    prompt_quality,
 )
 
 METRICS: Mapping[str, tuple[str, str]] = {
@@ -31,13 +33,22 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "psnr-in-edit": ("↑", ".2f"),
     "ssim": ("↑", ".3f"),
     "lpips": ("↓", ".3f"),
+    "perceptual": ("↓", ".3f"),
     "edit-uptake": ("↑", ".3f"),
     "edit-uptake-2d": ("↑", ".3f"),
     "edit-strength": ("", ".3f"),  # neither is better: it says what the edit was like
     "edit-strength-2d": ("", ".3f"),
     "change-outside": ("↓", ".3f"),
+    "consistency-2d": ("↓", ".3f"),
     "consistency-warped": ("↓", ".3f"),
     "consistency-held-back": ("↓", ".3f"),
+    "matches": ("↑", ".1f"),
+    "epipolar-error": ("↓", ".2f"),
+    "order-change": ("↓", ".4f"),
+    "sharpness": ("", ".3f"),  # 1 is best
+    "blur": ("↓", ".3f"),
+    "clip-iqa": ("↑", ".3f"),
+    "clip-iqa-sharp": ("↑", ".3f"),
     "clip-t2i": ("↑", ".3f"),
     "clip-direction": ("↑", ".3f"),
     "c-fid": ("↓", ".1f"),
@@ -46,6 +57,23 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "c-kid-effnet": ("↓", ".3f"),
 }
 """Each metric with its better direction and its number format, in the order of reports."""
+
+AGAINST_TRUTH = ("psnr", "ssim", "lpips", "perceptual")
+
+BY_REGION: Mapping[str, tuple[str, str]] = {
+    f"{name}-in-{region}{frames}": METRICS[name]
+    for name in AGAINST_TRUTH
+    for frames in ("", "-inputs")
+    for region in metrics.REGIONS
+    if (name, region, frames) != ("psnr", "edit", "")
+}
+"""The measures against the truth by region: at held-back views, and at those that the method was given."""
+
+LEFT_ALONE = 0.005
+"""Change of the 2D edit below which the editor did nothing [sRGB, low-passed]."""
+
+NOT_CARRIED = 0.15
+"""Share of the 2D edit below which the scene counts as unchanged."""
 
 FULL_STRENGTH = 0.04
 """Change of the 2D edit from which it counts as one, where no truth says how strong it should be [sRGB, low-passed]."""
@@ -64,6 +92,9 @@ class MetricSettings(Settings):
     inception: str = Field("", description="TorchScript file inception-2015-12-05.pt for C-FID and C-KID; '': without")
     clip: str = Field("", description="CLIP model or folder for t2i and direction; '': without")
     lpips: bool = Field(False, description="LPIPS against the truth; needs the extra lpips")
+    order: bool = Field(
+        True, description="reconstruct again with the inputs in another order, where there are over two"
+    )
 
 
 @dataclass(frozen=True)
@@ -75,6 +106,7 @@ class MethodOutput:
     depths: Float[Tensor, "frame height width"]  # of the renderings, in the unit of `cameras`
     cameras: Cameras  # batch 1, as rendered
     has_truth: bool  # whether the item's truth is what the editor was to show
+    reordered: Float[Tensor, "some 3 height width"] | None = None  # reference and held-back frames, inputs permuted
 
 
 class MetricNetworks:
@@ -86,7 +118,8 @@ class MetricNetworks:
         if settings.effnet:
             self.features.append(EffnetFeatures())
         self.clip = ClipSimilarity(settings.clip) if settings.clip else None
-        self.lpips: Loss | None = registry.build("loss", "lpips") if settings.lpips else None
+        wanted = {"lpips": settings.lpips, "perceptual": settings.effnet}
+        self.distances: dict[str, Loss] = {name: registry.build("loss", name) for name, use in wanted.items() if use}
         self._of_photos: dict[tuple, np.ndarray] = {}
 
     def photo_features(
@@ -103,9 +136,12 @@ class MetricNetworks:
 
 def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> dict[str, float]:
     """Return every metric by name, NaN where one means nothing for this item."""
-    found = {**_changes(item, output), **_consistency(item, output)}
+    found = {**_changes(item, output), **_consistency(item, output), **_looks(item, output)}
     if output.has_truth:
-        found |= _against_truth(item, output.images, networks.lpips)
+        found |= _against_truth(item, output.images, networks.distances)
+    if output.reordered is not None:
+        kept = output.images[[0, *range(item.inputs, item.inputs + len(output.reordered) - 1)]]
+        found["order-change"] = float((output.reordered - kept).abs().mean())
     for network in networks.features:  # pieces of this edit's renderings against those of its own scene's photos
         photos, rendered = networks.photo_features(network, item.photos.images[0]), network(crops(output.images))
         found[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
@@ -113,17 +149,19 @@ def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) ->
     if networks.clip is not None:
         before, after = item.record.before, item.record.description or item.record.prompt
         found["clip-t2i"] = float(networks.clip(output.images, [after]).mean())
+        found["clip-iqa"] = prompt_quality(networks.clip, output.images, "Good photo.", "Bad photo.")
+        found["clip-iqa-sharp"] = prompt_quality(networks.clip, output.images, "Sharp photo.", "Blurry photo.")
         if before:
             moved = direction_similarity(networks.clip, item.photos.images[0], output.images, before, after)
             found["clip-direction"] = float(moved.mean())
     return found
 
 
-def measure_failure(item: LoadedItem, has_truth: bool) -> dict[str, float]:
+def measure_failure(item: LoadedItem, has_truth: bool, networks: MetricNetworks) -> dict[str, float]:
     """Return the metrics of a failure: black images against the truth, nothing of the edit; the rest is not known."""
     if not has_truth:
         return {"edit-uptake-2d": 0.0}
-    return {**_against_truth(item, torch.zeros_like(item.truth), None), "edit-uptake": 0.0}
+    return {**_against_truth(item, torch.zeros_like(item.truth), networks.distances), "edit-uptake": 0.0}
 
 
 def score(found: Mapping[str, float], failure: str = "") -> float:
@@ -147,6 +185,16 @@ def score(found: Mapping[str, float], failure: str = "") -> float:
     outside = found["change-outside"]
     stays_put = 1.0 if math.isnan(outside) else _share(1 - outside / SPOILED)
     return arrived * math.sqrt(agrees * stays_put)
+
+
+def remark(found: Mapping[str, float]) -> str:
+    """Return in words what the numbers of an edit without failure hide: that nothing was edited, or nothing arrived."""
+    wished, shown = found.get("edit-strength-2d", math.nan), found.get("edit-uptake-2d", math.nan)
+    if wished < LEFT_ALONE:
+        return "the 2D editor left the reference as it was."
+    if shown < NOT_CARRIED:
+        return f"edit ran, scene unchanged: the scene shows {shown:.0%} of the 2D edit (mean change {wished:.3f})."
+    return ""
 
 
 def _share(value: float) -> float:
@@ -179,28 +227,77 @@ def _consistency(item: LoadedItem, output: MethodOutput) -> dict[str, float]:
     warped = [(a, b) for a in inputs for b in inputs if a != b]
     held = [pair for a in inputs for b in held_back for pair in ((a, b), (b, a))]
     return {
+        "consistency-2d": metrics.warped_difference(output.edited, depths, cameras, warped, masks),
         "consistency-warped": metrics.warped_difference(output.images, depths, cameras, warped, masks),
         "consistency-held-back": metrics.warped_difference(output.images, depths, cameras, held, masks),
+        **_matching(_array(output.images), cameras),
+    }
+
+
+def _matching(images: metrics.Images, cameras: Cameras) -> dict[str, float]:
+    """Match every two frames; the error is the median over the matches of all of them."""
+    pairs = list(combinations(range(len(images)), 2))
+    found = [metrics.matched_points(images[a], images[b]) for a, b in pairs]
+    errors = np.concatenate(
+        [metrics.epipolar_distances(*points, cameras.select(pair)) for points, pair in zip(found, map(list, pairs))]
+    )
+    return {
+        "matches": len(errors) / len(pairs),
+        "epipolar-error": float(np.median(errors)) if len(errors) else math.nan,
+    }
+
+
+def _looks(item: LoadedItem, output: MethodOutput) -> dict[str, float]:
+    """Return means over all frames of what is judged by each image alone, or beside its photo."""
+    images, photos = _array(output.images), _array(item.photos.images[0])
+    return {
+        "sharpness": float(np.mean([metrics.sharpness(*pair) for pair in zip(images, photos)])),
+        "blur": float(np.mean([metrics.blur(image) for image in images])),
     }
 
 
 def _against_truth(
-    item: LoadedItem, shown: Float[Tensor, "frame 3 height width"], lpips: Loss | None
+    item: LoadedItem, shown: Float[Tensor, "frame 3 height width"], distances: Mapping[str, Loss]
 ) -> dict[str, float]:
-    """Return means over the held-back frames, of which the method was given no image."""
+    """Return means over the held-back frames, of which the method was given no image, and by region over the inputs."""
     held = slice(item.inputs, None)
-    photos, images = _array(item.photos.images[0][held]), _array(shown[held])
-    truth = item.truth[held].permute(0, 2, 3, 1).numpy()
-    inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks[held])
-    result = {
-        "psnr": np.mean([metrics.psnr(a, b) for a, b in zip(images, truth)]),
-        "psnr-in-edit": np.mean([metrics.psnr(a, b, m > 0) for a, b, m in zip(images, truth, inside)]),
-        "ssim": np.mean([metrics.ssim(a, b) for a, b in zip(images, truth)]),
-        "edit-uptake": metrics.edit_uptake(images, photos, truth, inside),
-    }
-    if lpips is not None:
-        result["lpips"] = lpips(LossInputs(rendered=shown[None, held], target=item.truth[None, held]))
-    return {name: float(value) for name, value in result.items()}
+    images, truth = _array(shown), item.truth.permute(0, 2, 3, 1).numpy()
+    inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
+    photos = _array(item.photos.images[0])
+    found = {"edit-uptake": metrics.edit_uptake(images[held], photos[held], truth[held], inside[held])}
+    found |= _distances(images[held], truth[held], None, distances)
+    for region, covered in metrics.regions(inside).items():
+        for frames, part in (("", held), ("-inputs", slice(item.inputs))):
+            values = _distances(images[part], truth[part], covered[part], distances)
+            found |= {f"{name}-in-{region}{frames}": value for name, value in values.items()}
+    return found
+
+
+def _distances(
+    images: metrics.Images,
+    truth: metrics.Images,
+    covered: Bool[np.ndarray, "view height width"] | None,
+    distances: Mapping[str, Loss],
+) -> dict[str, float]:
+    """Return means over the views, of the `covered` pixels alone if given; views where nothing is covered do not count.
+
+    The distances of networks are those of the truth with only the covered pixels replaced, over the share of these.
+    """
+    areas = [None] * len(truth) if covered is None else list(covered)
+    views = [view for view in zip(images, truth, areas) if view[2] is None or view[2].any()]
+    if not views:
+        return dict.fromkeys(("psnr", "ssim", *distances), math.nan)
+    found = {name: float(np.mean([measure(*view) for view in views])) for name, measure in PLAIN.items()}
+    shown = np.stack(
+        [image if area is None else np.where(area[..., None], image, wished) for image, wished, area in views]
+    )
+    share = 1.0 if covered is None else float(np.mean([area.mean() for _, _, area in views]))
+    pair = [torch.from_numpy(x).permute(0, 3, 1, 2)[None].float() for x in (shown, np.stack([v[1] for v in views]))]
+    inputs = LossInputs(rendered=pair[0], target=pair[1])
+    return found | {name: float(distance(inputs)) / share for name, distance in distances.items()}
+
+
+PLAIN = {"psnr": metrics.psnr, "ssim": metrics.ssim}
 
 
 def _array(tensor: Float[Tensor, "frame *shape"]) -> Float[np.ndarray, "frame *shape"]:

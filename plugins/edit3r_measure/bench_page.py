@@ -1,22 +1,18 @@
-"""A benchmark's report on disk: text, numbers, plots, and one HTML page with every method's images side by side."""
+"""A benchmark's report on disk: text, numbers, and one HTML page with every method's images side by side."""
 
 import base64
 import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from markdown_it import MarkdownIt
 from PIL import Image
 
-from edit3r.io.atomic import atomic_write
 from edit3r.io.decode import FORMATS
 from edit3r.io.images import evenly
-from edit3r.reporting import warn
 from edit3r_measure import bench_report
-from edit3r_measure.bench_report import Column, mean_of, metric_names, timing
-from edit3r_measure.metrics import Interval
+from edit3r_measure.bench_report import Column, timing
 from edit3r_measure.report import make_folder, write_json, write_text
 
 STYLE = """
@@ -32,27 +28,23 @@ th { border-bottom: 2px solid #b9b5ad } td:first-child, th:first-child { text-al
 HEIGHT = 128
 """Strips are reduced to this height [pixels]."""
 
-PLOTTED = ("score", "psnr-in-edit", "edit-uptake", "consistency-held-back", "clip-t2i", "c-kid", "c-kid-effnet")
-PALETTE = ("#2f6f9f", "#d1782f", "#5b8c5a", "#8d6a9f", "#b8505c", "#6b6b6b", "#a08a3c", "#3f8f8a")
-
 
 def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) -> str:
-    """Write report.md, report.json, plots and index.html into `out`, and return the main table and the times."""
+    """Write report.md, report.json and index.html into `out`, and return the main table and the times."""
     make_folder(out)
     text = bench_report.report_text(columns)
     write_text(out / "report.md", text)
     times = {column.label: timing(column) for column in columns}
     write_json(out / "report.json", {**bench_report.summary_of(columns), "timing": times})
-    write_page(out / "index.html", text, write_plots(columns, out), columns, edits_shown)
+    write_page(out / "index.html", text, columns, edits_shown)
     return f"{bench_report.main_table(columns)}\n\n{bench_report.time_table(columns)}\n"
 
 
-def write_page(path: Path, text: str, plots: Sequence[Path], columns: Sequence[Column], most: int) -> None:
-    """Write the report `text` (Markdown), the SVG `plots`, and images of at most `most` edits, spread evenly."""
+def write_page(path: Path, text: str, columns: Sequence[Column], most: int) -> None:
+    """Write the report `text` (Markdown), and images of at most `most` edits, spread evenly."""
     edits = list(columns[0].results.values()) if columns else []
     shown = evenly(edits, most)
     parts = [MarkdownIt("commonmark", {"html": False}).enable("table").render(text)]
-    parts += ["<svg" + plot.read_text(encoding="utf-8").partition("<svg")[2] for plot in plots]
     parts.append(
         f"<h2>Pictures</h2><p>{len(shown)} of {len(edits)} edits, evenly chosen. Frames from left to right: the inputs "
         "(the first is the reference), then the held-back views.</p>"
@@ -95,57 +87,3 @@ def _embed(content: bytes) -> str:
     buffer = io.BytesIO()
     image.save(buffer, "WEBP", quality=88)
     return f'<img alt="" src="data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode("ascii")}">'
-
-
-def write_plots(columns: Sequence[Column], out: Path) -> list[Path]:
-    """Write measures.svg and quality-time.svg; none, with a warning, without matplotlib (extra `bench`)."""
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        warn('no plots: matplotlib is not installed; install with: pip install "edit3r[bench]"')
-        return []
-    names = [name for name in PLOTTED if name in metric_names(columns)]
-    with matplotlib.rc_context({"svg.hashsalt": "edit3r", "font.size": 9}):
-        bars = Figure(figsize=(2.3 * len(names), 2.8), layout="constrained")
-        for axes, name in zip(bars.subplots(1, len(names), squeeze=False)[0], names):
-            _draw_bars(axes, columns, name)
-        points = Figure(figsize=(4.6, 3.2), layout="constrained")
-        _draw_score_over_time(points.subplots(), columns)
-        paths = {out / "measures.svg": bars, out / "quality-time.svg": points}
-        for path, figure in paths.items():
-            with atomic_write(path) as partial:
-                figure.savefig(partial, metadata={"Date": None})
-    return list(paths)
-
-
-def _draw_bars(axes: Any, columns: Sequence[Column], name: str) -> None:
-    """Draw one bar a method for one metric, with whiskers for the 95 % interval."""
-    for place, column in enumerate(columns):
-        mean = mean_of(column, name)
-        if mean is not None:
-            color = PALETTE[place % len(PALETTE)]
-            axes.bar(place, mean.mean, yerr=_whiskers(mean), color=color, capsize=3, width=0.7)
-    axes.set_title(name, fontsize=9)
-    axes.set_xticks(range(len(columns)), [column.label for column in columns], rotation=40, ha="right")
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _draw_score_over_time(axes: Any, columns: Sequence[Column]) -> None:
-    """Draw one point a method: its score over the CPU seconds of a warm edit, on a logarithmic axis."""
-    for place, column in enumerate(columns):
-        warm, mean = timing(column)["warm"], mean_of(column, "score")
-        if warm is None or mean is None:
-            continue
-        seconds = warm["editor_cpu"] + warm["network_cpu"]
-        color = PALETTE[place % len(PALETTE)]
-        axes.errorbar(seconds, mean.mean, yerr=_whiskers(mean), fmt="o", color=color, capsize=3)
-        axes.annotate(f" {column.label}", (seconds, mean.mean), fontsize=8, va="bottom")
-    axes.margins(x=0.25)
-    axes.set(xscale="log", xlabel="editing and reconstructing a scene, warm [s CPU]", ylabel="score")
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _whiskers(mean: Interval) -> list[list[float]]:
-    """Return how far the interval reaches below and above its mean, as matplotlib wants it."""
-    return [[mean.mean - mean.low], [mean.high - mean.mean]]

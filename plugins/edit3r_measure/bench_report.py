@@ -11,9 +11,12 @@ from typing import Any
 from edit3r.errors import InputError
 from edit3r_measure.bench_item import RESULTS, RUN, ItemResult, read_results
 from edit3r_measure.bench_manifest import EDIT_TYPES
-from edit3r_measure.bench_metrics import METRICS
+from edit3r_measure.bench_metrics import BY_REGION, METRICS
 from edit3r_measure.metrics import Interval, bootstrap_mean
 from edit3r_measure.report import format_or_dash, grouped, markdown_table
+
+FORMS = {**METRICS, **BY_REGION}
+"""Better direction and number format of every measure."""
 
 WALL = ("editor", "network", "rendering")
 CPU = ("editor_cpu", "network_cpu", "rendering_cpu")
@@ -81,7 +84,7 @@ def read_columns(folders: Iterable[Path]) -> list[Column]:
 def metric_names(columns: Sequence[Column]) -> list[str]:
     """Return what at least one method has a value of, in the order of reports."""
     found = {name for column in columns for result in column.results.values() for name in result.metrics}
-    return [name for name in METRICS if name in found]
+    return [name for name in (*METRICS, *BY_REGION) if name in found]
 
 
 def mean_of(column: Column, name: str, minus: Column | None = None) -> Interval | None:
@@ -137,13 +140,20 @@ def report_text(columns: Sequence[Column]) -> str:
         main_table(columns),
     ]
     if others:
-        rows = [[_title(name), *(_cell(mean_of(first, name, minus=c), name, "+") for c in others)] for name in names]
+        rows = [[title(name), *(_cell(mean_of(first, name, minus=c), name, "+") for c in others)] for name in names]
         table = markdown_table(["", *(f"{first.label} - {other.label}" for other in others)], rows)
         parts += [f"## {first.label} against the others, edit by edit", table]
+    parts += ["## By region", region_table(columns)]
     parts += ["## By type of edit", *(_types_table(columns, n) for n in ("score", "psnr-in-edit") if n in names)]
     parts += ["## Time", "Seconds for one edit of a scene, all views.", time_table(columns)]
     failures = [f"- {column.label}, {result.id}: {result.failure}" for column in columns for result in column.failures]
-    return "\n\n".join([*parts, "## Failures", "\n".join(failures) or "None."]) + "\n"
+    remarks = [f"- {column.label}, {result.id}: {result.remark}" for column in columns for result in _remarked(column)]
+    parts += ["## Failures", "\n".join(failures) or "None.", "## Edits that did nothing", "\n".join(remarks) or "None."]
+    return "\n\n".join(parts) + "\n"
+
+
+def _remarked(column: Column) -> list[ItemResult]:
+    return [result for result in column.results.values() if result.remark]
 
 
 def _note(column: Column) -> str:
@@ -161,16 +171,26 @@ def main_table(columns: Sequence[Column]) -> str:
     counts = [
         ["edits", *(str(len(column.results)) for column in columns)],
         ["failed", *(str(len(column.failures)) for column in columns)],
+        ["nothing edited, or nothing of it shown", *(str(len(_remarked(column))) for column in columns)],
     ]
-    rows = [[_title(name), *(_cell(mean_of(c, name), name) for c in columns)] for name in metric_names(columns)]
-    return markdown_table(_head("", columns), [*counts, *rows])
+    return _table(counts, [name for name in metric_names(columns) if name in METRICS], columns)
+
+
+def region_table(columns: Sequence[Column]) -> str:
+    """Return the table of the measures against the truth by region of the picture and kind of view."""
+    return _table([], [name for name in metric_names(columns) if name in BY_REGION], columns)
+
+
+def _table(first: list[list[str]], names: Sequence[str], columns: Sequence[Column]) -> str:
+    rows = [[title(name), *(_cell(mean_of(c, name), name) for c in columns)] for name in names]
+    return markdown_table(_head("", columns), [*first, *rows])
 
 
 def _types_table(columns: Sequence[Column], name: str) -> str:
     """Return the table of one metric by type of edit."""
     kinds = [kind for kind in EDIT_TYPES if columns[0].of_type(kind).results]
     rows = [[kind, *(_cell(mean_of(c.of_type(kind), name), name) for c in columns)] for kind in kinds]
-    return markdown_table(_head(_title(name), columns), rows)
+    return markdown_table(_head(title(name), columns), rows)
 
 
 def time_table(columns: Sequence[Column]) -> str:
@@ -196,12 +216,12 @@ def _head(corner: str, columns: Sequence[Column]) -> list[str]:
     return [corner, *(column.label for column in columns)]
 
 
-def _title(name: str) -> str:
-    return f"{name} {METRICS[name][0]}".strip()
+def title(name: str) -> str:
+    return f"{name} {FORMS[name][0]}".strip()
 
 
 def _cell(interval: Interval | None, name: str, sign: str = "") -> str:
     if interval is None:
         return "-"
-    mean, low, high = (format(value, sign + METRICS[name][1]) for value in (interval.mean, interval.low, interval.high))
+    mean, low, high = (format(value, sign + FORMS[name][1]) for value in (interval.mean, interval.low, interval.high))
     return mean if interval.scenes < 2 else f"{mean} ({low}, {high})"

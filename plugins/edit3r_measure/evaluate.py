@@ -1,4 +1,4 @@
-"""`edit3r evaluate`: a reconstructor on scenes whose truth is known: posed photos, stereo pairs, data sets."""
+"""`edit3r evaluate`: a reconstructor on scenes whose truth is known: posed photos, data sets."""
 
 import argparse
 import math
@@ -62,7 +62,7 @@ class EvaluateCommand(Command):
                     found = (score_scene(s.load(), reconstructor, rasterizer, args.edits) for s in track(scenes, place))
                     scores += [score for score in found if score is not None]
         if not scores:
-            lacking = "no true edit is known" if args.edits else f"{NO_TRIPLES}, and no true depth is there"
+            lacking = "no true edit is known" if args.edits else NO_TRIPLES
             raise InputError(f"{args.folders[0]}: {lacking}; nothing to measure.")
         text = as_markdown(scores)
         print(text, end="")
@@ -99,16 +99,9 @@ def as_records(scores: Sequence["SceneScore"]) -> list[dict[str, Any]]:
 
 
 def as_markdown(scores: Sequence["SceneScore"]) -> str:
-    """Return a table of the novel views, a table of the carried edits, and a line for each known depth."""
+    """Return a table of the novel views and a table of the carried edits."""
     kinds = grouped(scores, lambda score: score.kind)
-    tables = [table(kinds[kind]) for kind, table in TABLES.items() if kind in kinds]
-    shares = [
-        f"{s.scene}: no depth, {s.failure}\n"
-        if s.failure
-        else f"{s.scene}: {s.figures['right']:.1%} of the pixels within 10 % of the true depth after one scale.\n"
-        for s in kinds.get("depth", ())
-    ]
-    return "\n".join([*tables, *shares])
+    return "\n".join(table(kinds[kind]) for kind, table in TABLES.items() if kind in kinds)
 
 
 def _with_failures(table: str, scores: Sequence["SceneScore"]) -> str:

@@ -128,6 +128,15 @@ def direction_similarity(
     return F.cosine_similarity(moved, (end - start)[None], dim=-1)
 
 
+def prompt_quality(clip: ClipSimilarity, images: Float[Tensor, "n 3 height width"], good: str, bad: str) -> float:
+    """Return how much more images look `good` than `bad` to CLIP, in [0, 1] (CLIP-IQA, Wang et al. 2023); no reference.
+
+    The mean probability of the first of two opposite texts at CLIP's own temperature of 0.01; 0.5 is undecided.
+    """
+    cosines = clip(images, [good, bad])
+    return float((100 * (cosines[:, 0] - cosines[:, 1])).sigmoid().mean())
+
+
 def central_square(images: Float[Tensor, "n 3 height width"], side: int) -> Float[Tensor, "n 3 side side"]:
     """Prepare images as CLIP does, in torch so that gradients pass: shorter side to `side`, centre cut, normalised."""
     height, width = images.shape[-2:]

@@ -8,14 +8,19 @@ networks behind the distances between sets of images are in `features`.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
+from skimage.color import rgb2gray
+from skimage.measure import blur_effect
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
 from edit3r.changes import change_uptake
+from edit3r.geometry.cameras import invert_rigid, to_pixels
+from edit3r.geometry.maps import dilate
 from edit3r.geometry.warping import find_correspondences, warp
 from edit3r.types import Cameras
 
@@ -33,6 +38,14 @@ or shifted has not been edited."""
 
 DEPTH_TOLERANCE = 0.03
 """A warped point whose depth differs from what the other view sees by more than this share is hidden there."""
+
+REGIONS = ("edit", "band", "background")
+
+BAND = 0.05
+"""Width of the band around an edit [image widths]."""
+
+RATIO = 0.8
+"""A match counts when its descriptor is nearer than this share of the second nearest's distance (Lowe 2004)."""
 
 KERNEL_DEGREE, KERNEL_OFFSET = 3, 1.0  # of KID's polynomial kernel
 
@@ -55,17 +68,46 @@ def psnr(image: np.ndarray, target: np.ndarray, covered: Bool[np.ndarray, "heigh
         return float(peak_signal_noise_ratio(target, np.clip(image, 0, 1), data_range=1.0))
 
 
-def ssim(image: Image, target: Image) -> float:
-    """Return the mean structural similarity (Wang et al. 2004, 7x7 window, mean over channels).
+def ssim(image: Image, target: Image, covered: Bool[np.ndarray, "height width"] | None = None) -> float:
+    """Return the mean structural similarity in [-1, 1] (Wang et al. 2004, 7x7 window, mean over channels).
 
-    Raises ValueError below 3x3 pixels.
+    Over the windows whose middle is a `covered` pixel if given, NaN when none is. Raises ValueError below 3x3 pixels.
     """
     window = min(7, *target.shape[:2])
     if window < 3:
         raise ValueError(f"ssim: expected pictures of at least 3x3 pixels, got {target.shape[:2]}")
     clipped = np.clip(image, 0, 1).astype(target.dtype)
     odd = window - 1 + window % 2
-    return float(structural_similarity(clipped, target, win_size=odd, channel_axis=-1, data_range=1.0))
+    mean, values = structural_similarity(clipped, target, win_size=odd, channel_axis=-1, data_range=1.0, full=True)
+    if covered is None:
+        return float(mean)
+    return float(values[covered].mean()) if covered.any() else float("nan")
+
+
+def regions(masks: Masks) -> dict[str, Bool[np.ndarray, "view height width"]]:
+    """Return where the edit belongs, the band of width BAND around that, and the background; each pixel is in one."""
+    inside = masks > 0
+    radius = max(1, round(BAND * masks.shape[2]))
+    near = dilate(torch.from_numpy(inside).float(), radius).numpy() > 0
+    return dict(zip(REGIONS, (inside, near & ~inside, ~near)))
+
+
+def sharpness(image: Image, photo: Image) -> float:
+    """Return the variance of the Laplacian of `image` over that of `photo`, both in grey (Pech-Pacheco et al. 2000).
+
+    In [0, inf): 1 is as sharp as the photo, less is blurred, more is noise or finer texture; NaN for a flat photo.
+    """
+    grey = (rgb2gray(picture.astype(np.float64)) for picture in (image, photo))
+    of_image, of_photo = (cv2.Laplacian(picture, cv2.CV_64F).var() for picture in grey)
+    return float(of_image / of_photo) if of_photo > 1e-12 else float("nan")
+
+
+def blur(image: Image) -> float:
+    """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007), a no-reference quality that needs no weights.
+
+    It says how little one more blur changes the differences of neighbouring pixels; by scikit-image.
+    """
+    return float(blur_effect(image, channel_axis=-1))
 
 
 @dataclass(frozen=True)
@@ -89,25 +131,6 @@ def best_blurred_copy(
     scored = ((psnr(copy, target, covered), copy, sigma) for copy, sigma in copies)
     score, copy, sigma = max(scored, key=lambda item: item[0])
     return BlurredCopy(score, ssim(copy, target), sigma)
-
-
-# Depth against the truth.
-
-
-def within_share(
-    depth: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"], tolerance: float = 0.1
-) -> float:
-    """Return the share of pixels of known `truth` (> 0) whose depth is within `tolerance` after one common scale.
-
-    The scale is the median ratio. A pixel without a depth (0) counts as wrong.
-    """
-    known = truth > 0
-    measured = known & (depth > 0)
-    if not measured.any():
-        return 0.0
-    scale = np.median(truth[measured] / depth[measured])
-    right = measured & (np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance)
-    return float(right.sum() / known.sum())
 
 
 # What an edit did. Distances to the unedited photos reward doing nothing; these do not.
@@ -185,6 +208,48 @@ def warped_image(
     found = find_correspondences(torch.stack((depth, other_depth))[None], cameras.intrinsics, cameras.c2w)
     coordinates, same_depth = found.coordinates[0, 0], (found.depth_ratio[0, 0].exp() - 1).abs() <= DEPTH_TOLERANCE
     return warp(image, coordinates), (found.inside[0, 0] > 0) & (depth > 0) & same_depth
+
+
+def matched_points(first: Image, second: Image) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
+    """Return where the same SIFT features lie in two images [pixels, centre of the top-left pixel at (0.5, 0.5)].
+
+    A match is each other's nearest and passes the ratio test. OpenCV's places are a quarter of a pixel too far right
+    and down, in both images alike, which epipolar distances hardly feel.
+    """
+    sift, matcher = cv2.SIFT_create(), cv2.BFMatcher()
+    found = [
+        sift.detectAndCompute((image.clip(0, 1) * 255).round().astype(np.uint8), None) for image in (first, second)
+    ]
+    (points, features), (others, other_features) = found
+    if min(len(points), len(others)) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(other_features, features)}
+    pairs = [
+        (best.queryIdx, best.trainIdx)
+        for best, next_best in matcher.knnMatch(features, other_features, k=2)
+        if best.distance < RATIO * next_best.distance and back.get(best.trainIdx) == best.queryIdx
+    ]
+    places = [np.array([p.pt for p in own]) + 0.5 for own in (points, others)]
+    return tuple(own[[pair[i] for pair in pairs]].reshape(-1, 2) for i, own in enumerate(places))
+
+
+def epipolar_distances(
+    first: Float[np.ndarray, "match 2"], second: Float[np.ndarray, "match 2"], cameras: Cameras
+) -> Float[np.ndarray, "match"]:
+    """Return how far each point is from the epipolar line of its match, mean of both images [pixels]; 0 is best.
+
+    `cameras` are those two (batch 1); only their relative pose counts, in any unit of length.
+    """
+    k = to_pixels(cameras.intrinsics[0].double(), cameras.image_size)
+    c2w = cameras.c2w[0].double()
+    motion = invert_rigid(c2w[1]) @ c2w[0]
+    x, y, z = motion[:3, 3].tolist()
+    essential = motion.new_tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ motion[:3, :3]
+    fundamental = (torch.linalg.inv(k[1]).T @ essential @ torch.linalg.inv(k[0])).numpy()
+    a, b = (np.column_stack((points, np.ones(len(points)))) for points in (first, second))
+    lines, back = a @ fundamental.T, b @ fundamental
+    residual = np.abs((b * lines).sum(1))
+    return (residual / np.hypot(*lines.T[:2]) + residual / np.hypot(*back.T[:2])) / 2
 
 
 # Two sets of images, by the features of a network.

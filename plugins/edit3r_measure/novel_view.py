@@ -1,4 +1,4 @@
-"""What a reconstructor makes of scenes whose truth is known: novel views, poses, depth, and edits carried over.
+"""What a reconstructor makes of scenes whose truth is known: novel views, poses, and edits carried over.
 
 Two photos go in without their poses. The target is rendered at its true relative pose, in the unit of length that
 makes the predicted baseline the true one.
@@ -18,7 +18,7 @@ from edit3r.geometry.cameras import project
 from edit3r.interfaces import Rasterizer, Reconstructor
 from edit3r.io.posed_folder import Photo
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r_measure.metrics import best_blurred_copy, psnr, ssim, within_share
+from edit3r_measure.metrics import best_blurred_copy, psnr, ssim
 from edit3r_measure.scene_sources import Scene, rotation_degrees
 
 COVERED = 0.5
@@ -54,7 +54,6 @@ FIGURES = {
         "edited_psnr": "novel view of the edited scene against its truth [dB], first photo edited alone",
         "unedited_psnr": "the same without an edit [dB]",
     },
-    "depth": {"right": "share of the known pixels within 10 % of the true depth after one common scale"},
 }
 """What can be measured on a scene, and the figures of each, in the order of reports."""
 
@@ -134,11 +133,10 @@ def _render(gaussians: Gaussians, rasterizer: Rasterizer, camera: Cameras) -> Re
 def score_scene(
     scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer, edits: bool = False
 ) -> SceneScore | None:
-    """Score what is known of the scene: its target, or else its depth; with `edits` its true edit alone, or None."""
+    """Score the scene's target; with `edits` its true edit instead, or None where it is not known."""
     if edits and not scene.edited:
         return None
-    kind = "edit" if edits else "depth" if scene.target is None else "novel view"
-    measure = {"edit": _carried_edit, "depth": _depth, "novel view": _novel_view}[kind]
+    kind, measure = ("edit", _carried_edit) if edits else ("novel view", _novel_view)
     failure, figures = "", {}
     try:
         figures = measure(scene, reconstructor, rasterizer)
@@ -179,14 +177,6 @@ def _pose_errors(reconstruction: Reconstruction, first: Photo, second: Photo) ->
     cosine = predicted[:3, 3] @ true[:3, 3] / max(lengths, 1e-12)
     direction = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     return rotation_degrees(predicted[:3, :3], true[:3, :3]), direction
-
-
-def _depth(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasterizer) -> dict[str, float]:
-    """Reconstruct from the scene's outer two inputs and compare the depth rendered at the first with the true one."""
-    first = scene.inputs[0]
-    gaussians = reconstructor(views_of([first, scene.inputs[-1]])).gaussians
-    camera = _camera(np.eye(4), first, gaussians)
-    return {"right": within_share(_render(gaussians, rasterizer, camera).depth, scene.depth)}
 
 
 @dataclass(frozen=True)

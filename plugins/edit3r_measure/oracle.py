@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from pydantic import Field
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from edit3r.config import Settings
@@ -25,6 +26,9 @@ from edit3r.types import EditRequest, Views
 ORACLE = "oracle"
 """Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item."""
 
+FAULTS = ("blurred", "shifted", "coloured")
+"""What may be wrong with a reference."""
+
 NOISE_CELLS = 6
 """Cells of the texture and warp noise along each side of the image."""
 
@@ -33,10 +37,11 @@ class OracleSettings(Settings):
     """How much the views disagree."""
 
     disagreement: float = Field(0.5, ge=0, le=1, description="0: every view shows the truth; 1: hardly alike")
-    reference: Literal["exact", "spoiled"] = Field(
+    reference: Literal["exact", "spoiled", "off-in-half"] = Field(
         "exact",
         description="exact: the first view shows the truth, the others disagree with it, so the truth is what the "
-        "reference says; spoiled: all views are off alike, and their average is nearest to the truth",
+        "reference says; off-in-half: in half of the edits it is blurred, shifted or off in colour; spoiled: all views "
+        "are off alike, and their average is nearest to the truth",
     )
 
 
@@ -49,12 +54,36 @@ class OracleEditor(Editor):
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         """Return the truth of each view, made to disagree in all views but an exact reference."""
-        exact = 1 if self.settings.reference == "exact" else 0
+        exact = 0 if self.settings.reference == "spoiled" else 1
         images = list(self.truth[:exact])
+        if self.settings.reference == "off-in-half":
+            images[0] = slightly_off(images[0], fault_of(request.prompt, request.seed))
         for view in range(exact, views.count):
             key = (request.prompt, request.seed, view)
             images.append(spoil(self.truth[view], key, self.settings.disagreement))
         return replace(views, images=torch.stack(images)[None])
+
+
+def fault_of(prompt: str, seed: int) -> str:
+    """Return what is wrong with the reference of this edit, drawn by a hash: nothing in half, else each as often."""
+    digest = hashlib.sha256(repr((prompt, seed)).encode("utf-8")).digest()
+    return FAULTS[digest[1] % len(FAULTS)] if digest[0] % 2 else ""
+
+
+def slightly_off(image: Float[Tensor, "3 height width"], fault: str) -> Float[Tensor, "3 height width"]:
+    """Return `image` with one of FAULTS, or as it is for "".
+
+    `blurred` by a deviation of 0.012 image widths, `shifted` to the right by 0.01 of them, `coloured` by 1.15, 1 and
+    0.85 times red, green and blue.
+    """
+    if fault == "blurred":
+        sigma = 0.012 * image.shape[-1]
+        return torch.from_numpy(gaussian_filter(image.numpy(), (0, sigma, sigma)))
+    if fault == "shifted":
+        grid = pixel_grid(image.shape[-2:], like=image)
+        return warp(image, grid - grid.new_tensor([0.01, 0.0]), padding="reflection")
+    gains = image.new_tensor([1.15, 1.0, 0.85] if fault == "coloured" else [1.0, 1.0, 1.0])
+    return (image * gains[:, None, None]).clamp(0, 1)
 
 
 def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> Float[Tensor, "3 height width"]:
@@ -64,6 +93,8 @@ def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> 
     turns, channels change by up to half and 0.2 more, smooth texture has a deviation of 0.12 and points move by about
     0.02 image widths.
     """
+    if amount == 0:
+        return image
     digest = hashlib.sha256(repr(key).encode("utf-8")).digest()
     generator = torch.Generator().manual_seed(int.from_bytes(digest[:8], "big") >> 1)
     unit = 2 * torch.rand(7, generator=generator) - 1

@@ -1,7 +1,7 @@
-"""Scenes with a known answer: folders of posed photos, stereo pairs with disparity, and data sets with truth.
+"""Scenes with a known answer: folders of posed photos, and data sets with truth.
 
-All three give the same `Scene`: some photos to reconstruct from, and what is known beside them (a real image between
-them, depth, the photos after a true edit). A scene can be written to a folder and laid out there as a user's photos
+Both give the same `Scene`: some photos to reconstruct from, and what is known beside them (a real image between them,
+the photos after a true edit). A scene can be written to a folder and laid out there as a user's photos
 are, so that `edit3r run` itself can be measured on it.
 """
 
@@ -14,7 +14,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -24,14 +23,12 @@ from edit3r.errors import InputError, UnknownComponentError
 from edit3r.geometry.rotations import rotation_angle
 from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import PosedCamera, write_cameras
-from edit3r.io.framing import frame_for
 from edit3r.io.images import evenly, find_photos, read_image, save_image
 from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
 from edit3r.registry import Registry
 from edit3r.types import Cameras
 
-PHOTOS, STEREO = "photos", "stereo"
-DISPARITY_FILE = "disparity_left.npz"
+PHOTOS = "photos"
 TRUTH_FILE = "truth.json"
 FARTHEST_BETWEEN = 0.4
 """How far a photo between two others may be from the middle [baselines]."""
@@ -44,11 +41,10 @@ class Scene:
     """Posed photos of one scene and what is known beside them."""
 
     source: str  # name of the folder or data set
-    kind: str  # PHOTOS, STEREO or the data set's name
+    kind: str  # PHOTOS or the data set's name
     files: tuple[str, ...]  # names of the inputs and of the target
     inputs: tuple[Photo, ...]  # the first and the last are the farthest apart
-    target: Photo | None = None  # an image that is not among the inputs
-    depth: Float[np.ndarray, "height width"] | None = None  # true camera z of inputs[0] in any unit, 0 unknown
+    target: Photo  # an image that is not among the inputs
     edited: tuple[Photo, ...] = ()  # inputs and target after the true edit, where it is known
 
 
@@ -131,7 +127,7 @@ def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
     return sorted(turns, key=turns.__getitem__)[:1]
 
 
-# The three sources.
+# The two sources.
 
 
 def find_scenes(source: str, options: SceneOptions, registry: Registry) -> list[SceneSource]:
@@ -158,8 +154,6 @@ def _photographed(folder: PosedFolder, options: SceneOptions) -> Iterator[SceneS
         name = f"{folder.name}-{options.size}-{triple.first}-{triple.second}"
         indices = (*inputs, triple.target)
         yield SceneSource(name, PHOTOS, partial(photo_scene, folder, indices, size))
-    if (folder.path / DISPARITY_FILE).is_file():
-        yield SceneSource(f"{folder.name}-{STEREO}", STEREO, partial(stereo_scene, folder, options.size))
 
 
 def photo_scene(folder: PosedFolder, indices: Sequence[int], size: int) -> Scene:
@@ -167,28 +161,6 @@ def photo_scene(folder: PosedFolder, indices: Sequence[int], size: int) -> Scene
     *inputs, target = (folder.load(index, size) for index in indices)
     files = tuple(folder.cameras[index].file for index in indices)
     return Scene(folder.name, PHOTOS, files, tuple(inputs), target)
-
-
-def stereo_scene(folder: PosedFolder, size: int) -> Scene:
-    """Load a rectified pair, the first two photos of a folder, with depth from its `disparity_left.npz`.
-
-    The key `disparity` of that file holds pixels at the stored size, 0 unknown; a point at x in the left photo is at
-    x - disparity in the right one.
-    """
-    left, right = folder.cameras[:2]
-    with np.load(folder.path / DISPARITY_FILE) as file:
-        disparity = file["disparity"].astype(np.float32)
-    if disparity.shape != (left.height, left.width):
-        raise InputError(
-            f"{folder.path / DISPARITY_FILE}: expected {left.height} rows of {left.width}, got {disparity.shape}."
-        )
-    # The principal points differ between the two photos of some data sets.
-    motion = disparity + right.K[0, 2] - left.K[0, 2]
-    depth = np.where((disparity > 0) & (motion > 0), left.K[0, 0] / np.where(motion > 0, motion, 1), 0)  # [baselines]
-    x0, y0, x1, y1 = (round(edge) for edge in frame_for(disparity.shape, (size, size)).box)
-    square = cv2.resize(depth[y0:y1, x0:x1], (size, size), interpolation=cv2.INTER_NEAREST)
-    inputs = tuple(folder.load(index, size) for index in (0, 1))
-    return Scene(folder.name, STEREO, (left.file, right.file), inputs, depth=square)
 
 
 def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator[SceneSource]:
@@ -202,7 +174,7 @@ def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator
 def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
     """Turn one sample of the data set called `name` into a scene: its context views and its first target.
 
-    Depth and the true edit are there if the data set knows them.
+    The true edit is there if the data set knows it.
     """
     sample = samples[index]
     between = sample.target_cameras.select([0])
@@ -210,9 +182,8 @@ def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene
     edited: tuple[Photo, ...] = ()
     if sample.edited_context is not None and sample.edited_target is not None:
         edited = _photos(sample.edited_context, sample.context_cameras) + _photos(sample.edited_target[:1], between)
-    depth = None if sample.context_depths is None else sample.context_depths[0].numpy()
     files = (*(f"{index}/{view}" for view in range(len(inputs))), f"{index}/target")
-    return Scene(name, name, files, inputs, target, depth, edited)
+    return Scene(name, name, files, inputs, target, edited)
 
 
 def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> tuple[Photo, ...]:
@@ -271,7 +242,7 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
     """Write the scenes of each source that have a target. Raises InputError for a source without any."""
     written = []
     for source in sources:
-        scenes = [scene for scene in find_scenes(source, options, registry) if scene.kind != STEREO]
+        scenes = find_scenes(source, options, registry)
         if not scenes:
             raise InputError(f"{source}: {NO_TRIPLES}.")
         written += [write_scene(scene, root) for scene in scenes]

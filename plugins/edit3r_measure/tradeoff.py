@@ -53,7 +53,6 @@ class TradeoffCommand(Command):
         runs = {"warm_up": args.warm_up, "repeats": args.repeats, "plugins": plugins}
         job = Job(plan.unedited, plan.edited, perceptual=plan.perceptual, **runs)
         sweep = Sweep(Path(args.out), job, args.threads, args.minutes and args.minutes * 60)
-        sweep.root.mkdir(parents=True, exist_ok=True)
         measurements = _measure(args, plan, points, sweep)
         _report(args, plan, with_distances(summarize(measurements), measurements, sweep.image), measurements)
         return 0
@@ -77,6 +76,7 @@ def _measure(args: argparse.Namespace, plan: SweepPlan, points: Mapping[str, Any
     with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
         with report.stage("write scenes"):
             scenes = write_scenes(args.data or plan.data, options, sweep.root / "scenes", registry)
+            sweep.root.mkdir(parents=True, exist_ok=True)
         with report.stage(f"measure {len(points)} points on {len(scenes)} scenes"):
             measurements = sweep.measure(points, scenes)
     missing = len(points) * len(scenes) - len(measurements)

@@ -6,7 +6,7 @@ The small network, reconstructor `edit3r`, repairs matched geometry and carries 
 The full network, reconstructor `noposplat`, finds geometry by itself and needs weights: `full_reconstructor` brings
 images to its size (`view_fitting`) and runs `full_network`, that is `backbone` (of blocks in `transformer`) and
 `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`. `checkpoints` and `official_checkpoints` read weights
-of any origin; `engine` turns loaded layers into quicker ones (`fast_layers`, `winograd`) within the limits of `memory`.
+of any origin; `engine` chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the limits.
 Written from a description of the published network; no code of that family is used.
 """
 

@@ -5,7 +5,6 @@ Dense prediction transformer heads (DPT, Ranftl et al. 2021) as in MASt3R; two p
 
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -114,15 +113,12 @@ class DptGaussianHead(GaussianHead):
 class CentrePredictor(nn.Module):
     """Raw centres of one view's Gaussians: trunk, then three convolutions with one doubling between them."""
 
-    fusable: ClassVar[dict[str, str]] = {"conv2": "act"}
-
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, settings.feature_width)
         self.conv1 = nn.Conv2d(settings.feature_width, settings.point_width, 3, padding=1)
         self.conv2 = nn.Conv2d(settings.point_width, settings.point_width, 3, padding=IN_STRIPS[3])
-        self.act = nn.ReLU()
         self.out = nn.Conv2d(settings.point_width, 3, 1)
 
     def forward(self, maps: list[Float[Tensor, "batch channel n m"]]) -> Float[Tensor, "batch 3 height width"]:
@@ -131,7 +127,7 @@ class CentrePredictor(nn.Module):
 
         def strip(start: int, stop: int) -> Tensor:
             rows = with_border(partial(double_rows, half), start, stop, height, 1)
-            return self.out(self.act(self.conv2(rows)))
+            return self.out(F.relu(self.conv2(rows)))
 
         return in_strips(height, self.strip_rows, strip)
 
@@ -139,17 +135,13 @@ class CentrePredictor(nn.Module):
 class AttributePredictor(nn.Module):
     """Raw attributes of one view's Gaussians: doubled trunk plus features of the image, then two convolutions."""
 
-    fusable: ClassVar[dict[str, str]] = {"shortcut": "shortcut_act", "conv": "act"}
-
     def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
         super().__init__()
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
         self.shortcut = nn.Conv2d(3, width, 7, padding=IN_STRIPS[7])
-        self.shortcut_act = nn.ReLU()
         self.conv = nn.Conv2d(width, width, 3, padding=IN_STRIPS[3], bias=False)
-        self.act = nn.ReLU()
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
     def forward(
@@ -161,10 +153,10 @@ class AttributePredictor(nn.Module):
 
         def seen(start: int, stop: int) -> Tensor:
             near = with_border(lambda first, last: pixels[:, :, first:last], start, stop, height, 3)
-            return double_rows(half, start, stop) + self.shortcut_act(self.shortcut(near))
+            return double_rows(half, start, stop) + F.relu(self.shortcut(near))
 
         def strip(start: int, stop: int) -> Tensor:
-            return self.out(self.act(self.conv(with_border(seen, start, stop, height, 1))))
+            return self.out(F.relu(self.conv(with_border(seen, start, stop, height, 1))))
 
         return in_strips(height, self.strip_rows, strip)
 
@@ -191,7 +183,8 @@ class DptTrunk(nn.Module):
     def forward(self, maps: list[Float[Tensor, "batch channel rows columns"]]) -> Float[Tensor, "batch width 8n 8m"]:
         """`maps` are the token levels on the patch grid, finest use first."""
         grid = maps[0].shape[-2:]
-        layers = [self.project[i](self.reassemble[i](level)) for i, level in enumerate(maps)]
+        dtype = self.reassemble[0][1].weight.dtype  # may differ from the backbone's
+        layers = [self.project[i](self.reassemble[i](level.to(dtype))) for i, level in enumerate(maps)]
         path = self.fuse[3](layers[3])[..., : grid[0], : grid[1]]  # odd grids: 2 ceil(n/2) is one too many
         for index in (2, 1, 0):
             path = self.fuse[index](path, layers[index])
@@ -201,16 +194,13 @@ class DptTrunk(nn.Module):
 class ResidualUnit(nn.Module):
     """Residual convolutions: x + conv(relu(conv(relu(x))))."""
 
-    fusable: ClassVar[dict[str, str]] = {"conv1": "act"}  # layer: the activation after it, which an engine may fuse in
-
     def __init__(self, width: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(width, width, 3, padding=1)
-        self.act = nn.ReLU()
         self.conv2 = nn.Conv2d(width, width, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "batch width h w"]) -> Float[Tensor, "batch width h w"]:
-        return x + self.conv2(self.act(self.conv1(F.relu(x))))
+        return x + self.conv2(F.relu(self.conv1(F.relu(x))))
 
 
 class Fusion(nn.Module):

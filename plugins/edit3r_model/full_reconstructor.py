@@ -13,17 +13,15 @@ from edit3r.interfaces import Backbone, GaussianHead, Reconstructor
 from edit3r.reporting import note, progress, warn
 from edit3r.types import EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
-from edit3r_model.engine import EnginePlan, Precision, compile_blocks, make_plan, prepare_leaf
+from edit3r_model.engine import EnginePlan, Precision, make_plan, prepare_leaf
 from edit3r_model.full_network import GaussianNetwork, NetworkConfig, PartConfig
-from edit3r_model.memory import check_fits, draw_leaf, estimate_bytes, explaining_exhaustion, leaf_names, release_heap
+from edit3r_model.memory import check_fits, draw_leaf, estimate_bytes, explaining_exhaustion, leaf_names
 from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
 
 EMPTY = {"seed": None}  # sizes come with the weights; nothing is drawn before
 RANDOM = "random"
 RESOLUTION = 256
 """Where neither settings nor weights say: side of the square with the area that images are scaled down to [pixels]."""
-LEAVES_PER_RELEASE = 16
-"""How often what conversion freed goes back to the system; otherwise it adds up to a tenth of the network."""
 
 
 class NoPoSplatReconstructor(Reconstructor):
@@ -31,7 +29,7 @@ class NoPoSplatReconstructor(Reconstructor):
 
     It is handed its parts, so any backbone goes with any head; `weights` then decide their sizes. Gaussians come in
     the frame of view 0, one per pixel and view, and no cameras: the caller finds them from the centres
-    (`edit3r.geometry.pose`). Only `engine=eager` can be trained.
+    (`edit3r.geometry.pose`). In int8 it cannot be trained.
     """
 
     class Settings(Settings):
@@ -62,16 +60,13 @@ class NoPoSplatReconstructor(Reconstructor):
             description="one Gaussian per photo pixel up to this squared, with the photo's own detail; default: one "
             "per pixel of the network's grid",
         )
-        precision: Precision = Field(
-            "float32", description="of the network: float32, bfloat16, float16 (CUDA), int8 (CPU)"
+        precision: Precision | Literal["auto"] = Field(
+            "float32",
+            description="of the network: float32, bfloat16, float16 (CUDA), int8 (CPU); auto: bfloat16 where a product "
+            "of each kind, timed while it loads, says that it is faster than float32",
         )
         head_precision: Precision | Literal["auto"] = Field(
-            "auto", description="of the head; auto: as the backbone, beside int8 bfloat16 where the CPU has it"
-        )
-        engine: Literal["packed", "eager", "compile"] = Field(
-            "packed",
-            description="packed: oneDNN layouts on a CPU, inference only; eager: plain layers, trainable; compile: "
-            "torch.compile of each kind of block, slow to start",
+            "auto", description="of the head; auto: as the backbone, beside int8 bfloat16 where that is timed faster"
         )
         device: str = Field("auto", description="cpu, cuda, cuda:1, ...; auto: cuda where there is one")
         seed: int = Field(0, description="of weights that are drawn rather than loaded")
@@ -85,8 +80,6 @@ class NoPoSplatReconstructor(Reconstructor):
             )
         self._network = load_network(settings, backbone, head)
         self.resolution = settings.resolution or self._network.config.resolution
-        if settings.engine == "compile":
-            compile_blocks(self._network)
 
     @property
     def network(self) -> nn.Module:
@@ -106,8 +99,8 @@ class NoPoSplatReconstructor(Reconstructor):
         RunError when memory ends.
         """
         differentiable = self._network.training and torch.is_grad_enabled()
-        if differentiable and self.settings.engine == "packed" and self.device.type == "cpu":
-            raise SettingsError("reconstructor.engine: packed layers cannot be trained; set engine=eager.")
+        if differentiable and "int8" in (self.settings.precision, self.settings.head_precision):
+            raise SettingsError("reconstructor.precision: int8 layers cannot be trained; set precision=float32.")
         check_views(views, self.min_views)
         backbone = self._network.backbone
         fitted = fit_views(views, backbone.patch_size, self.resolution, self.settings.fit)
@@ -132,7 +125,7 @@ def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> 
     The network comes back in evaluation mode on its device.
     """
     device = choose_device(settings.device)
-    plan = make_plan(settings.precision, settings.head_precision, settings.engine == "packed", device)
+    plan = make_plan(settings.precision, settings.head_precision, device)
     if settings.weights == RANDOM:
         if any(value.is_meta for value in backbone.parameters()):  # empty: its own sizes are now those that count
             backbone = _resized(backbone, _config_of(backbone), RANDOM, "backbone")
@@ -145,8 +138,6 @@ def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> 
         network = _sized_like(loaded, backbone, head)
         _report(loaded, network)
         leaves = fill(network, loaded, settings.seed)
-    if "stored" in (plan.backbone, plan.head):
-        note("reconstructor.arithmetic", "float32 on weights stored in bfloat16, which this processor would emulate")
     _prepare(network, leaves, plan, device)
     return network.eval()
 
@@ -211,8 +202,6 @@ def _prepare(
     for done, (name, leaf) in enumerate(leaves, start=1):
         prepare_leaf(network, name, leaf, plan, device)
         progress("loading weights", done, total)
-        if done % LEAVES_PER_RELEASE == 0 or done == total:
-            release_heap()
 
 
 def _report(loaded: LoadedWeights, network: GaussianNetwork) -> None:

@@ -67,13 +67,6 @@ def release_pages(tensor: Tensor) -> None:
         ctypes.CDLL(None).madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), _PAGEOUT)
 
 
-def release_heap() -> None:
-    """Return freed heap memory to the system, which glibc keeps otherwise; nothing happens with other libraries."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform.startswith("linux") else None
-    if trim is not None:
-        trim(0)
-
-
 def estimate_bytes(backbone: Backbone, batch: int, views: int, size: tuple[int, int], feature_width: int = 256) -> int:
     """Estimate the memory of one run beside the weights [bytes], usually within a factor of 1.5."""
     height, width = size

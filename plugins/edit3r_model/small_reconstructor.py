@@ -101,7 +101,7 @@ class Edit3rReconstructor(Reconstructor):
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
         """Reconstruct; without `source` the edited images must agree well enough to be matched themselves.
 
-        `request` is not used. Differentiable only while the network is in training mode.
+        Of `request` the `grid` counts. Differentiable only while the network is in training mode.
         """
         if self.full is not None:
             reporting.note("edit3r.form", "full")
@@ -109,11 +109,13 @@ class Edit3rReconstructor(Reconstructor):
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
-        views, source = geometry.calibrated(views), geometry.calibrated(source)
+        grid = views.image_size if request is None else request.grid_of(views.image_size)
+        views, source = (geometry.calibrated(shown).at(grid) for shown in (views, source))
+        measured, geometry = geometry.measured, geometry.at(grid)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
             reconstruction = self._with_surroundings(reconstruction, source, geometry)
-        return replace(reconstruction, placed=geometry.registered, measured=geometry.measured)
+        return replace(reconstruction, placed=geometry.registered, measured=measured)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""

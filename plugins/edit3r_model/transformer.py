@@ -7,11 +7,10 @@ its neighbour), and the pair is rotated by the angle `position * base^(-4j/d)`, 
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 NORM_EPS = 1e-6
@@ -23,17 +22,11 @@ class Rotation:
 
     cos: Float[Tensor, "token 1 channel"]
     sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
-    turns: Complex[Tensor, "token 1 channel/2"]  # cos + i sin, one per pair of channels
 
     def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
         """Rotate queries or keys; the dtype of `x` is kept."""
         partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
         return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
-
-    def adjacent(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
-        """Rotate float32 channels that are in `adjacent_order`: one complex product, several times as fast."""
-        pairs = torch.view_as_complex(x.unflatten(-1, (-1, 2)))
-        return torch.view_as_real(pairs * self.turns).flatten(-2)
 
 
 def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
@@ -54,13 +47,7 @@ def make_rotation(
     angles = positions.double()[:, None, :, None, None] * frequencies  # [token, 1, axis, 1, pair]
     cos = angles.cos().expand(-1, -1, -1, 2, -1)
     sin = torch.cat((-angles.sin(), angles.sin()), -2)
-    turns = torch.complex(angles.cos(), angles.sin()).flatten(2)
-    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)), turns.cfloat().to(device))
-
-
-def adjacent_order(head_width: int) -> Int[Tensor, "channel"]:
-    """Return the order of a head's channels in which the two of a pair stand side by side."""
-    return torch.arange(head_width).view(2, 2, -1).transpose(1, 2).flatten()
+    return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))
 
 
 class _XavierStart:
@@ -88,19 +75,15 @@ def layer_norm(width: int) -> nn.LayerNorm:
 class SelfAttention(nn.Module):
     """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each [head, channel]."""
 
-    rotated: ClassVar[dict[str, int]] = {"qkv": 2}  # layer: how many blocks of its features are queries or keys
-
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.adjacent = False  # True: queries and keys have their channels in `adjacent_order`
         self.qkv = XavierLinear(width, 3 * width)
         self.proj = XavierLinear(width, width)
 
     def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
         query_key, value = self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
-        rotate = rotation.adjacent if self.adjacent else rotation
-        query, key = rotate(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
+        query, key = rotation(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
         return self.proj(attend(query, key, value.squeeze(2)))
 
 
@@ -111,12 +94,9 @@ class CrossAttention(nn.Module):
     than projecting a concatenated memory for every reader and gives the same numbers.
     """
 
-    rotated: ClassVar[dict[str, int]] = {"query": 1, "key_value": 1}
-
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.adjacent = False
         self.query = XavierLinear(width, width)
         self.key_value = XavierLinear(width, 2 * width)
         self.proj = XavierLinear(width, width)
@@ -130,26 +110,22 @@ class CrossAttention(nn.Module):
     ) -> Float[Tensor, "batch reader token width"]:
         """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory` that reader i sees."""
         batch, readers = x.shape[:2]
-        rotate = rotation.adjacent if self.adjacent else rotation
-        query = rotate(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
+        query = rotation(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
         key, value = self.key_value(memory).flatten(0, 1).unflatten(-1, (2, self.heads, -1)).unbind(2)
-        key, value = (_gather(tokens, reads, batch) for tokens in (rotate(key), value))
+        key, value = (_gather(tokens, reads, batch) for tokens in (rotation(key), value))
         return self.proj(attend(query, key, value)).unflatten(0, (batch, readers))
 
 
 class Mlp(nn.Module):
     """Linear, exact (erf) GELU, Linear."""
 
-    fusable: ClassVar[dict[str, str]] = {"fc1": "act"}  # layer: the activation after it, which an engine may fuse in
-
     def __init__(self, width: int, hidden: int) -> None:
         super().__init__()
         self.fc1 = XavierLinear(width, hidden)
-        self.act = nn.GELU()
         self.fc2 = XavierLinear(hidden, width)
 
     def forward(self, x: Float[Tensor, "*batch width"]) -> Float[Tensor, "*batch width"]:
-        return self.fc2(self.act(self.fc1(x)))
+        return self.fc2(F.gelu(self.fc1(x)))
 
 
 class EncoderBlock(nn.Module):

@@ -1,7 +1,8 @@
 """Fit Gaussians to images from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al. 2023).
 
-One view a step, L1 and D-SSIM, Adam, density control. The same inputs give the same result, and a stopped fit
-continues from its checkpoint with the same bytes, because everything random is drawn from the seed and the step.
+One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as in the beginning. The same inputs give
+the same result, and a stopped fit continues from its checkpoint with the same bytes, because everything random is drawn
+from the seed and the step.
 """
 
 from collections.abc import Callable
@@ -17,9 +18,7 @@ from edit3r.errors import InputError
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
-from edit3r_optimisers import density_control
 from edit3r_optimisers.checkpoints import CheckpointFile
-from edit3r_optimisers.density_control import DensityStatistics
 from edit3r_optimisers.settings import FitSettings
 from edit3r_optimisers.trainable import TrainableGaussians, detached
 
@@ -71,7 +70,7 @@ def fit(
     plan: FitPlan,
     checkpoint: CheckpointFile | None = None,
 ) -> Fitted:
-    """Move, add and remove Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
+    """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
     run = _Fit(start, cameras, targets, rasterizer, plan)
     first = run.resume(checkpoint)
     for step in range(first, plan.steps):
@@ -102,11 +101,10 @@ class _Fit:
         self.cameras, self.targets, self.rasterizer, self.plan = cameras, targets, rasterizer, plan
         self.extent = scene_extent(start, cameras)
         self.scene = TrainableGaussians(start, plan.settings.degree)
-        self.statistics = DensityStatistics.of(len(self.scene), start.means)
         self.losses: list[float] = []
 
     def step(self, step: int) -> None:
-        """Render one view, take one step of Adam, and add and remove Gaussians where that is due."""
+        """Render one view and take one step of Adam."""
         settings, steps = self.plan.settings, self.plan.steps
         self.targets.before_step(step, lambda: detached(self.scene.gaussians()))
         view = view_at(step, self.cameras.count, self.plan.seed)
@@ -115,31 +113,12 @@ class _Fit:
             gaussians = self.scene.gaussians(active_degree(settings, step, steps))
             image = self.rasterizer.render(gaussians, camera).images[0, 0]
             loss = photometric_loss(image, self.targets.images[view], settings.ssim)
-            gradients = self.scene.gradients(loss)
         self.losses.append(float(loss.detach()))
-        if density_control.needs_statistics(settings, step + 1, steps):
-            self.statistics.add(self.scene.parameters, gradients.means, camera)
-        self.scene.step(gradients, step_sizes(settings, step, steps, self.extent))
-        self._control_density(step + 1)
-
-    def _control_density(self, done: int) -> None:
-        settings, steps = self.plan.settings, self.plan.steps
-        if density_control.is_due(settings, done, steps):
-            density_control.control_density(self.scene, self.statistics, settings, self.extent, done, self.plan.seed)
-            self.statistics = DensityStatistics.of(len(self.scene), self.scene.parameters.means.detach())
-        if density_control.is_reset_due(settings, done, steps):
-            self.scene.cap_opacities(density_control.RESET_OPACITY)
+        self.scene.step(loss, step_sizes(settings, step, steps, self.extent))
 
     def state(self, done: int) -> dict[str, Any]:
         """Return the checkpoint after `done` steps."""
-        statistics = {name: value.clone() for name, value in vars(self.statistics).items()}
-        return {
-            "step": done,
-            "scene": self.scene.state(),
-            "statistics": statistics,
-            "losses": self.losses,
-            "targets": self.targets.state(),
-        }
+        return {"step": done, "scene": self.scene.state(), "losses": self.losses, "targets": self.targets.state()}
 
     def resume(self, checkpoint: CheckpointFile | None) -> int:
         """Restore what the checkpoint holds and return the step to go on with."""
@@ -148,7 +127,6 @@ class _Fit:
             return 0
         try:
             self.scene.restore(content["scene"])
-            self.statistics = DensityStatistics(**content["statistics"])
             self.losses = list(content["losses"])
             self.targets.restore(content["targets"])
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:

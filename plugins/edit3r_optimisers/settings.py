@@ -1,4 +1,4 @@
-"""What all four methods share: how long and how fast to fit, when to add and remove Gaussians, where to begin."""
+"""What all four methods share: how long and how fast to fit, where to begin."""
 
 from typing import Literal
 
@@ -10,7 +10,7 @@ __all__ = ["FitSettings", "MethodSettings"]
 
 
 class FitSettings(Settings):
-    """One fit. Step sizes and thresholds are those of 3D Gaussian Splatting (Kerbl et al. 2023, section 7 and the
+    """One fit. Step sizes are those of 3D Gaussian Splatting (Kerbl et al. 2023, section 7 and the
     authors' released code) unless the description says otherwise; `extent` is a typical distance to the scene."""
 
     ssim: float = Field(0.2, ge=0, le=1, description="weight of D-SSIM; the rest is the absolute difference")
@@ -26,20 +26,6 @@ class FitSettings(Settings):
     opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
     scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")
     rotation_rate: float = Field(1e-3, ge=0, le=1, description="step of the quaternions")
-    densify_from: int = Field(500, ge=0, description="step before which no Gaussian is added or removed")
-    densify_until: float = Field(0.5, ge=0, le=1, description="share of the fit after which none is; 0: never")
-    densify_every: int = Field(100, ge=1, description="steps between adding and removing")
-    grow_gradient: float = Field(
-        2e-4, ge=0, description="a Gaussian is doubled where the loss falls faster than this per half picture moved"
-    )
-    split_size: float = Field(0.01, gt=0, description="larger Gaussians are split, smaller are cloned [extents]")
-    prune_opacity: float = Field(0.005, ge=0, lt=1, description="fainter Gaussians are removed")
-    prune_world: float = Field(0.1, gt=0, description="larger are removed once opacities were reset [extents]")
-    prune_view: float = Field(
-        0.15, gt=0, description="larger in a picture are removed once opacities were reset [picture widths]"
-    )
-    reset_every: int = Field(3000, ge=0, description="steps between resets of all opacities to at most 0.01; 0: never")
-    most: int = Field(200_000, ge=1, description="no more Gaussians than this are grown")
 
 
 class MethodSettings(FitSettings):

@@ -22,7 +22,7 @@ from edit3r_optimisers.settings import MethodSettings
 RANDOM_OPACITY = 0.1  # 3D Gaussian Splatting, released code
 RANDOM_DEPTHS = (0.3, 3.0)  # nearest and farthest random point, in distances to where the cameras look
 NEIGHBOURS = 3  # whose mean distance is the size of a random point (3D Gaussian Splatting, section 7.1)
-VISIBLE_OPACITY = 0.05  # a fainter first Gaussian would be removed before it could show what it is worth
+VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
 FAR_AWAY = 10.0  # distance to a scene that no two cameras look at together, in distances between cameras
 
 

@@ -22,8 +22,8 @@ from edit3r_recolor.steps import Paint
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
 
-NEAR = (14.0, 22.0)
-"""Colour differences [CIE94, half weight on lightness] up to which a pixel has a colour, and from which it has not."""
+NEAR = (13.0, 20.0)
+"""Colour differences [CIE94, lightness halved, hue by 1.7] up to which a pixel has a colour, and from which not."""
 
 
 class ProposalFilter(Settings):
@@ -156,7 +156,7 @@ def only_near(region: Region, images: Float[Tensor, "view 3 height width"], colo
         return region
     lab = kornia.color.rgb_to_lab(kornia.filters.median_blur(images, 3)).movedim(1, -1).double()
     named = kornia.color.rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None]).movedim(0, -1)
-    distance = torch.from_numpy(deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2))
+    distance = torch.from_numpy(deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2, kH=0.6))
     near = ((NEAR[1] - distance) / (NEAR[1] - NEAR[0])).clamp(0, 1).to(images)
     chroma, least = lab[..., 1:].norm(dim=-1), 0.2 * named[..., 1:].norm()
     masks = region.masks * near * (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1).to(images)

@@ -36,7 +36,8 @@ _EVERYDAY_COLOURS = {
     "scarlet": "#ff2400",
     "silvery": "#c0c0c0",
     "terracotta": "#e2725b",
-    # As a painter would mix them: CSS's pure primaries are lamps, and its green is very dark.
+    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its brown is a red.
+    "brown": "#7a4a26",
     "red": "#dc1414",
     "green": "#1e9632",
     "blue": "#1e50dc",

@@ -54,7 +54,7 @@ class KeepOutsideMask(Refiner):
         region = request.masks[0] > 0
         note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
         with torch.no_grad():
-            return insert_edit(request.before, gaussians, region, cameras, rasterizer)
+            return insert_edit(request.before, gaussians, region, cameras.at(region.shape[-2:]), rasterizer)
 
 
 def insert_edit(

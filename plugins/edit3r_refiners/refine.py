@@ -1,6 +1,6 @@
-"""Refine Gaussians by a few photometric steps on the input views; the cameras stay.
+"""Refine Gaussians by photometric steps on the input views; the cameras stay.
 
-Each step renders the input views and moves colours, opacities, sizes and centres a little towards their images. A
+Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little towards its image. A
 share of the pixels is held back from the loss. The steps end when those pixels stop getting better, and the best
 state by them is returned: it is never worse on them than the start.
 """
@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
 
 from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer, Refiner
@@ -22,18 +23,21 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam; torch's defaults
+BETAS, EPSILON = (0.8, 0.99), 1e-8  # of Adam: few steps must do
+SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
 
 
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and when to stop."""
 
-    colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
-    opacity: float = Field(0.25, ge=0, le=1, description="step of the opacities' logits")
-    scale: float = Field(0.08, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.04, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    colour: float = Field(0.045, ge=0, le=1, description="step of the harmonics")
+    opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
+    scale: float = Field(0.18, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.09, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
     held_back: float = Field(0.1, gt=0, lt=1, description="share of pixels kept out of the loss, to know when to stop")
-    patience: int = Field(5, ge=1, description="steps without improvement of the held-back pixels before stopping")
+    patience: int = Field(
+        3, ge=1, description="rounds of all views without improvement of those pixels before stopping"
+    )
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
@@ -43,15 +47,15 @@ class Refined:
 
     gaussians: Gaussians
     steps: int  # taken until the state that is returned
-    held_back: tuple[float, ...]  # squared error of the held-back pixels before each step and after the last
-    fitted: tuple[float, ...]  # the same of the others
+    held_back: tuple[float, float]  # squared error of the held-back pixels before and after
+    fitted: tuple[float, float]  # the same of the others
 
     @property
     def facts(self) -> dict[str, float]:
         """The number of steps, and what they gained [dB]."""
         gains = (
-            10 * math.log10(max(errors[0], LEAST_ERROR) / max(errors[self.steps], LEAST_ERROR))
-            for errors in (self.held_back, self.fitted)
+            10 * math.log10(max(before, LEAST_ERROR) / max(after, LEAST_ERROR))
+            for before, after in (self.held_back, self.fitted)
         )
         held_back, fitted = (round(gain, 3) for gain in gains)
         return {"steps": self.steps, "db_gained_on_held_back_pixels": held_back, "db_gained_on_others": fitted}
@@ -66,37 +70,54 @@ def refine(
     steps: int,
     settings: RefineSettings | None = None,
 ) -> Refined:
-    """Take up to `steps` steps towards `images` as seen from `cameras`.
+    """Take up to `steps` steps, each towards one of `images` as seen from `cameras`.
 
     The same inputs give the same result on one device. Works under `torch.no_grad()` too.
     """
     settings = settings or RefineSettings()
     kept_out = _held_back(images, settings)
-    followed = (~kept_out).to(images.dtype) / (~kept_out).sum()
+    before = _errors(gaussians, cameras, images, rasterizer, kept_out)
     variables = _Variables(gaussians, settings)
-    best, held_back, fitted = gaussians, [], []
-    for step in range(steps + 1):
+    best, taken, errors, rounds = gaussians, 0, [], []
+    for step in range(steps if before[0] > 0 else 0):
+        view = [step % cameras.count]
+        image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
-            current = variables.gaussians()
-            difference = rasterizer.render(current, cameras).images - images
-            loss = (difference.abs().mean(2) * followed).sum()
-        error = difference.detach().square().mean(2)
-        held_back.append(float(error[kept_out].mean()))
-        fitted.append(float((error * followed).sum()))
-        if step > 0 and held_back[-1] < min(held_back[:-1]):
-            best = _detached(current)
-        progress("refine", step, steps)
-        if step == steps or step - _lowest(held_back) >= settings.patience:
-            break
+            shown = rasterizer.render(variables.gaussians(), cameras.select(view)).images
+            loss = (smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(2) * ~out).mean()
+        errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
         variables.step(loss)
-    return Refined(best, _lowest(held_back), tuple(held_back), tuple(fitted))
+        progress("refine", step + 1, steps)
+        if len(errors) % cameras.count == 0 or step == steps - 1:
+            rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
+            if rounds[-1] <= min(rounds):
+                best, taken = _detached(variables.gaussians()), step + 1
+            if len(rounds) - 1 - rounds.index(min(rounds)) >= settings.patience:
+                break
+    after = _errors(best, cameras, images, rasterizer, kept_out) if taken else before
+    if after[0] >= before[0]:
+        best, taken, after = gaussians, 0, before
+    return Refined(best, taken, *zip(before, after))
+
+
+@torch.no_grad()
+def _errors(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    images: Float[Tensor, "batch camera 3 height width"],
+    rasterizer: Rasterizer,
+    kept_out: Bool[Tensor, "batch camera height width"],
+) -> tuple[float, float]:
+    """Mean squared error of the held-back pixels and of the others."""
+    error = (rasterizer.render(gaussians, cameras).images - images).square().mean(2)
+    return float(error[kept_out].mean()), float(error[~kept_out].mean())
 
 
 class RefineRefiner(Refiner):
     """Sharpens the Gaussians by photometric steps on the views that show the edit."""
 
     class Settings(RefineSettings):
-        steps: int = Field(15, ge=0, le=10000, description="most photometric steps")
+        steps: int = Field(40, ge=0, le=10000, description="most photometric steps, each towards one view")
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -105,7 +126,7 @@ class RefineRefiner(Refiner):
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:
         """Follow `views` alone: photos that were not edited would pull the edit back out."""
-        shown = cameras.select(range(views.count))
+        shown = cameras.select(range(views.count)).at(views.image_size)
         refined = refine(gaussians, shown, views.images, rasterizer, self.settings.steps, self.settings)
         note("refine", refined.facts)
         return refined.gaussians
@@ -114,8 +135,8 @@ class RefineRefiner(Refiner):
 class Adam:
     """Moves `values` in place by Adam (Kingma and Ba 2015); `rates` are their step sizes.
 
-    `torch.optim` computes the same bits, but its first optimizer of a process imports torch's compiler: two seconds,
-    more than all steps of a usual refinement together.
+    `torch.optim` computes the same bits where no gradient is 0, but its first optimizer of a process imports torch's
+    compiler: two seconds, more than all steps of a usual refinement together.
     """
 
     def __init__(self, values: Sequence[Tensor], rates: Sequence[float]) -> None:
@@ -131,7 +152,8 @@ class Adam:
             first.lerp_(gradient, 1 - BETAS[0])
             second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
             spread = second.sqrt().div_(math.sqrt(unbiased[1])).add_(EPSILON)
-            value.addcdiv_(first, spread, value=-rate / unbiased[0])
+            # What this view does not show stays: else momentum alone would carry it on through all other views' steps.
+            value.addcdiv_(first * (gradient != 0), spread, value=-rate / unbiased[0])
 
 
 class _Variables:
@@ -179,8 +201,3 @@ def _detached(gaussians: Gaussians) -> Gaussians:
     """Copy without gradient history; Adam changes values in place."""
     names = ("means", "scales", "quats", "opacities", "harmonics")
     return replace(gaussians, **{name: getattr(gaussians, name).detach().clone() for name in names})
-
-
-def _lowest(errors: list[float]) -> int:
-    """Return the index of the first of the lowest errors."""
-    return min(range(len(errors)), key=errors.__getitem__)

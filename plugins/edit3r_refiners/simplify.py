@@ -129,7 +129,7 @@ def _merge(
     price = scene_price(cells, settings) if most is None else price_for_count(cells, most)
     groups = partition(cells, price)
     if fine is not None and most is None:
-        groups[own_pixel_inside(gaussians, fine, cameras)] = -1
+        groups[own_pixel_inside(gaussians, fine, cameras.at(fine.shape[-2:]))] = -1
         groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
     return merge_groups(gaussians, groups, cameras, settings)
 

@@ -276,7 +276,10 @@ def recipes(rng, folder, given):
 
 
 def prompts(rng, folder, given):
+    from edit3r_editors.looks import LOOKS, read_look
     from edit3r_recolor.prompt import parse_prompt
+
+    from edit3r.mask_from_prompt import things_in_prompt
 
     text = mangled_text(rng, "paint the bike light blue, make it much darker; all but the wall from grey to red")
     text *= rng.choice((1, 1, 1, 40, 20_000))
@@ -287,6 +290,12 @@ def prompts(rng, folder, given):
     page = (folder / "viewer.html").read_text(encoding="utf-8")
     meta = page.partition('<script id="meta" type="application/json">')[2].partition("</script>")[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
+    things, all_but = things_in_prompt(prompt)
+    assert all(things) and (things or not all_but)
+    if rng.random() < 0.3:
+        assert (
+            read_look(prompt + rng.choice((" marble", " gold and night", " as a pencil sketch")), masked=True) in LOOKS
+        )
     assert all(request.steps for request in parse_prompt(prompt))
 
 

@@ -194,6 +194,6 @@ def test_auto_without_weights_is_its_matcher_and_says_so(monkeypatch, tmp_path):
     with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
         matcher = edit3r.build("matcher", "auto", matcher={"name": "classical", "working_size": 96})
         geometry = matcher.match(photograph(2, (192, 256)).views)
-    assert ("say", "matcher.picked: classical") in events and report.notes["matcher.picked"] == "classical"
+    assert ("say", "matcher: classical") in events and report.notes["matcher.picked"] == "classical"
     assert matcher.matcher.settings.working_size == 96 and bool(geometry.registered.all())
     assert json.loads(matcher.settings.model_dump_json())["pick"] == "part"

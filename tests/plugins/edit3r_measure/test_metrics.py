@@ -7,21 +7,26 @@ import pytest
 import torch
 from edit3r_measure.metrics import (
     best_blurred_copy,
+    blur,
     bootstrap_mean,
     change_outside,
     edit_strength,
     edit_uptake,
+    epipolar_distances,
     frechet_distance,
     kernel_distance,
+    matched_points,
     psnr,
+    regions,
+    sharpness,
     ssim,
     warped_difference,
     warped_image,
-    within_share,
 )
 from scipy.linalg import sqrtm
 from scipy.ndimage import gaussian_filter
 
+from edit3r.geometry.cameras import project
 from edit3r.types import Cameras
 
 
@@ -78,18 +83,6 @@ def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
     assert best_blurred_copy([picture], target).psnr < 20
 
 
-def test_within_share_is_blind_to_scale_and_counts_missing_depth_as_wrong():
-    truth = np.full((10, 10), 2.0)
-    truth[0] = 0  # unknown
-    depth = np.where(truth > 0, 7.0, 3.0)
-    assert within_share(depth, truth) == 1
-    depth[1:4] = 0
-    assert within_share(depth, truth) == pytest.approx(6 / 9)
-    depth[4] = 7.9
-    assert within_share(depth, truth) == pytest.approx(5 / 9)
-    assert within_share(np.zeros((10, 10)), truth) == 0
-
-
 def test_psnr_of_a_tenth_off_everywhere_is_20_decibels(picture):
     assert psnr(0.5 * picture + 0.1, 0.5 * picture) == pytest.approx(20, abs=1e-4)
 
@@ -107,6 +100,46 @@ def test_ssim_agrees_with_an_independent_float64_calculation(picture):
     values = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
     values = values / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
     assert ssim(a, picture) == pytest.approx(values.mean(), rel=1e-3)
+
+
+def test_ssim_of_a_region_sees_what_lies_in_it_alone(picture):
+    smooth = gaussian_filter(picture, (3, 3, 0))
+    wrong = smooth.copy()
+    wrong[:, 24:] = picture[:, 24:]
+    left = np.zeros((32, 40), bool)
+    left[:, :20] = True  # windows of 7 pixels reach to column 23
+    assert ssim(wrong, smooth, left) == pytest.approx(1)
+    assert ssim(wrong, smooth, ~left) < ssim(wrong, smooth) < 1
+    assert math.isnan(ssim(wrong, smooth, 0 * left > 0))
+
+
+def test_regions_part_the_picture_by_distance_from_the_edit():
+    masks = np.zeros((1, 60, 100))
+    masks[:, 20:40, 30:60] = 0.5  # an edit that blends softly is one, and a band of 5 pixels lies around it
+    found = regions(masks)
+    assert [int(found[name].sum()) for name in ("edit", "band", "background")] == [600, 30 * 40 - 600, 6000 - 30 * 40]
+    assert (sum(region.astype(int) for region in found.values()) == 1).all()
+    assert found["edit"][0, 20, 30] and found["band"][0, 15, 25] and found["background"][0, 14, 25]
+
+
+def test_half_the_contrast_has_a_quarter_of_the_sharpness(picture):
+    assert sharpness(picture, picture) == pytest.approx(1)
+    assert sharpness(0.5 * picture + 0.2, picture) == pytest.approx(0.25)
+    assert sharpness(gaussian_filter(picture, (1, 1, 0)), picture) < 0.05
+    assert math.isnan(sharpness(picture, np.full_like(picture, 0.5)))
+
+
+def test_sharpness_of_one_bright_pixel_is_the_laplacians_by_hand():
+    spot, wide = np.zeros((9, 9, 3)), np.zeros((9, 9, 3))
+    spot[4, 4] = 1  # Laplacian -4 and four ones: squares 16 + 4, mean 0
+    wide[4, 4:6] = 1  # -3, -3 and six ones: squares 18 + 6
+    assert sharpness(spot, wide) == pytest.approx(20 / 24)
+
+
+def test_blur_rises_with_the_blur_and_stays_a_share(picture):
+    values = [blur(gaussian_filter(picture, (sigma, sigma, 0)) if sigma else picture) for sigma in (0, 0.5, 1, 2, 4)]
+    assert values == sorted(values) and 0 <= values[0] < 0.2 and 0.5 < values[-1] <= 1
+    assert blur(np.full((32, 32, 3), 0.5)) == 1
 
 
 @pytest.fixture
@@ -204,6 +237,72 @@ def test_hidden_points_do_not_count(wall, depths, cameras):
     hiding = depths.clone()
     hiding[1] = 1.0  # the second camera sees something nearer everywhere
     assert warped_difference(wall, hiding, cameras, [(0, 1)]) != warped_difference(wall, hiding, cameras, [(0, 1)])
+
+
+TILTED = math.radians(10)
+
+
+@pytest.fixture
+def two_cameras():
+    """The second stands to the right and ahead and looks 10 degrees to the left; unlike lenses, wide pictures."""
+    c2w = torch.eye(4, dtype=torch.float64).repeat(1, 2, 1, 1)
+    c2w[0, 1, :3, 3] = torch.tensor([0.6, 0.1, 0.2])
+    cosine, sine = math.cos(TILTED), math.sin(TILTED)
+    c2w[0, 1, :3, :3] = torch.tensor([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+    k = torch.tensor([[[1.0, 0, 0.5], [0, 1.5, 0.5], [0, 0, 1]], [[1.2, 0, 0.45], [0, 1.8, 0.55], [0, 0, 1]]])
+    return Cameras(c2w.float(), k[None], (80, 120))
+
+
+def seen_by(cameras, points):
+    places = project(points.expand(2, -1, -1), cameras.intrinsics[0], cameras.c2w[0])[0]
+    return [(own * torch.tensor([120.0, 80.0])).double().numpy() for own in places]
+
+
+def test_true_matches_lie_on_their_epipolar_lines(two_cameras):
+    points = torch.rand(40, 3, generator=torch.Generator().manual_seed(0)) * 2 + torch.tensor([-1.0, -1.0, 3.0])
+    first, second = seen_by(two_cameras, points)
+    assert epipolar_distances(first, second, two_cameras).max() < 1e-3
+    assert np.median(epipolar_distances(second, first, two_cameras)) > 1  # views swapped
+    other_way = Cameras(torch.linalg.inv(two_cameras.c2w), two_cameras.intrinsics, two_cameras.image_size)
+    assert np.median(epipolar_distances(first, second, other_way)) > 1  # world-to-camera instead
+    far = Cameras(two_cameras.c2w.clone(), two_cameras.intrinsics, two_cameras.image_size)
+    far.c2w[..., :3, 3] *= 7
+    assert epipolar_distances(first, second, far).max() < 1e-3  # the unit of length does not matter
+
+
+def test_a_match_that_is_off_across_its_line_is_off_by_that(cameras):
+    # Straight ahead and one beside the other, epipolar lines are rows: 2 down is 2 pixels, along the row is nothing.
+    first = np.array([[10.0, 12.0], [20.0, 5.0], [8.0, 8.0]])
+    second = first + np.array([[-8.0, 2.0], [-3.0, 0.0], [-4.0, -1.0]])
+    assert epipolar_distances(first, second, cameras) == pytest.approx([2, 0, 1])
+
+
+def test_points_of_a_moved_picture_are_matched_where_they_went():
+    image = gaussian_filter(np.random.default_rng(0).random((96, 96, 3)), (2, 2, 0))
+    image = (image - image.min()) / np.ptp(image)
+    first, second = matched_points(image[:, :80], image[:, 9:89])
+    assert len(first) > 20
+    assert np.abs(second - first - np.array([-9.0, 0.0])).max(1).mean() < 0.2
+    assert len(matched_points(image[:, :80], np.full((96, 80, 3), 0.5))[0]) == 0
+    assert len(matched_points(image[:48], np.random.default_rng(1).random((48, 96, 3)))[0]) < 5
+
+
+def test_what_is_there_twice_is_matched_once():
+    patch = gaussian_filter(np.random.default_rng(0).random((40, 40, 3)), (1.5, 1.5, 0))
+    patch = (patch - patch.min()) / np.ptp(patch)
+    once, twice = np.full((60, 120, 3), 0.5), np.full((60, 120, 3), 0.5)
+    once[10:50, 10:50] = twice[10:50, 10:50] = twice[10:50, 70:110] = patch
+    assert 10 < len(matched_points(twice, once)[0]) <= 1.1 * len(matched_points(once, once)[0])
+
+
+def test_a_match_counts_from_the_corner_of_the_picture():
+    rows, columns = np.mgrid[:64, :96]
+    spots = [(20, 30, 3.0), (60, 24, 5.0), (40, 50, 4.0)]  # column and row of the pixel in the middle, width
+    grey = sum(np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * w**2)) for x, y, w in spots)
+    image = np.repeat(grey[..., None], 3, -1).clip(0, 1)
+    found = matched_points(image, image)[0]
+    for x, y, _ in spots:
+        assert np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3  # OpenCV's SIFT is a quarter of a pixel off
 
 
 def textbook_frechet(a, b):

@@ -14,7 +14,6 @@ from edit3r_measure.scene_sources import (
     find_scenes,
     photo_scene,
     rotation_degrees,
-    stereo_scene,
     write_scenes,
 )
 from PIL import Image
@@ -156,19 +155,6 @@ def test_a_failure_is_a_row_not_a_stop(folder):
     table = novel_view_table([score])
     assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
     assert as_records([score])[0]["psnr"] is None
-
-
-def test_stereo_truth_scores_right_depth_as_right(tmp_path):
-    cameras = [camera(0, 0, "l.png"), camera(0.5, 0, "r.png")]
-    (tmp_path / "cameras.json").write_text(json.dumps(written(tmp_path, cameras)))
-    np.savez(tmp_path / "disparity_left.npz", disparity=np.full((64, 96), 80 * 0.5 / DEPTH, np.float32))
-    scene = read_posed_folder(tmp_path)
-    (source,) = find_scenes(str(tmp_path), SceneOptions(count=3, size=32), default_registry())
-    assert source.kind == "stereo"
-    assert source.load().depth == pytest.approx(DEPTH / 0.5)
-    flat = WallKnown(read_posed_folder(tmp_path))
-    flat.folder = type(scene)(scene.name, scene.path, (*scene.cameras, scene.cameras[1]))
-    assert score_scene(stereo_scene(scene, 32), flat, build("rasterizer", "torch")).figures["right"] > 0.98
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):

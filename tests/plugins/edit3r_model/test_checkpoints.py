@@ -113,12 +113,12 @@ def test_a_mast3r_file_initialises_all_but_what_it_lacks(tmp_path, official_stat
         mast3r[key.removeprefix("backbone.")] = value
     mast3r["downstream_head1.head_local_features.fc1.weight"] = torch.ones(3, 3)
     torch.save({"args": argparse.Namespace(model="x"), "model": mast3r}, tmp_path / "mast3r.pth")
-    network = build(tmp_path / "mast3r.pth", engine="eager").network
+    network = build(tmp_path / "mast3r.pth").network
     points = network.head.centres[1].out.weight
     assert torch.equal(points, official_state["downstream_head2.dpt.head.4.weight"])
-    again = build(tmp_path / "mast3r.pth", engine="eager").network
+    again = build(tmp_path / "mast3r.pth").network
     assert torch.equal(network.head.attributes[0].conv.weight, again.head.attributes[0].conv.weight)  # seeded
-    other = build(tmp_path / "mast3r.pth", engine="eager", seed=1).network
+    other = build(tmp_path / "mast3r.pth", seed=1).network
     assert not torch.equal(network.head.attributes[0].conv.weight, other.head.attributes[0].conv.weight)
 
 
@@ -251,7 +251,6 @@ def trained(tmp_path_factory):
         "reconstructor": {
             "name": "noposplat",
             "weights": "random",
-            "engine": "eager",
             "resolution": 32,
             "backbone": {"width": 32, "heads": 2, "decoder_width": 32, "decoder_heads": 8, **DEPTHS},
             "head": {"feature_width": 8, "point_width": 8, "layer_widths": [8, 8, 8, 8]},
@@ -267,7 +266,7 @@ def trained(tmp_path_factory):
 
 
 def test_a_trained_network_needs_no_further_settings(trained):
-    network = edit3r.build("reconstructor", "noposplat", weights=str(trained), engine="eager").network
+    network = edit3r.build("reconstructor", "noposplat", weights=str(trained)).network
     assert network.backbone.settings.width == 32 and network.backbone.decoder_heads == 8
     assert network.config.resolution == 32
     stored = load_weights(trained).state
@@ -275,7 +274,7 @@ def test_a_trained_network_needs_no_further_settings(trained):
 
 
 def test_a_trained_network_of_the_full_form_runs_under_the_name_of_the_paper_s_model(trained):
-    network = edit3r.build("reconstructor", "edit3r", weights=str(trained), full={"engine": "eager"}).network
+    network = edit3r.build("reconstructor", "edit3r", weights=str(trained)).network
     stored = load_weights(trained).state
     assert all(torch.equal(value, stored[name]) for name, value in network.named_parameters())
 

@@ -1,24 +1,18 @@
-"""Faster layers against the plain ones they replace."""
+"""The choice of precision, and int8 layers and strips against the plain ones they replace."""
 
+import itertools
 from functools import partial
 
 import pytest
 import torch
 from edit3r_model.dpt_head import double, double_rows, in_strips, with_border
-from edit3r_model.engine import make_plan
-from edit3r_model.fast_layers import (
-    FusedConv,
-    Int8Conv,
-    Int8Linear,
-    PackedLinear,
-    StoredLinear,
-    quantise_input,
-    quantise_weight,
-)
-from edit3r_model.winograd import WinogradConv
+from edit3r_model.engine import EnginePlan, bfloat16_gain, make_plan
+from edit3r_model.int8_layers import Int8Conv, Int8Linear, quantise_input, quantise_weight
 from torch import nn
 
+import edit3r
 from edit3r.errors import SettingsError
+from edit3r.reporting import Report, collecting
 
 CPU = torch.device("cpu")
 
@@ -27,64 +21,6 @@ CPU = torch.device("cpu")
 def _without_gradients():
     with torch.no_grad():
         yield
-
-
-@pytest.mark.parametrize("rows", [1, 37, 700])  # 512 is what the layout is chosen for
-@pytest.mark.parametrize("activation", ["none", "gelu"])
-def test_packed_linear_equals_the_plain_one(rows, activation):
-    linear, x = nn.Linear(48, 72), torch.randn(2, rows, 48)
-    expected = linear(x) if activation == "none" else nn.functional.gelu(linear(x))
-    torch.testing.assert_close(PackedLinear(linear, torch.float32, activation)(x), expected, atol=1e-5, rtol=1e-5)
-
-
-def test_packed_linear_in_bf16_rounds_and_no_more():
-    linear, x = nn.Linear(64, 64), torch.randn(9, 64)
-    result = PackedLinear(linear, torch.bfloat16)(x)
-    assert result.dtype == torch.bfloat16
-    assert (result.float() - linear(x)).norm() / linear(x).norm() < 0.01
-
-
-@pytest.mark.parametrize("activation", ["none", "gelu"])
-def test_stored_layers_err_by_the_rounding_of_their_weights_alone(activation):
-    linear, x = nn.Linear(48, 72), torch.randn(2, 9, 48)
-    linear.weight.data = linear.weight.data.bfloat16().float()
-    expected = linear(x) if activation == "none" else nn.functional.gelu(linear(x))
-    stored = StoredLinear(linear, activation)
-    assert stored.weight.dtype == torch.bfloat16
-    torch.testing.assert_close(stored(x), expected, atol=1e-5, rtol=1e-5)
-
-    conv, x = nn.Conv2d(5, 6, 3, padding=1), torch.randn(1, 5, 9, 11)
-    conv.weight.data = conv.weight.data.bfloat16().float()
-    stored = FusedConv(conv, torch.bfloat16, "relu", arithmetic=torch.float32)
-    assert stored.weight.dtype == torch.bfloat16
-    torch.testing.assert_close(stored(x), conv(x).relu(), atol=1e-5, rtol=1e-5)
-
-
-@pytest.mark.parametrize("activation", ["none", "relu"])
-@pytest.mark.parametrize(("kernel", "stride"), [(1, 1), (3, 1), (3, 2), (7, 1)])
-def test_fused_conv_equals_the_plain_one(kernel, stride, activation):
-    conv, x = nn.Conv2d(5, 6, kernel, stride, padding=kernel // 2), torch.randn(2, 5, 9, 11)
-    expected = conv(x).relu() if activation == "relu" else conv(x)
-    torch.testing.assert_close(FusedConv(conv, torch.float32, activation)(x), expected, atol=1e-5, rtol=1e-5)
-
-
-@pytest.mark.parametrize("size", [(3, 1), (4, 4), (5, 9), (34, 70)])
-@pytest.mark.parametrize("padding", [(1, 1), (0, 1)])
-@pytest.mark.parametrize("bias", [False, True])
-def test_winograd_equals_the_plain_convolution_for_any_size(size, padding, bias):
-    conv, x = nn.Conv2d(6, 7, 3, padding=padding, bias=bias), torch.randn(2, 6, *size)
-    torch.testing.assert_close(WinogradConv(conv)(x), conv(x), atol=2e-5, rtol=1e-5)
-
-
-def test_winograd_rounds_little_with_many_channels():
-    conv, x = nn.Conv2d(256, 64, 3, padding=1), torch.randn(1, 256, 20, 20)
-    exact = nn.functional.conv2d(x.double(), conv.weight.double(), conv.bias.double(), padding=1)
-    assert (WinogradConv(conv)(x) - exact).abs().max() / exact.abs().max() < 3e-5
-
-
-def test_winograd_refuses_other_kernels():
-    with pytest.raises(ValueError, match="3x3"):
-        WinogradConv(nn.Conv2d(3, 3, 5))
 
 
 @pytest.mark.parametrize("shift", [0.0, 30.0, -30.0])
@@ -132,22 +68,53 @@ def test_rows_of_a_doubled_map_are_its_rows(height):
         torch.testing.assert_close(double_rows(x, start, stop), double(x)[:, :, start:stop], atol=1e-6, rtol=1e-5)
 
 
-def test_heads_beside_int8_follow_what_the_processor_multiplies(monkeypatch):
-    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "flags: avx512_bf16")
-    assert make_plan("int8", "auto", True, CPU).head == "bfloat16"
-    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: "flags: avx2")
-    assert make_plan("int8", "auto", True, CPU).head == "int8"
+@pytest.fixture
+def gain(monkeypatch):
+    """Say how much faster than float32 this machine multiplies in bfloat16."""
+    return lambda value: monkeypatch.setattr("edit3r_model.engine.bfloat16_gain", lambda device: value)
 
 
-@pytest.mark.parametrize(
-    ("flags", "form"), [("avx512f avx2", "stored"), ("avx512_bf16", "bfloat16"), ("asimd bf16", "bfloat16")]
-)
-def test_bfloat16_is_only_stored_where_the_processor_would_emulate_it(flags, form, monkeypatch):
-    monkeypatch.setattr("edit3r_model.engine._cpu_info", lambda: f"flags: {flags}")
-    assert make_plan("bfloat16", "auto", True, CPU).backbone == form
-    assert make_plan("bfloat16", "auto", False, CPU).backbone == "bfloat16"  # plain layers: as asked
+@pytest.mark.parametrize(("faster", "chosen"), [(0.25, "float32"), (1.0, "float32"), (2.0, "bfloat16")])
+def test_auto_takes_bfloat16_only_where_it_was_measured_to_be_faster(faster, chosen, gain):
+    gain(faster)
+    assert make_plan("auto", "auto", CPU) == EnginePlan(chosen, chosen)
 
 
-def test_int8_needs_the_packed_engine():
-    with pytest.raises(SettingsError, match="engine packed"):
-        make_plan("int8", "auto", False, CPU)
+@pytest.mark.parametrize(("faster", "chosen"), [(0.25, "int8"), (2.0, "bfloat16")])
+def test_heads_beside_int8_are_bfloat16_only_where_it_was_measured_to_be_faster(faster, chosen, gain):
+    gain(faster)
+    assert make_plan("int8", "auto", CPU) == EnginePlan("int8", chosen)
+
+
+def test_bfloat16_gives_way_to_float32_where_it_is_slower_and_the_run_says_so(gain):
+    gain(0.25)
+    with collecting(Report()) as report:
+        assert make_plan("bfloat16", "auto", CPU) == EnginePlan("float32", "float32")
+    assert any("4.0 times as long in bfloat16" in text for text in report.warnings)
+
+
+def test_the_gain_is_a_ratio_of_times(monkeypatch):
+    """A clock on which bfloat16 takes a third of float32's time."""
+    ticks = itertools.cycle((0.0, 0.03, 1.0, 1.01))
+    monkeypatch.setattr("edit3r_model.engine._clock", lambda device: next(ticks))
+    assert bfloat16_gain.__wrapped__(CPU) == pytest.approx(3)
+
+
+@pytest.mark.parametrize("head", ["auto", "float32", "bfloat16"])
+@pytest.mark.parametrize("backbone", ["float32", "bfloat16", "int8"])
+def test_any_precision_of_the_head_goes_with_any_of_the_backbone(backbone, head, gain):
+    gain(2.0)
+    sizes = {"width": 64, "depth": 1, "decoder_width": 64, "decoder_depth": 4}
+    heads = {"feature_width": 64, "point_width": 64, "layer_widths": (64, 64, 64, 64)}
+    built = edit3r.build(
+        "reconstructor", "noposplat", weights="random", device="cpu", backbone=sizes, head=heads,
+        precision=backbone, head_precision=head,
+    )  # fmt: skip
+    images = torch.rand(1, 2, 3, 32, 32)
+    gaussians = built.network(images, torch.eye(3).expand(1, 2, 3, 3))
+    assert gaussians.means.dtype == torch.float32 and gaussians.means.isfinite().all()
+
+
+def test_int8_is_for_processors():
+    with pytest.raises(SettingsError, match="int8 is for CPUs"):
+        make_plan("int8", "auto", torch.device("cuda"))

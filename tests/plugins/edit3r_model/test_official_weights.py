@@ -12,7 +12,7 @@ from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import photograph
 
-HEADS = {"backbone": {"heads": 2, "decoder_heads": 3}, "engine": "eager"}
+HEADS = {"backbone": {"heads": 2, "decoder_heads": 3}}
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from edit3r_model.transformer import adjacent_order, make_rotation, patch_positions
+from edit3r_model.transformer import make_rotation, patch_positions
 
 
 def test_pairs_are_half_a_half_apart_and_rows_come_first():
@@ -34,12 +34,6 @@ def test_the_extra_token_sits_first_in_the_row_below_the_grid():
     assert patch_positions((2, 3), extra_token=True).tolist() == [
         [0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2], [2, 0],
     ]  # fmt: skip
-
-
-def test_adjacent_channels_turn_like_those_of_the_published_order():
-    rotation, order = make_rotation(patch_positions((3, 4), True), 16, 100.0), adjacent_order(16)
-    x = torch.randn(2, 13, 5, 16)
-    torch.testing.assert_close(rotation.adjacent(x[..., order]), rotation(x)[..., order])
 
 
 def test_half_precision_input_keeps_its_dtype():

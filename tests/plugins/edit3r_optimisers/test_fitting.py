@@ -20,7 +20,7 @@ from skimage.metrics import structural_similarity as reference
 from edit3r.errors import InputError
 from edit3r.types import Views
 
-QUICK = FitSettings(densify_from=4, densify_every=4, densify_until=0.8, grow_gradient=1e-4, reset_every=10)
+QUICK = FitSettings(degree=1)
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
@@ -41,7 +41,7 @@ def psnr(image, target) -> float:
 
 
 def test_loss_falls_and_the_views_look_like_the_photos(start, posed, rasterizer):
-    settings = FitSettings(colour_rate=0.05, densify_from=20, densify_every=20)
+    settings = FitSettings(colour_rate=0.05)
     result = fitted(start, posed, rasterizer, 90, settings)
     first, last = (sum(part) / 9 for part in (result.losses[:9], result.losses[-9:]))
     assert last < first / 4
@@ -53,7 +53,7 @@ def test_loss_falls_and_the_views_look_like_the_photos(start, posed, rasterizer)
 def test_gaussians_are_valid_and_know_the_view_they_came_from(start, posed, rasterizer):
     scene = fitted(start, posed, rasterizer, 12).gaussians
     assert not any(getattr(scene, name).requires_grad for name in FIELDS)
-    assert scene.count != start[0].count and scene.view_index.max() <= 2
+    assert scene.count == start[0].count and torch.equal(scene.view_index, start[0].view_index)
     assert torch.allclose(scene.quats.norm(dim=-1), torch.ones(1, scene.count), atol=1e-5)
 
 

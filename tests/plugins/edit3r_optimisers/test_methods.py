@@ -55,7 +55,7 @@ def test_every_claim_of_the_contract_is_tried():
 def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     """The editor inverts; a scene fitted to its edits is nearer to the inverted photos than to the photos."""
     inverted = edit3r.Views(1 - posed.images, posed.intrinsics)
-    fast = {"steps": 12, "edit_steps": 36, "colour_rate": 0.15, "densify_until": 0.0}
+    fast = {"steps": 12, "edit_steps": 36, "colour_rate": 0.15}
     settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(method, {})
     result = build(method, **fast, **settings)(inverted, posed, ASK)
     seen = rasterizer.render(result.gaussians, result.cameras).images
@@ -97,7 +97,7 @@ def test_prompt_and_seed_of_the_settings_count_when_no_run_gives_others(build, e
 
 
 def test_stopped_in_the_second_fit_it_goes_on_with_the_same_bytes(build, posed, tmp_path, method):
-    settings = {"checkpoint": str(tmp_path), "checkpoint_every": 2, "densify_from": 1, "densify_every": 2}
+    settings = {"checkpoint": str(tmp_path), "checkpoint_every": 2}
     straight = build(method, **{**settings, "checkpoint": ""})(posed, posed, ASK).gaussians
     stopping = build(method, **settings)
     rasterizer, calls = stopping.rasterizer, []

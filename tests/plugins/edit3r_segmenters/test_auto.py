@@ -25,7 +25,7 @@ def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(at_hand, pho
         segmenter = edit3r.build("segmenter", "auto")
         found = segmenter.segment_marks(photo, CLICK)
         tracks = segmenter.track(photo.expand(2, 3, 60, 80), found.soft_mask[None])
-    assert ("say", "segmenter.picked: sam2") in events
+    assert ("say", "segmenter: sam2") in events
     assert report.notes["segmenter.weights"]["name"] == "sam2"
     alone = edit3r.build("segmenter", "sam2")
     assert torch.equal(found.soft_mask, alone.segment_marks(photo, CLICK).soft_mask)

@@ -74,8 +74,7 @@ def test_the_tiny_recipes_are_converted_to_what_computes_the_same(stages, tmp_pa
     views = build("dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8)[0]
     images, lens = views.context[None], views.context_cameras.intrinsics
     trained, converted = (
-        build("reconstructor", "noposplat", weights=str(folder), engine="eager").network(images, lens)
-        for folder in (stages[1], ours)
+        build("reconstructor", "noposplat", weights=str(folder)).network(images, lens) for folder in (stages[1], ours)
     )
     assert torch.equal(trained.means, converted.means) and torch.equal(trained.harmonics, converted.harmonics)
 
@@ -84,8 +83,8 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     second = stages[1].parent
     lines = [json.loads(line) for line in (second / "log.jsonl").read_text().splitlines()]
     assert {"mse", "perceptual", "center", "geometry"} <= set(lines[0])
-    first = build("reconstructor", "noposplat", weights=str(stages[0]), engine="eager").network
-    moved = build("reconstructor", "noposplat", weights=str(stages[1]), engine="eager").network
+    first = build("reconstructor", "noposplat", weights=str(stages[0])).network
+    moved = build("reconstructor", "noposplat", weights=str(stages[1])).network
     gaps = [(a - b).abs().max() for a, b in zip(first.parameters(), moved.parameters())]
     assert 0 < max(gaps) < 0.01  # two small steps from there, not another random start
 

@@ -26,6 +26,7 @@ class Cards(Reconstructor):
     class Settings(Settings):
         depth: float = 2.0
         fails: bool = False
+        only_last: bool = False
 
     def __init__(self, settings):
         self.settings = settings
@@ -41,7 +42,10 @@ class Cards(Reconstructor):
         quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
         opacities = torch.full((1, count), 0.9)
         scales, harmonics = torch.full((1, count, 3), size), colour_to_dc(colours)[:, :, None]
-        gaussians = Gaussians(points, scales, quats, opacities, harmonics)
+        view = torch.arange(views.count).repeat_interleave(count // views.count)
+        gaussians = Gaussians(points, scales, quats, opacities, harmonics, view)
+        if self.settings.only_last:
+            gaussians = gaussians.from_view(views.count - 1)
         return Reconstruction(gaussians, Cameras(views.c2w, views.intrinsics, views.image_size))
 
 

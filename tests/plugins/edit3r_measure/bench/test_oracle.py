@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_measure.oracle import OracleEditor, OracleSettings, spoil
+from edit3r_measure.oracle import FAULTS, OracleEditor, OracleSettings, fault_of, slightly_off, spoil
 
 from edit3r.types import EditRequest, Views
 
@@ -53,3 +53,29 @@ def test_spoiled_pictures_stay_in_range(truth):
     for view in range(20):
         image = spoil(truth[0], ("x", view), 1.0)
         assert image.min() >= 0 and image.max() <= 1
+
+
+def test_half_of_the_references_are_off_each_fault_as_often():
+    faults = [fault_of("recolor the object", seed) for seed in range(600)]
+    assert 0.45 < faults.count("") / 600 < 0.55
+    assert all(0.12 < faults.count(fault) / 600 < 0.21 for fault in FAULTS)
+
+
+def test_each_fault_is_of_the_stated_amount(truth):
+    sharp = torch.zeros(3, 100, 100)
+    sharp[:, :, 50:] = 0.5
+    assert torch.equal(slightly_off(sharp, ""), sharp)
+    assert slightly_off(sharp, "shifted")[0, 50].tolist() == pytest.approx([0.0] * 51 + [0.5] * 49, abs=1e-4)
+    assert slightly_off(sharp, "coloured")[:, 0, 60].tolist() == pytest.approx([0.575, 0.5, 0.425])
+    edge = slightly_off(sharp, "blurred")[0, 50]
+    spread = (edge[1:] - edge[:-1]) / 0.5  # of a step: a normal density, 1.2 pixels wide at 100 pixels
+    places = torch.arange(1, 100) - 0.5
+    middle = float((places * spread).sum())
+    assert float(((places - middle) ** 2 * spread).sum()) ** 0.5 == pytest.approx(1.2, abs=0.03)
+
+
+def test_only_an_off_reference_differs_between_the_two_settings(truth):
+    seeds = {bool(fault_of("anything", seed)): seed for seed in range(20)}
+    for off, seed in seeds.items():
+        exact, half = (edited(truth, seed, reference=which) for which in ("exact", "off-in-half"))
+        assert torch.equal(exact[1:], half[1:]) and torch.equal(exact[0], half[0]) is not off

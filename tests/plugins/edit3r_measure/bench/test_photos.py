@@ -274,3 +274,36 @@ def test_a_photo_that_changed_since_is_noticed(folder, detector):
     Image.new("RGB", (64, 48)).save(folder / "garden" / "0.png")
     with pytest.raises(InputError, match="not the picture that the manifest was built with"):
         load_item(manifest, manifest.items[0], out.parent, default_registry())
+
+
+def vetted(folder, *prompts):
+    edits = [{"verdict": "keep", "type": "Modify", "prompt": prompt} for prompt in prompts]
+    edits += [{"verdict": "keep", "type": "Global", "prompt": f"make it {how}"} for how in ("warmer", "darker")]
+    scenes = {scene: edits for scene in ("kitchen", "garden")}
+    (folder.parent / "b.vetting.yaml").write_text(yaml.safe_dump({"scenes": scenes}))
+    return ["bench", "build", str(folder), "--truth", "recolor", "--size", "64", "--quiet", "--out"]
+
+
+def test_what_an_editor_makes_of_all_photos_is_the_truth(folder):
+    command = vetted(folder, "make it black and white", "paint everything red", "paint everything blue")
+    assert main([*command, str(folder.parent / "b.json")]) == 0
+    manifest = read_bench_manifest(folder.parent / "b.json")
+    grey, red, _, warm, _ = (
+        load_item(manifest, item, folder.parent, default_registry()) for item in manifest.items[:5]
+    )
+    assert grey.truth.shape == grey.photos.images[0].shape and len(grey.record.truth) == 2
+    assert (grey.truth[:, 0] - grey.truth[:, 2]).abs().max() < 2 / 255
+    assert red.masks.mean() > 0.9 and warm.masks is None
+    (folder.parent / red.record.truth[0].file).write_bytes(b"changed")
+    with pytest.raises(InputError, match="not the picture that the manifest was built with"):
+        load_item(manifest, red.record, folder.parent, default_registry())
+
+
+def test_an_edit_that_leaves_a_photo_as_it_was_is_no_truth(folder, capsys):
+    for scene in ("kitchen", "garden"):  # what is grey already does not become greyer
+        grey = Image.open(folder / scene / "2.png").convert("L").convert("RGB")
+        grey.save(folder / scene / "2.png")
+    command = vetted(folder, "make it black and white", "paint everything red", "paint everything blue")
+    assert main([*command, str(folder.parent / "b.json")]) == 2
+    assert "left 2.png as it was; drop it" in capsys.readouterr().err
+    assert not (folder.parent / "b.json").exists()

@@ -54,7 +54,7 @@ def test_only_edits_that_all_methods_tried_are_compared(runs, manifest_file, car
     assert all(len(column.results) == 1 for column in columns)
 
 
-def test_the_report_is_tables_numbers_plots_and_one_page(runs, tmp_path):
+def test_the_report_is_tables_numbers_and_one_page(runs, tmp_path):
     columns = read_columns([runs])
     write_report(columns, tmp_path / "report")
     text = (tmp_path / "report" / "report.md").read_text()
@@ -92,7 +92,7 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
 
 def test_the_page_shows_the_reports_markdown(tmp_path):
     text = "# A & B\n\n- one\n- **two** <i>\n\n| a | b |\n| --- | --: |\n| `x` | 1 |\n\nplain"
-    write_page(tmp_path / "index.html", text, [], [], 20)
+    write_page(tmp_path / "index.html", text, [], 20)
     shown = (tmp_path / "index.html").read_text()
     assert "<h1>A &amp; B</h1>" in shown and "<li><strong>two</strong> &lt;i&gt;</li>" in shown
     assert "<th>a</th>" in shown and "<td><code>x</code></td>" in shown and "<p>plain</p>" in shown

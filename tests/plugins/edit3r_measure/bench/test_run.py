@@ -1,10 +1,13 @@
 """Killed at any moment and resumed, or spread over processes: the same report as the straight run."""
 
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from edit3r_measure import bench_item
@@ -14,6 +17,8 @@ from edit3r_measure.bench_report import read_columns, summary_of
 
 from edit3r.errors import InputError
 from edit3r.workers import Workers
+
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture
@@ -138,3 +143,42 @@ def test_the_run_says_what_it_is_of(straight, run, manifest):
     run = json.loads((run.out / "bench-run.json").read_text())
     assert run["manifest_sha256"] == manifest.sha256 and run["method"]["reconstructor"]["name"] == "cards"
     assert "torch" in run["versions"]
+
+
+def test_the_manifest_makes_the_same_report_in_another_place_and_process(straight, run, cards, tmp_path):
+    """Another folder, another interpreter without this one's environment, the project imported from another path."""
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "code").mkdir(parents=True)
+    for name in ("edit3r", "plugins"):
+        shutil.copytree(ROOT / name, elsewhere / "code" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(run.manifest_file, elsewhere / "copied.json")
+    shutil.copy(cards, elsewhere / "plugin.py")
+    kept = {name: os.environ[name] for name in ("PATH", "HOME", "VIRTUAL_ENV") if name in os.environ}
+    paths = os.pathsep.join([str(elsewhere / "code"), str(elsewhere / "code" / "plugins")])
+    command = [
+        "bench",
+        "run",
+        "copied.json",
+        "--recon",
+        "cards",
+        "--plugin",
+        "plugin.py",
+        "--out",
+        "out",
+        "--no-effnet",
+    ]
+    command += ["--edits", "3", "--set", "label=cards", "--quiet"]
+    script = (
+        "import edit3r, sys; from edit3r.cli.main import main; print(edit3r.__file__); sys.exit(main(sys.argv[1:]))"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", script, *command],
+        cwd=elsewhere,
+        env={**kept, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == 0, process.stderr
+    assert str(elsewhere) in process.stdout  # not the code that this test runs on
+    assert summary_of(read_columns([elsewhere / "out"])) == straight
