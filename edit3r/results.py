@@ -27,7 +27,7 @@ from edit3r.io.sheet import draw_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.rendering import path_around, render_one
-from edit3r.reporting import UNDERSTOOD, collecting, note, track, warn
+from edit3r.reporting import collecting, note, track, warn
 from edit3r.run_config import RunConfig
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, Gaussians
@@ -204,8 +204,6 @@ def summary(out: Path, result: "RunResult") -> str:
         "how it was   {}": folder.manifest,
     }
     lines = [f"{result.verdict.label}: {result.verdict.reason}", f"{made}; {_field_of_view(result)}"]
-    understood = result.report.notes.get(UNDERSTOOD)
-    lines += [f"  understood   {understood}"] if understood else []
     return "\n".join([*lines, *(f"  {text.format(place)}" for text, place in places.items() if place.exists())])
 
 
