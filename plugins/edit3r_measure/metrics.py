@@ -105,7 +105,7 @@ def sharpness(image: Image, photo: Image) -> float:
 def blur(image: Image) -> float:
     """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007), a no-reference quality that needs no weights.
 
-    It is the share of the differences of neighbours that one more blur takes away least of, by scikit-image.
+    It says how little one more blur changes the differences of neighbouring pixels; by scikit-image.
     """
     return float(blur_effect(image, channel_axis=-1))
 
