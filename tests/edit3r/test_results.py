@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import edit3r
+from edit3r import results
 from edit3r.cli.main import main
 from edit3r.earlier_run import read_earlier_run
 from edit3r.geometry.harmonics import colour_to_dc
@@ -69,6 +70,12 @@ def result(photos):
 
 def names(folder):
     return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def test_the_last_lines_of_a_run_say_what_the_editor_read_in_the_prompt(result, tmp_path):
+    assert "understood" not in results.summary(tmp_path, result)
+    result.report.notes["edit.understood"] = "door: green; wall: white"
+    assert "understood   door: green; wall: white" in results.summary(tmp_path, result)
 
 
 @pytest.mark.parametrize("asked", [(), ("viewer",), ("scene", "images"), ("frames",), OUTPUTS])
