@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from pydantic import Field
@@ -23,7 +24,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.maps import dilate
 from edit3r.interfaces import SceneSample
-from edit3r.io.images import is_plain_name, load_photos
+from edit3r.io.images import is_plain_name, load_photos, read_image
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
 from edit3r.registry import Registry
@@ -258,8 +259,8 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     views, posed = loaded.views, camera_file is not None and loaded.views.c2w is not None
     masks = truth = None
     if item.truth:
-        edited = load_photos([root / record.file for record in item.truth], size=size, names=_frame_names(order))
-        truth = edited.views.images[0]
+        pictures = [np.asarray(read_image(root / record.file), np.float32) / 255 for record in item.truth]
+        truth = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).contiguous()
         masks = None if item.type == "Global" else change_masks(views.images[0], truth)
     elif item.masks:
         given = replace(loaded, photos=loaded.photos[: len(item.inputs)])
