@@ -99,21 +99,6 @@ def upsample_depth(
     return _joint_upsample(inverse, confidence.astype(np.float32), guide, np.ascontiguousarray(image, np.float32))
 
 
-def upsample_depths(
-    depths: Float[Tensor, "batch view h w"],
-    confidence: Float[Tensor, "batch view h w"],
-    guides: Float[Tensor, "batch view 3 h2 w2"],
-    images: Float[Tensor, "batch view 3 height width"],
-) -> tuple[Float[Tensor, "batch view height width"], Float[Tensor, "batch view height width"]]:
-    """`upsample_depth` for every view: depth (not inverse) and confidence of every pixel of the images."""
-    sized = (resize(guides, tuple(depths.shape[-2:])), images)
-    small, large = (x.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().float().numpy() for x in sized)
-    maps = ((1 / depths).flatten(0, 1).cpu().float().numpy(), confidence.flatten(0, 1).cpu().float().numpy())
-    carried = (torch.from_numpy(np.stack(x)).to(images) for x in zip(*map(upsample_depth, *maps, small, large)))
-    inverse, trust = (x.unflatten(0, images.shape[:2]) for x in carried)
-    return 1 / inverse, trust
-
-
 @compiled(nogil=True)
 def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - compiled
     small_height, small_width = inverse.shape

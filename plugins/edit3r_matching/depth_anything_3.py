@@ -5,6 +5,7 @@ import warnings
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import safetensors.torch
 import torch
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from edit3r import config, reporting
 from edit3r.cache import remembered
 from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import from_pixels, invert_rigid, relative_to_first
-from edit3r.geometry.maps import resize, upsample_depths
+from edit3r.geometry.maps import resize, upsample_depth
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.io.pretrained import out_of_memory_told
 from edit3r.stage_checks import require_matchable
@@ -67,7 +68,7 @@ class DepthAnything3Matcher(Matcher):
         )
         last_row = w2c.new_tensor([0, 0, 0, 1]).expand(*w2c.shape[:2], 1, 4)
         c2w = relative_to_first(invert_rigid(torch.cat((w2c[:, :, :3], last_row), 2)))
-        depths, confidence = upsample_depths(depths, 1 - 1 / trust, small, images)
+        depths, confidence = _at_full_size(depths, 1 - 1 / trust, small, images)
         placed = torch.ones(c2w.shape[:2], dtype=torch.bool, device=c2w.device)
         intrinsics = _lens(from_pixels(intrinsics, small.shape[-2:]), views)
         return MatchedGeometry(*(x.to(views.images) for x in (c2w, depths, confidence)), placed, intrinsics)
@@ -114,6 +115,20 @@ def _network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
     """(height, width) nearest to the image's shape with the longer side at most `longest`, in multiples of PATCH."""
     scale = longest / max(image_size)
     return tuple(PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
+
+
+def _at_full_size(
+    depths: Float[Tensor, "batch view h w"],
+    confidence: Float[Tensor, "batch view h w"],
+    small: Float[Tensor, "batch view 3 h w"],
+    images: Float[Tensor, "batch view 3 height width"],
+) -> tuple[Float[Tensor, "batch view height width"], Float[Tensor, "batch view height width"]]:
+    """Depth and confidence of every pixel of the images, carried there along their edges."""
+    guides, large = (x.flatten(0, 1).permute(0, 2, 3, 1).contiguous().cpu().numpy() for x in (small, images))
+    maps = ((1 / depths).flatten(0, 1).cpu().numpy(), confidence.flatten(0, 1).cpu().numpy())
+    fine = (torch.from_numpy(np.stack(x)) for x in zip(*map(upsample_depth, *maps, guides, large)))
+    inverse, trust = (x.to(images.device).unflatten(0, images.shape[:2]) for x in fine)
+    return 1 / inverse, trust
 
 
 def _lens(read: Float[Tensor, "batch view 3 3"], views: Views) -> Float[Tensor, "batch view 3 3"]:
