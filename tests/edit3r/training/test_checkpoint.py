@@ -27,6 +27,15 @@ def _train(state: TrainingState, steps: int) -> None:
         state.update_average(0.9)
 
 
+def test_weights_that_are_not_finite_are_refused(tmp_path):
+    network = nn.Linear(2, 2)
+    spoiled = {name: torch.full_like(value, float("nan")) for name, value in network.state_dict().items()}
+    save_weights(tmp_path / WEIGHTS, spoiled)
+    with pytest.raises(InputError, match="not finite"):
+        load_weights(network, tmp_path)
+    assert network.weight.isfinite().all()
+
+
 def test_loading_continues_as_if_never_stopped(tmp_path):
     straight = _state()
     _train(straight, 3)

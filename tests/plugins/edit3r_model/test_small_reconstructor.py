@@ -235,9 +235,9 @@ def test_switching_fusion_off_shows_every_view_s_own_edit():
     assert torch.allclose(colours, edited.images[0], atol=1e-6)
 
 
-def test_without_repair_points_lie_at_the_matched_depth():
+def test_points_lie_at_the_matched_depth_unless_repair_is_asked_for():
     views = _views()
-    means = _reconstructor(depth_repair=0)(views, views).gaussians.means[0]
+    means = _reconstructor()(views, views).gaussians.means[0]
     count = SIZE[0] * SIZE[1]
     assert torch.allclose(means[:count, 2], SCENE.depths[0, 0].flatten(), rtol=1e-4)
 
@@ -254,6 +254,21 @@ def test_the_unit_of_length_is_the_matcher_s():
     larger = build("reconstructor", "edit3r", parts={"matcher": Larger()}, network_size=64)(views, views)
     assert torch.allclose(larger.gaussians.means, 10 * _reconstructor()(views, views).gaussians.means, rtol=1e-3)
     assert torch.allclose(larger.gaussians.scales, 10 * _reconstructor()(views, views).gaussians.scales, rtol=1e-3)
+
+
+def test_a_guess_before_what_another_photo_measured_is_next_to_transparent():
+    patch = (0, 1, slice(SIZE[0] // 2, SIZE[0] // 2 + 8), slice(SIZE[1] // 2, SIZE[1] // 2 + 8))
+
+    class Floating(_TrueGeometry):
+        def match(self, views: Views) -> MatchedGeometry:
+            geometry = super().match(views)
+            depths, confidence = geometry.depths.clone(), geometry.confidence.clone()
+            depths[patch], confidence[patch] = 0.7 * depths[patch], 0
+            return MatchedGeometry(geometry.c2w, depths, confidence, geometry.registered)
+
+    result = build("reconstructor", "edit3r", parts={"matcher": Floating()}, network_size=64, apron=0, backdrop=0)
+    opacities = result(_views(), _views()).gaussians.from_view(1).opacities[0].view(SIZE)
+    assert opacities[patch[2:]].median() < 0.2 < 0.4 < opacities.median()
 
 
 def test_a_view_that_could_not_be_placed_is_not_shown():
