@@ -24,6 +24,7 @@ from edit3r.io.atomic import atomic_folder
 from edit3r.workers import Workers, read_rows, run_resumable, write_rows
 
 FAILS, DIES = 0.01, 0.001  # shares of the jobs
+WORK = 0.002  # seconds of a fake job, so that kills come in the middle of some
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class FakeRunner:
             raise RunError("the photos do not show the same scene.")
         with (self.out / "begun").open("a") as log:
             log.write(f"{key}\n")
+        time.sleep(WORK)
         place.parent.mkdir(parents=True, exist_ok=True)
         place.touch(exist_ok=False)  # a job that is done twice ends the batch
         return {"verdict": "good"}
@@ -62,7 +64,7 @@ def serve(out: Path, count: int, workers: int, start: int) -> None:
 def supervise(out: Path, count: int, workers: int, kills: int) -> None:
     """Start the batch again and again, killing it `kills` times, until every job has a row that is no death."""
     began, start, deaths = time.monotonic(), 0, 0
-    places = sorted(random.Random(0).sample(range(count), kills))
+    places = sorted(random.Random(0).sample(range(count * 9 // 10), kills))  # rows after which to kill
     while True:
         command = [sys.executable, __file__, str(out), "--serve", str(start), "--jobs", str(count)]
         child = subprocess.Popen([*command, "--workers", str(workers)])
@@ -82,7 +84,8 @@ def supervise(out: Path, count: int, workers: int, kills: int) -> None:
     begun = len((out / "begun").read_text().split())
     done = {path.name for path in (out / "done").glob("*/*")}
     failed = {key for key, row in rows.items() if "failure" in row}
-    print(f"{count:,} jobs, {workers} workers; batch killed {kills} times, {deaths} workers died, {start} starts")
+    killed = kills - len(places)
+    print(f"{count:,} jobs, {workers} workers; batch killed {killed} times, {deaths} workers died, {start} starts")
     print(f"rows {len(rows):,}: done {len(done):,}, failed {len(failed):,}; begun and not ended {begun - len(done):,}")
     print(f"processor {used.ru_utime + used.ru_stime:.0f} s, wall {time.monotonic() - began:.0f} s")
     assert len(rows) == count and len(done) + len(failed) == count and not done & failed

@@ -73,6 +73,7 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
         ("same seed, same result", yes_or_no[component.supports_seed]),
         ("requires", ", ".join(component.requires)),
         ("parts", ", ".join(component.parts)),
+        *(("weights", f"{weights.get} ({weights.terms})") for weights in component.weights),
         ("citation", component.citation),
     )
     return tuple((what, value) for what, value in lines if value)

@@ -19,14 +19,14 @@ from torch import Tensor
 from edit3r.cache import Cache, recall, using
 from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError, MatchingError, PromptError
+from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
 from edit3r.io.images import Photo
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
 from edit3r.run_config import DEFAULTS, RunConfig
-from edit3r.selection import Selection, select_masks
+from edit3r.selection import Selection, geometry_of, select_masks
 from edit3r.stage_checks import (
     check_edit,
     check_reconstruction,
@@ -196,12 +196,8 @@ class _Components:
 
 def _masks_of(selection: Selection, parts: _Components, views: Views) -> Float[Tensor, "1 view height width"]:
     """Masks of what a user selected, carried between views by the reconstructor's own matcher where it has one."""
-    matcher, geometry = getattr(parts.reconstructor, "parts", {}).get("matcher"), None
-    if matcher is not None and views.count > 1 and len(set(selection.masks)) < views.count:
-        try:
-            geometry = matcher.match(views)
-        except MatchingError as error:
-            warn(f"masks are carried by what the photos show, not by geometry: {error}")
+    carried = len(set(selection.masks)) < views.count
+    geometry = geometry_of(getattr(parts.reconstructor, "parts", {}).get("matcher"), views) if carried else None
     with torch.no_grad():
         selected = select_masks(views.images[0], selection, parts.any_segmenter, geometry, views.intrinsics)
     return selected.masks.transpose(0, 1)

@@ -15,9 +15,6 @@ from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 
-UNDERSTOOD = "edit.understood"
-"""A note under this key is one sentence for the user: what an editor read in the prompt."""
-
 
 @dataclass
 class StageRecord:

@@ -27,7 +27,8 @@ from edit3r.io.sheet import draw_before_after
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.rendering import path_around, render_one
-from edit3r.reporting import UNDERSTOOD, collecting, note, track, warn
+from edit3r.reporting import collecting, note, track, warn
+from edit3r.run_config import RunConfig
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, Gaussians
 from edit3r.verdict import WORST_PSNR
@@ -191,7 +192,10 @@ def summary(out: Path, result: "RunResult") -> str:
     seconds = sum(stage.seconds for stage in result.report.stages)
     height, width = result.cameras.image_size
     preset = result.report.notes.get("quality", {}).get("preset") or "default"
-    made = f"{preset} settings at {width}x{height}: {result.gaussians.count:,} Gaussians from "
+    size = f"{width}x{height}"
+    if preset != "default" and result.config.size < RunConfig.model_fields["size"].default:
+        size = f"photos reduced to {size}"
+    made = f"{preset} settings, {size}: {result.gaussians.count:,} Gaussians from "
     made += f"{result.photos.count} photos in {seconds:.1f} s"
     places = {
         "look first   {}": folder.before_after,
@@ -200,8 +204,6 @@ def summary(out: Path, result: "RunResult") -> str:
         "how it was   {}": folder.manifest,
     }
     lines = [f"{result.verdict.label}: {result.verdict.reason}", f"{made}; {_field_of_view(result)}"]
-    understood = result.report.notes.get(UNDERSTOOD)
-    lines += [f"  understood   {understood}"] if understood else []
     return "\n".join([*lines, *(f"  {text.format(place)}" for text, place in places.items() if place.exists())])
 
 

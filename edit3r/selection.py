@@ -11,12 +11,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.errors import InputError
+from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Marks, MatchedGeometry, Segmenter, Tracks
+from edit3r.interfaces import Marks, MatchedGeometry, Matcher, Segmenter, Tracks
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
+from edit3r.types import Views
 
 Box = tuple[float, float, float, float]
 SAME_SURFACE = 0.08  # relative difference in depth within which two views show the same surface
@@ -82,6 +83,15 @@ def select_masks(
     for text in work.warnings:
         warn(text)
     return Selected(torch.stack([work.masks[view] for view in range(len(images))])[:, None], how, tuple(work.warnings))
+
+
+def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
+    """What `matcher` reads from the photos; None without one, for a single photo, and, said so, where it fails."""
+    try:
+        return None if matcher is None or views.count < 2 else matcher.match(views)
+    except MatchingError as error:
+        warn(f"masks are carried by what the photos show, not by geometry: {error}")
+        return None
 
 
 def _check(selection: Selection, count: int) -> None:

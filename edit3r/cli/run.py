@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
     from edit3r.earlier_run import EarlierRun
     from edit3r.io.images import LoadedPhotos
+    from edit3r.pipeline import RunResult
     from edit3r.registry import Registry
+    from edit3r.reporting import Report
     from edit3r.selection import Selection
+    from edit3r.types import Views
 
 SHORT_FLAGS = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
@@ -55,49 +58,57 @@ class RunCommand(Command):
         add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r import pipeline, results
-        from edit3r.cache import Cache
         from edit3r.console import JsonLines, StageConsole
-        from edit3r.earlier_run import read_earlier_run
-        from edit3r.io.atomic import atomic_folder
-        from edit3r.io.coverage import USUAL_FRAMES
-        from edit3r.io.images import find_photos, packaged_pair
-        from edit3r.registry import default_registry
-        from edit3r.reporting import Report, collecting
+        from edit3r.reporting import Report
 
-        report = Report()
-        with collecting(report):
+        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
+            result = self._run(args, Report(on_event=console))
+        if not args.quiet:
+            from edit3r.results import summary
+
+            print(summary(Path(args.out), result))
+        if args.strict and result.verdict.label == "failed":
+            raise RunError(f"the verdict is failed: {result.verdict.reason}")
+        return 0
+
+    def _run(self, args: argparse.Namespace, report: "Report") -> "RunResult":
+        """Run and write the results, telling `report` from the first second."""
+        from edit3r.reporting import collecting
+
+        with collecting(report), report.stage("start"):  # most of it goes into importing torch
+            from edit3r import pipeline, results
+            from edit3r.cache import Cache
+            from edit3r.earlier_run import read_earlier_run
+            from edit3r.io.atomic import atomic_folder
+            from edit3r.io.coverage import USUAL_FRAMES
+            from edit3r.io.images import find_photos, packaged_pair
+            from edit3r.registry import default_registry
+
             earlier = read_earlier_run(args.earlier) if args.earlier else None
             continued = earlier if not args.images else None  # photos that are given are edited from the start
             images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
             found = None if continued else find_photos(images, max(USUAL_FRAMES, args.views or 0))
             paths = found or [Path(record.file) for record in continued.records]
-        config = _config(args, len(paths), earlier)
-        registry = default_registry(tuple(args.plugin))
-        check_names(registry, config)
-        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
-            report.on_event = console
-            for text in report.warnings:
-                report.emit("warn", text)
-            with collecting(report), report.stage("read photos"):
-                photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
-            with atomic_folder(args.out, args.overwrite) as folder:
-                result = pipeline.run(
-                    photos.views,
-                    config,
-                    masks=masks,
-                    registry=registry,
-                    report=report,
-                    cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
-                    earlier=continued,
-                )
-                result = replace(result, records=photos.photos, mask_files=hashes)
-                results.write(folder, result)
-        if not args.quiet:
-            print(results.summary(Path(args.out), result))
-        if args.strict and result.verdict.label == "failed":
-            raise RunError(f"the verdict is failed: {result.verdict.reason}")
-        return 0
+            config = _config(args, len(paths), earlier)
+            registry = default_registry(tuple(args.plugin))
+            check_names(registry, config)
+        with collecting(report), report.stage("read photos"):
+            photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
+            if args.cameras and not continued:
+                config = with_known_poses(config, photos.views, registry)
+        with atomic_folder(args.out, args.overwrite) as folder:
+            result = pipeline.run(
+                photos.views,
+                config,
+                masks=masks,
+                registry=registry,
+                report=report,
+                cache=Cache(Path(args.earlier) / results.CACHE if args.earlier else None),
+                earlier=continued,
+            )
+            result = replace(result, records=photos.photos, mask_files=hashes)
+            results.write(folder, result)
+        return result
 
 
 def read_photos(
@@ -127,6 +138,19 @@ def read_photos(
     hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
     note_quality(config.model_dump(), len(paths))
     return photos, masks, hashes
+
+
+def with_known_poses(config: RunConfig, views: "Views", registry: "Registry") -> RunConfig:
+    """The configuration for views whose poses the user gave: they are used as they are, unless a matcher was chosen."""
+    from edit3r.reporting import say
+
+    chosen = config.reconstructor
+    has_matcher = "matcher" in registry.find("reconstructor", chosen.name).component.parts
+    if views.c2w is None or not has_matcher or "matcher" in chosen.settings:
+        return config
+    say("poses.source", "those that were given, as they are")
+    settings = {**chosen.settings, **DEFAULTS["known_poses"]}
+    return config.model_copy(update={"reconstructor": chosen.model_copy(update={"settings": settings})})
 
 
 def _masks_or_marks(

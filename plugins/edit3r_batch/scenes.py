@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from edit3r.cli.run import read_photos
+from edit3r.cli.run import read_photos, with_known_poses
 from edit3r.config import PartChoice
 from edit3r.errors import RunError, as_known
 from edit3r.io.atomic import MARKER, atomic_folder
@@ -80,6 +80,8 @@ class SceneRunner:
                 paths = find_photos([job.path(name) for name in wish.photos], most)
                 config = make_run_config(job.settings, photos=len(paths))
                 photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks))
+                if cameras:
+                    config = with_known_poses(config, photos.views, self.registry)
             result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)
             results.write(folder, replace(result, records=photos.photos, mask_files=hashes))
         finally:

@@ -22,7 +22,7 @@ from torch import Tensor
 from edit3r.config import Settings
 from edit3r.errors import PromptError, suggest
 from edit3r.interfaces import Editor
-from edit3r.reporting import UNDERSTOOD, note
+from edit3r.reporting import say
 from edit3r.types import EditRequest, Views
 
 Images = Float[Tensor, "view 3 height width"]
@@ -186,7 +186,7 @@ class LooksEditor(Editor):
     def edit(self, views: Views, request: EditRequest) -> Views:
         name = self.settings.look or read_look(request.prompt, request.masks is not None)
         place = "the whole picture" if request.masks is None else "what is masked"
-        note(UNDERSTOOD, f"look {name} on {place}: {LOOKS[name].does}")
+        say("edit.understood", f"look {name} on {place}: {LOOKS[name].does}")
         photos = views.images.flatten(0, 1)
         drawn = torch.lerp(photos, LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1), self.settings.strength)
         return replace(views, images=drawn.view_as(views.images))

@@ -85,8 +85,10 @@ def _load(model: str, weights: str) -> nn.Module:
     network = _untrained(model)
     if file is not None:
         try:
-            state = safetensors.torch.load_file(file)
-            network.load_state_dict({name.removeprefix("model."): value for name, value in state.items()})
+            state = {name.removeprefix("model."): value for name, value in safetensors.torch.load_file(file).items()}
+            missing, _ = network.load_state_dict(state, strict=False)
+            if lacking := [name for name in missing if "_aux" not in name]:  # the head of rays is not used here
+                raise RuntimeError(f"it lacks {lacking[0]}")
         except (RuntimeError, safetensors.SafetensorError, OSError) as error:
             reason = " ".join(str(error).split())[:200]
             raise InputError(f"{file}: does not hold the weights of {model} ({reason}).") from None

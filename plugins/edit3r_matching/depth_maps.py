@@ -112,10 +112,10 @@ def sweep_depth(
     cost = matching_cost(reference, neighbours, inverse_depths)
     total = aggregate(cost, reference.grey)
     if network is not None:
-        from edit3r_matching.depth_network import log_probabilities
+        from edit3r_matching.depth_network import at_pixels, plane_log_probabilities
 
-        logs = log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
-        total = aggregate(cost - PRIOR * logs, reference.grey)
+        cells = plane_log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
+        total = aggregate(cost - PRIOR * at_pixels(cells, reference.size), reference.grey)
     position = best_plane(total)
     first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
     return RawDepth((first + position * step).astype(np.float32), first, step)

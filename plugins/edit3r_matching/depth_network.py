@@ -196,22 +196,11 @@ def plane_log_probabilities(
     return network.weigh(features, grids[None], classical[None])[0].numpy()
 
 
-def log_probabilities(
-    network: DepthNetwork,
-    reference: CalibratedImage,
-    neighbours: Sequence[Neighbour],
-    inverse_depths: Float[np.ndarray, "plane"],
-    cost: Float[np.ndarray, "height width plane"],
-    total: Float[np.ndarray, "height width plane"],
-) -> Float[np.ndarray, "height width plane"]:
-    """The network's answer for every pixel of `reference`, at least LEAST: bilinear between the cells."""
-    cells = plane_log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
-    rows, columns = reference.size
-    size = (cells.shape[2] * STRIDE, cells.shape[1] * STRIDE)
-    logs = np.empty_like(cost)
-    for plane, values in enumerate(np.maximum(cells, LEAST)):
-        logs[:, :, plane] = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
-    return logs
+def at_pixels(cells: Float[np.ndarray, "plane h w"], size: tuple[int, int]) -> Float[np.ndarray, "height width plane"]:
+    """Log-probabilities of cells carried to the pixels of an image of `size`, at least LEAST: bilinear in between."""
+    grid = (cells.shape[2] * STRIDE, cells.shape[1] * STRIDE)
+    fine = [cv2.resize(values, grid, interpolation=cv2.INTER_LINEAR) for values in np.maximum(cells, LEAST)]
+    return np.ascontiguousarray(np.stack(fine, -1)[: size[0], : size[1]])
 
 
 def _padded_image(image: CalibratedImage) -> Float[Tensor, "1 3 height width"]:

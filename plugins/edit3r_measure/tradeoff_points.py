@@ -181,11 +181,13 @@ def on_every_front(points: Sequence[ShippedPoint]) -> list[bool]:
 def choose_presets(points: Sequence[ShippedPoint], apart: float = 2.0) -> dict[str, ShippedPoint]:
     """Return the presets by name, all of them points on every front; empty when there are no three such points.
 
-    `best` is the most accurate point for which the other two exist. `balanced` is the most accurate point that costs
-    at most 1/`apart` of it on every kind of scene, and `fast` the same below `balanced`.
+    `best` is the most accurate point at the largest size of photos for which the other two exist. `balanced` is the
+    most accurate point that costs at most 1/`apart` of it on every kind of scene, and `fast` the same below `balanced`.
     """
     candidates = [point for point, flag in zip(points, on_every_front(points)) if flag]
-    for best in sorted(candidates, key=lambda p: p.accuracy, reverse=True):
+    largest = max((point.settings.get("size", 0) for point in points), default=0)
+    full = [point for point in candidates if point.settings.get("size", 0) == largest]
+    for best in sorted(full, key=lambda p: p.accuracy, reverse=True):
         balanced = _most_accurate(candidates, best, apart)
         fast = _most_accurate(candidates, balanced, apart) if balanced else None
         if fast is not None:

@@ -1,6 +1,6 @@
 """The networks of the paper: photos without poses to 3D Gaussians in one pass, any number of views.
 
-The small network, reconstructor `edit3r`, repairs matched geometry and carries edits between views; its weights ship:
+The small network, reconstructor `edit3r`, carries edits between views over matched geometry; its weights ship:
 `small_reconstructor` runs `small_network`, which is made of `small_encoder` and works on `edit_colour`.
 
 The full network, reconstructor `noposplat`, finds geometry by itself and needs weights: `full_reconstructor` brings
@@ -70,7 +70,7 @@ def register_reconstructors():
     edit3r = Component(
         name="edit3r",
         target="edit3r_model.small_reconstructor:Edit3rReconstructor",
-        summary="matched geometry repaired by a small network that carries and fuses the edits (weights ship)",
+        summary="matched geometry, and a small network that carries and fuses the edits (weights ship)",
         parts=("matcher",),
         min_views=2,
         weights=(OFFICIAL,),

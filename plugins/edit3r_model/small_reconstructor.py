@@ -18,7 +18,7 @@ from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_pos
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, partner_views, warp
+from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, warp
 from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.registry import build
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
@@ -31,11 +31,11 @@ VISIBLE_CHANGE = 0.05
 MEASURED = 0.5
 """Confidence below which a depth was filled in."""
 FLOATING_OPACITY = 0.02
-"""Before correction, of filled-in points in front of what the partner surely sees."""
+"""Before correction, of points that other photos contradict."""
 
 
 class Edit3rReconstructor(Reconstructor):
-    """Matched poses and depths, repaired by a network that also draws disagreeing edits to the reference's.
+    """Matched poses and depths, and a network that draws disagreeing edits to the reference's.
 
     View 0 is the reference: its edit is kept as it is. Where another view's edit is the same function of colour, that
     view keeps its own edited colours exactly, as it does without any edit.
@@ -48,7 +48,7 @@ class Edit3rReconstructor(Reconstructor):
             PartChoice(
                 name="classical", settings={"working_size": 160, "detection_size": 448, "keypoints": 2500, "planes": 64}
             ),
-            description="reads pose and depth from the photos; coarser than on its own, for the network repairs it",
+            description="reads pose and depth from the photos; coarser and quicker than on its own",
         )
         weights: str = Field(
             "shipped",
@@ -62,13 +62,15 @@ class Edit3rReconstructor(Reconstructor):
         fuse_edits: bool = Field(
             True, description="false: each view keeps its own edited colours (plain reconstruction)"
         )
-        depth_repair: float = Field(0.5, ge=0, le=1, description="share of the network's depth correction that counts")
-        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
-        opacity: float = Field(0.6, gt=0, lt=1, description="before correction, where two views measured the depth")
-        filled_opacity: float = Field(0.45, gt=0, lt=1, description="before correction, where the depth was filled in")
-        lone_opacity: float = Field(
-            0.8, gt=0, lt=1, description="before correction, where it was filled in and no other photo shows the place"
+        depth_repair: float = Field(
+            0.0,
+            ge=0,
+            le=1,
+            description="share of the network's depth correction that counts; pictures are better without, training "
+            "sets 1, so that losses on the centres move something",
         )
+        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
+        opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
         conflict_opacity: float = Field(
             0.45,
             gt=0,
@@ -159,7 +161,7 @@ class Edit3rReconstructor(Reconstructor):
         if self.settings.backdrop > 0:
             parts.append(backdrop(fused, geometry, self.settings.backdrop))
         if self.settings.apron > 0:
-            parts.append(apron(fused, geometry, self.settings.apron, self.settings.filled_opacity))
+            parts.append(apron(fused, geometry, self.settings.apron, self.settings.opacity))
         return replace(reconstruction, gaussians=Gaussians.cat(parts))
 
 
@@ -187,7 +189,8 @@ def assemble(
     fine = _at_image_size(outputs, images)
     depths = geometry.depths * fine.depth_correction.exp()
     matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-    logits = _opacity_logits(geometry, source.intrinsics, matches, settings) + fine.opacity_correction
+    floating = contradicted(geometry, source.intrinsics)
+    logits = torch.logit(torch.where(floating, FLOATING_OPACITY, settings.opacity)) + fine.opacity_correction
     colours, yielding = edited.images, 1.0
     if settings.fuse_edits:
         near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
@@ -233,24 +236,6 @@ def _at_image_size(outputs: NetworkOutputs, images: Float[Tensor, "batch view 3 
     choice = fine[:, :, -outputs.choice.shape[2] :]
     choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
     return NetworkOutputs(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
-
-
-def _opacity_logits(
-    geometry: MatchedGeometry,
-    intrinsics: Float[Tensor, "batch view 3 3"],
-    matches: Correspondences,
-    settings: Edit3rReconstructor.Settings,
-) -> Float[Tensor, "batch view height width"]:
-    """Opacities before correction: less for filled-in points, next to none for those that float before a surface."""
-    filled = geometry.confidence < MEASURED
-    guessed = torch.where(matches.inside.bool(), settings.filled_opacity, settings.lone_opacity)
-    opacity = torch.where(filled, guessed, settings.opacity)
-    partners = geometry.confidence[:, partner_views(filled.shape[1]), None]
-    seen = warp(partners, matches.coordinates, mode="nearest")[:, :, 0]
-    floating = filled & (matches.depth_ratio < -0.03) & (seen > MEASURED)
-    if filled.shape[1] > 2:  # each view has one partner, and other views know more
-        floating |= contradicted(geometry, intrinsics)
-    return torch.logit(torch.where(floating, FLOATING_OPACITY, opacity))
 
 
 def _in_unit(geometry: MatchedGeometry, unit: Float[Tensor, "batch"]) -> MatchedGeometry:

@@ -104,6 +104,6 @@ def _note_instructions(instructions: tuple[Instruction, ...], parameters: Recolo
     """Note for the run's manifest what the prompt was understood as, and by which of its words."""
     reporting.note("editor.understood", [{"read": str(one), **asdict(one)} for one in instructions])
     read = "; ".join(f"{one} (words: {', '.join(one.words)})" for one in instructions)
-    reporting.note(reporting.UNDERSTOOD, read)
+    reporting.say("edit.understood", read)
     if any(isinstance(step, Sample) for one in instructions for step in one.steps):
         reporting.note("editor.parameters", asdict(parameters))

@@ -41,7 +41,12 @@ class Instruction:
         named = " ".join(self.subject) or ("all" if self.scope == "everything" else self.scope)
         thing = f"all but {named}" if self.scope == "all but" else named
         where = f" where it is near {self.near.colour}" if self.near else ""
-        return f"{thing}{where}: {', '.join(map(str, self.steps))}"
+        return f"{thing}{where}: {', '.join(map(_in_words, self.steps))}"
+
+
+def _in_words(step: Step) -> str:
+    values = [v if isinstance(v, str) else f"{v:+.2g}" for v in vars(step).values() if not isinstance(v, tuple)]
+    return " ".join(values) or "colours drawn by the seed"
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,6 @@ class Paint:
     colour: str  # as the prompt names it
     rgb: tuple[float, float, float]  # sRGB in [0, 1]
 
-    def __str__(self) -> str:
-        return self.colour
-
 
 @dataclass(frozen=True)
 class Tint:
@@ -40,9 +37,6 @@ class Tint:
     rgb: tuple[float, float, float]
     amount: float  # share of the way, in (0, 1]
 
-    def __str__(self) -> str:
-        return f"{self.colour} by {self.amount:.2g}"
-
 
 @dataclass(frozen=True)
 class Adjust:
@@ -51,16 +45,10 @@ class Adjust:
     what: Adjustment
     amount: float = 1.0  # 1: clearly visible; the sign is the direction where there is one
 
-    def __str__(self) -> str:
-        return f"{self.what} {self.amount:+.2g}"
-
 
 @dataclass(frozen=True)
 class Sample:
     """Draw the paper's composite transform from the run's seed."""
-
-    def __str__(self) -> str:
-        return "colours drawn by the seed"
 
 
 Step = Paint | Tint | Adjust | Sample

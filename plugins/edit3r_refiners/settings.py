@@ -60,7 +60,7 @@ class SimplifySettings(Settings):
         0.06, ge=0, le=1, description="difference of colour up to which two views show the same surface"
     )
     polish: int = Field(
-        10, ge=0, le=1000, description="most steps that bring the pictures back towards those of all Gaussians"
+        10, ge=0, le=1000, description="most steps a view that bring the pictures back towards those of all Gaussians"
     )
     largest_cell: int = Field(5, ge=0, le=8, description="merged cells have sides of at most 2^this pixels")
     spread: float = Field(1.75, ge=1, le=4, description="size of a merged Gaussian against the moments of its cell")

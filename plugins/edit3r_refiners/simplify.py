@@ -19,8 +19,8 @@ from edit3r_refiners.partition import measure_cells, partition, price_for_count,
 from edit3r_refiners.refine import RefineSettings, refine
 from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
 
-# Larger steps than towards photos: merged Gaussians reach across the borders of things and must shrink within few.
-POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08)
+# Smaller steps than towards photos: the scene is nearly what it should show.
+POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08, centre=0.04)
 LONE_BASELINE = 0.1  # how far new views of a lone photo are taken to be [its median depth]
 
 
@@ -99,7 +99,7 @@ def simplify(
         fewer = _most_visible(fewer, cameras, rasterizer, most)
     merged = kept.count - fewer.count
     images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
-    fewer = refine(fewer, cameras, images, rasterizer, settings.polish, POLISH).gaussians
+    fewer = refine(fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH).gaussians
     again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
     psnr = _decibels(float((again - images).square().mean()))
     result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr)

@@ -121,7 +121,7 @@ class ClassicalSegmenter(Segmenter):
             prior = cv2.resize(marks.prior.detach().cpu().numpy().astype(np.float32), shape[::-1]) > 0.5
         elif marks.box is not None:
             prior = _in_box(picture, marks.box, positive)
-        mask = find(picture, positive, negative, prior)
+        mask = find(picture, positive, negative, prior) if positive or negative else prior
         cues = analysis.measure(mask)
         fine = self._fine(rgb, mask)
         said = [(spot, True) for spot in _seeds(marks.positive, fine.shape)]

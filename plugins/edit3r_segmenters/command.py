@@ -34,7 +34,7 @@ class MaskCommand(Command):
         from edit3r.io.images import load_photos, save_image
         from edit3r.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.selection import Selection, select_masks
+        from edit3r.selection import Selection, geometry_of, select_masks
 
         given, registry = parse_assignments(args.set), default_registry(tuple(args.plugin))
         segmenter = registry.build("segmenter", args.segmenter, **given.get("segmenter", {}))
@@ -44,7 +44,7 @@ class MaskCommand(Command):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(selection_from(args, photos) or Selection(), words=args.words, guess=args.guess)
             with report.stage("select"):
-                geometry = _geometry(matcher, photos.views) if photos.views.count > 1 else None
+                geometry = geometry_of(matcher, photos.views)
                 chosen = select_masks(photos.views.images[0], marks, segmenter, geometry, photos.views.intrinsics)
             with atomic_folder(args.out, args.overwrite) as folder:
                 for photo, mask in zip(photos.photos, chosen.masks):
@@ -55,20 +55,6 @@ class MaskCommand(Command):
                 print(f"{photo.name}: {how}")
             print(f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask {args.out}/*_mask.png")
         return 0
-
-
-def _geometry(matcher, views):
-    """What the matcher reads from the photos; None, with a warning, where it cannot place them."""
-    from edit3r.errors import MatchingError
-    from edit3r.reporting import warn
-
-    if matcher is None:
-        return None
-    try:
-        return matcher.match(views)
-    except MatchingError as error:
-        warn(f"masks are carried by what the photos show, not by geometry: {error}")
-        return None
 
 
 def _preview(images, masks):

@@ -8,7 +8,6 @@ import importlib
 from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import cv2
@@ -26,7 +25,7 @@ from edit3r.io.pretrained import (
     ChosenWeights,
     foreign,
     identity,
-    load_network,
+    load_pretrained,
     out_of_memory_told,
     pick_device,
     require_at_hand,
@@ -35,18 +34,6 @@ from edit3r.reporting import note, progress
 
 STABILITY_OFFSET = 1.0  # logits
 MOST_KEPT = 4  # images whose embeddings stay in memory: clicks follow each other on one image
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Family:
-    """The classes of transformers that make one generation of SAM, and the images they take."""
-
-    image: str  # class that answers points and boxes
-    video: str  # class that follows objects
-    session: str  # module:class of what that one remembers
-    mean: Triple  # of the training images, sRGB
-    std: Triple
 
 
 class SamSettings(Settings):
@@ -69,7 +56,11 @@ class SamSegmenter(Segmenter):
     With `prompt` set, `propose` returns only what the words name.
     """
 
-    family: ClassVar[Family]
+    image_class: ClassVar[str]  # of transformers: answers points and boxes
+    video_class: ClassVar[str]  # follows objects
+    session: ClassVar[str]  # module:class of what that one remembers
+    mean: ClassVar[tuple[float, float, float]]  # of the training images, sRGB
+    std: ClassVar[tuple[float, float, float]]
     threshold_key: ClassVar[str]  # the setting to lower where words are not found
 
     def __init__(self, settings: SamSettings) -> None:
@@ -89,54 +80,44 @@ class SamSegmenter(Segmenter):
         if self.prompt:
             return self._named(image, self.prompt)
         size = tuple(image.shape[-2:])
-        model = self._model(self.family.image, image.device)
+        model = self._model(self.image_class, image.device)
         with torch.no_grad(), self._memory("segmenting"):
             found = self._candidates(model, self._embed(model, image), size)
             return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
 
-    @remembered
     def segment(
         self,
         image: Float[Tensor, "3 height width"],
         points: Sequence[tuple[float, float]] = (),
         box: tuple[float, float, float, float] | None = None,
     ) -> Proposal:
-        return self._prompted(image, points, (), box)
+        return self.segment_marks(image, Marks(tuple(points), box=box))
 
+    @remembered
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
-        box, (height, width) = marks.box, image.shape[-2:]
+        points, box, (height, width) = [*marks.positive, *marks.negative], marks.box, image.shape[-2:]
         if box is None and marks.prior is not None:  # where it is expected, as the box around that
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
-        return self._prompted(image, marks.positive, marks.negative, box)
-
-    def _prompted(
-        self,
-        image: Float[Tensor, "3 height width"],
-        positive: Sequence[tuple[float, float]],
-        negative: Sequence[tuple[float, float]],
-        box: tuple[float, float, float, float] | None,
-    ) -> Proposal:
-        """One object by points on it, points off it, and a box, all normalised."""
-        points = [*positive, *negative]
-        if not len(positive) and box is None:
+        if not marks.positive and box is None:
             raise InputError("segment: give at least one point or a box that says which object is meant.")
-        model = self._model(self.family.image, image.device)
-        side = model.config.prompt_encoder_config.image_size
+        model = self._model(self.image_class, image.device)
         prompts: dict[str, Tensor] = {}
-        if len(points):
-            prompts["input_points"] = image.new_tensor([[[list(point) for point in points]]]) * side
+        if points:
+            prompts["input_points"] = image.new_tensor([[[list(point) for point in points]]])
         if box is not None:
-            x, y, width, height = box
-            prompts["input_boxes"] = image.new_tensor([[[x, y, x + width, y + height]]]) * side
-        prompts = {name: prompt.to(model.device, model.dtype) for name, prompt in prompts.items()}
-        if len(points):
-            prompts["input_labels"] = torch.tensor([[[1] * len(positive) + [0] * len(negative)]], device=model.device)
+            x, y, w, h = box
+            prompts["input_boxes"] = image.new_tensor([[[x, y, x + w, y + h]]])
+        side = model.config.prompt_encoder_config.image_size
+        prompts = {name: (side * prompt).to(model.device, model.dtype) for name, prompt in prompts.items()}
+        if points:
+            on = [[[1] * len(marks.positive) + [0] * len(marks.negative)]]
+            prompts["input_labels"] = torch.tensor(on, device=model.device)
         ambiguous = len(points) == 1 and box is None  # one point may mean a part or the whole: ask for all three
         with torch.no_grad(), self._memory("segmenting"):
             output = model(image_embeddings=self._embed(model, image), multimask_output=ambiguous, **prompts)
             best = int(output.iou_scores[0, 0].argmax())
-            logits = enlarge(output.pred_masks[0, 0, best : best + 1], tuple(image.shape[-2:]))[0]
+            logits = enlarge(output.pred_masks[0, 0, best : best + 1], (height, width))[0]
         return proposal(logits, float(output.iou_scores[0, 0, best]))
 
     @remembered
@@ -146,7 +127,7 @@ class SamSegmenter(Segmenter):
         if not len(masks):
             nobody = torch.zeros(len(images), 0, dtype=torch.bool, device=images.device)
             return Tracks(images.new_zeros(len(images), 0, *images.shape[-2:]), nobody)
-        model = self._model(self.family.video, images.device)
+        model = self._model(self.video_class, images.device)
         with torch.no_grad(), self._memory("tracking objects"):
             tracks = self._follow(model, images.to(model.device), masks.to(model.device, torch.float32))
         return Tracks(tracks.logits.to(images.device), tracks.present.to(images.device))
@@ -194,13 +175,13 @@ class SamSegmenter(Segmenter):
     def _pixels(self, images: Float[Tensor, "n 3 height width"], side: int) -> Float[Tensor, "n 3 side side"]:
         """Make the network's input of images in [0, 1]: squashed to a square, as prompts are, and normalised."""
         square = F.interpolate(images, (side, side), mode="bilinear", antialias=True, align_corners=False)
-        mean, std = (images.new_tensor(values)[:, None, None] for values in (self.family.mean, self.family.std))
+        mean, std = (images.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
         return (square - mean) / std
 
     def _model(self, name: str, photos_on: torch.device) -> Any:
-        """Load one of the family's classes when it is first needed; all read the same weights."""
+        """Load one of the classes when it is first needed; all read the same weights."""
         if name not in self._models:
-            model = load_network(foreign("transformers", name), self.weights, dtype=torch.float32)
+            model = _whole_network(foreign("transformers", name), self.weights, dtype=torch.float32)
             with self._memory("loading " + name):
                 device = pick_device(self.settings.device, photos_on, "segmenter.device")
                 self._models[name] = model.to(device).eval()
@@ -216,7 +197,7 @@ class SamSegmenter(Segmenter):
         self, model: Any, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
     ) -> Tracks:
         """Follow objects given on view 0 with the video predictor, the views taken as the frames of a video."""
-        module, _, name = self.family.session.partition(":")
+        module, _, name = self.session.partition(":")
         views, size = len(images), tuple(images.shape[-2:])
         side = model.config.image_size
         session = getattr(importlib.import_module(module), name)(
@@ -238,6 +219,18 @@ class SamSegmenter(Segmenter):
             present.append(is_present(logits[-1], output.object_score_logits))
             progress("tracking objects", len(logits), views)
         return Tracks(torch.stack(logits), torch.stack(present))
+
+
+def _whole_network(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+    """A network of transformers by `load_pretrained`, refused where weights that it needs are not in the files."""
+    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    if lacking:
+        raise InputError(
+            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, such as {lacking[0]}; "
+            "with random ones in their place its answers would mean nothing."
+        )
+    return network
 
 
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:

@@ -7,19 +7,15 @@ from torch import Tensor
 from edit3r.cache import remembered
 from edit3r.config import PartChoice
 from edit3r.interfaces import Detector, Proposal
-from edit3r_segmenters.sam import Family, SamSegmenter, SamSettings
+from edit3r_segmenters.sam import SamSegmenter, SamSettings
 
 
 class Sam2Segmenter(SamSegmenter):
     """Masks of one image by grid, point, box or words, and their tracks through the other views."""
 
-    family = Family(
-        "Sam2Model",
-        "Sam2VideoModel",
-        "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession",
-        (0.485, 0.456, 0.406),
-        (0.229, 0.224, 0.225),
-    )
+    image_class, video_class = "Sam2Model", "Sam2VideoModel"
+    session = "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
+    mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
     threshold_key = "segmenter.detector.box_threshold"
 
     class Settings(SamSettings):

@@ -13,7 +13,7 @@ from torch import Tensor
 from edit3r.cache import remembered
 from edit3r.interfaces import Proposal
 from edit3r.io.pretrained import foreign, load_pretrained
-from edit3r_segmenters.sam import Family, SamSegmenter, SamSettings, enlarge, proposal
+from edit3r_segmenters.sam import SamSegmenter, SamSettings, enlarge, proposal
 
 TEXT_LENGTH = 32  # tokens that its text encoder takes
 
@@ -21,13 +21,9 @@ TEXT_LENGTH = 32  # tokens that its text encoder takes
 class Sam3Segmenter(SamSegmenter):
     """Masks of one image by words, grid, point or box, and their tracks through the other views."""
 
-    family = Family(
-        "Sam3TrackerModel",
-        "Sam3TrackerVideoModel",
-        "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:Sam3TrackerVideoInferenceSession",
-        (0.5, 0.5, 0.5),
-        (0.5, 0.5, 0.5),
-    )
+    image_class, video_class = "Sam3TrackerModel", "Sam3TrackerVideoModel"
+    session = "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:Sam3TrackerVideoInferenceSession"
+    mean = std = (0.5, 0.5, 0.5)
     threshold_key = "segmenter.min_score"
 
     class Settings(SamSettings):

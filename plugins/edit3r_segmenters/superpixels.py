@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
-from skimage.color import rgb2lab
-from skimage.segmentation import slic
 
 COUNT = 350  # superpixels asked for
 PALETTE = 40  # colours an image is quantised to for histograms
@@ -34,6 +32,9 @@ class Superpixels:
 def superpixels(image: np.ndarray) -> Superpixels:
     """Cut an sRGB image `[H, W, 3]` in [0, 1] into about `COUNT` superpixels, fewer when it is tiny."""
     height, width = image.shape[:2]
+    from skimage.color import rgb2lab  # a run with masks or marks does without both
+    from skimage.segmentation import slic
+
     lab = rgb2lab(image).astype(np.float32)
     wanted = int(np.clip(height * width // 16, 1, COUNT))
     labels = slic(image, wanted, compactness=10, sigma=0.5, start_label=0).astype(np.int64)

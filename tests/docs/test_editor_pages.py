@@ -54,7 +54,7 @@ def test_every_editor_with_weights_or_a_key_has_a_page_in_the_table():
         for o in edit3r.components("editor")
         if o.plugin in PLUGINS
     ]
-    + [("segmenter", "sam2", "sam2")],
+    + [("segmenter", "sam2", "sam2"), ("segmenter", "sam3", "sam3")],
 )
 def test_settings_and_extras_a_page_names_exist(kind, name, page):
     text = (PAGES / f"{page}.md").read_text()

@@ -167,3 +167,9 @@ def test_what_is_not_installed_is_described_as_far_as_known(local, capsys):
 def test_an_unknown_name_ends_with_2_and_a_hint(capsys):
     assert main(["describe", "editor", "recolour"]) == 2
     assert "Did you mean 'recolor'?" in capsys.readouterr().err
+
+
+def test_weights_are_told_with_licence_size_and_that_they_are_gated(capsys):
+    assert main(["describe", "segmenter", "sam3"]) == 0
+    said = capsys.readouterr().out
+    assert "edit3r weights get sam3 (SAM License" in said and "gated: needs an account" in said

@@ -8,6 +8,7 @@ from skimage import data
 
 from edit3r.cli.main import main
 from edit3r.errors import PromptError, SettingsError
+from edit3r.io.images import packaged_pair
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
 from edit3r.types import EditRequest, Views
@@ -106,3 +107,21 @@ def test_describe_lists_every_look(capsys):
     assert main(["describe", "editor", "looks"]) == 0
     told = capsys.readouterr().out
     assert all(look in told for look in LOOKS)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--editor", "looks", "--prompt", "like mars"], "names no look"),
+        (["--editor", "looks", "--prompt", "turn the motorcycle into gold"], "--point"),
+        (["--editor", "looks", "--prompt", "turn the motorcycle into gold", "--segmenter", "classical"], "not a word"),
+        ([], "nothing is asked for"),
+        (["--prompt", "paint the door green and the wall white", "--point", "100,100"], "several places"),
+        (["--prompt", "paint the door green and the wall white"], "'door' is not a word"),
+        (["--prompt", "from green to brown", "--point", "100,100"], "near green"),
+    ],
+)
+def test_what_cannot_be_carried_out_ends_with_exit_code_2_and_leaves_nothing(flags, says, tmp_path, capsys):
+    photos = [str(file) for file in packaged_pair()[0]]
+    assert main(["run", *photos, "--size", "64", "--quiet", "--out", str(tmp_path / "out"), *flags]) == 2
+    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -8,10 +8,10 @@ from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.depth_network import (
     STRIDE,
     DepthNetwork,
+    at_pixels,
     cell_costs,
     cell_grids,
     load_depth_network,
-    log_probabilities,
     plane_log_probabilities,
 )
 from edit3r_matching.depth_samples import Wrongness, batch_of, on_planes
@@ -83,12 +83,10 @@ def test_sides_need_not_be_multiples_of_anything(learnt):
 
 def test_pixels_get_the_answer_of_their_cells(learnt):
     reference, neighbours = image(0), [Neighbour(image(1), SIDEWAYS)]
-    cost = matching_cost(reference, neighbours, PLANES)
-    total = aggregate(cost, reference.grey)
-    logs = log_probabilities(learnt, reference, neighbours, PLANES, cost, total)
     cells, _ = answer(learnt, reference, neighbours)
+    logs = at_pixels(cells, reference.size)
     centre = logs[17:19, 25:27].mean((0, 1))  # around the centre of cell (4, 6)
-    assert logs.shape == cost.shape
+    assert logs.shape == (*reference.size, len(PLANES))
     assert np.allclose(centre, cells[:, 4, 6], atol=0.2 * np.ptp(cells[:, 4, 6]))
 
 

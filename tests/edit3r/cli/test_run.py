@@ -1,0 +1,51 @@
+"""`edit3r run`: what its flags mean for the stages."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import edit3r
+from edit3r.cli.main import main
+from edit3r.io.cameras import posed_cameras, read_cameras, write_cameras
+from edit3r.io.images import save_image
+
+
+@pytest.fixture(scope="module")
+def posed_photos(tmp_path_factory):
+    """Two photos of a generated scene, and a file with their poses, the second one off by a degree and a half."""
+    folder = tmp_path_factory.mktemp("posed")
+    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3)[0]
+    names = [f"{index}.png" for index in range(len(sample.context))]
+    for name, image in zip(names, sample.context):
+        save_image(image, folder / name)
+    cameras = sample.context_cameras
+    angle = torch.tensor(1.5).deg2rad()
+    turn = torch.eye(4)
+    turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = angle.cos(), angle.sin(), -angle.sin(), angle.cos()
+    cameras.c2w[0, 1] = cameras.c2w[0, 1] @ turn
+    write_cameras(folder / "given.json", posed_cameras(cameras, names))
+    return folder
+
+
+def run(folder, out, *options):
+    photos = [str(path) for path in sorted(folder.glob("?.png"))]
+    quick = ["--editor", "none", "--frames", "2", "--outputs", "scene", "--rasterizer", "torch", "--refine", "0"]
+    assert main(["run", *photos, "--out", str(out), *quick, "--size", "128", *options]) == 0
+    given, found = read_cameras(folder / "given.json"), read_cameras(out / "cameras.json")
+    relative = np.linalg.inv(given[0].c2w) @ given[1].c2w
+    return relative, found[1].c2w, json.loads((out / "run.json").read_text())
+
+
+def test_poses_of_a_given_camera_file_are_used_as_they_are(posed_photos, tmp_path, capsys):
+    given, used, manifest = run(posed_photos, tmp_path / "out", "--cameras", str(posed_photos / "given.json"))
+    np.testing.assert_allclose(used, given, atol=2e-6)
+    assert manifest["notes"]["poses.source"].startswith("those that were given")
+    assert "poses: those that were given" in capsys.readouterr().err
+
+
+def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
+    options = ["--cameras", str(posed_photos / "given.json"), "--set", "reconstructor.matcher=classical"]
+    given, used, _ = run(posed_photos, tmp_path / "out", *options)
+    assert np.abs(used - given).max() > 1e-3
