@@ -53,6 +53,7 @@ class TradeoffCommand(Command):
         runs = {"warm_up": args.warm_up, "repeats": args.repeats, "plugins": plugins}
         job = Job(plan.unedited, plan.edited, perceptual=plan.perceptual, **runs)
         sweep = Sweep(Path(args.out), job, args.threads, args.minutes and args.minutes * 60)
+        sweep.root.mkdir(parents=True, exist_ok=True)
         measurements = _measure(args, plan, points, sweep)
         _report(args, plan, with_distances(summarize(measurements), measurements, sweep.image), measurements)
         return 0
@@ -76,7 +77,6 @@ def _measure(args: argparse.Namespace, plan: SweepPlan, points: Mapping[str, Any
     with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
         with report.stage("write scenes"):
             scenes = write_scenes(args.data or plan.data, options, sweep.root / "scenes", registry)
-            sweep.root.mkdir(parents=True, exist_ok=True)
         with report.stage(f"measure {len(points)} points on {len(scenes)} scenes"):
             measurements = sweep.measure(points, scenes)
     missing = len(points) * len(scenes) - len(measurements)
@@ -112,7 +112,7 @@ def _report(
         print(text)
     if args.update_presets:
         if len(presets) < 3:
-            raise Edit3rError("the presets stay: no three points on the front are far enough apart in time.")
+            raise Edit3rError("the presets stay as they are: no three points on the front lie apart in time.")
         print(f"wrote {write_quality(quality)}")
 
 
