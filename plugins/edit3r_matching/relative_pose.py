@@ -4,8 +4,9 @@ pycolmap's robust estimate is refined on the Sampson error. Whether its support 
 (Moisan and Stival 2004): how many such agreements would matches thrown at random give?
 """
 
+import ctypes
+import os
 import signal
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,12 +18,16 @@ from scipy.special import gammaln
 
 from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 
-_AT_TERM = signal.getsignal(signal.SIGTERM)
+# Importing pycolmap makes the process print a stack trace when somebody ends it; what was to happen before happens
+# again. By the C library, since Python sets handlers in its main thread only, and the app imports in another one.
+_SET = getattr(ctypes.CDLL(None), "signal", None) if os.name == "posix" else None
+if _SET is not None:
+    _SET.restype, _SET.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
+    _AT_TERM = _SET(signal.SIGTERM, None)
 import pycolmap  # noqa: E402
 
-# Importing it makes the process print a stack trace when somebody ends it; what was to happen before happens again.
-if _AT_TERM is not None and threading.current_thread() is threading.main_thread():
-    signal.signal(signal.SIGTERM, _AT_TERM)
+if _SET is not None:
+    _SET(signal.SIGTERM, _AT_TERM)
 
 __all__ = [
     "Matches",

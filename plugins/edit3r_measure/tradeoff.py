@@ -112,7 +112,7 @@ def _report(
         print(text)
     if args.update_presets:
         if len(presets) < 3:
-            raise Edit3rError("the presets stay as they are: no three points on the front are 2x apart in time.")
+            raise Edit3rError("the presets stay as they are: no three points on the front are far enough apart in time.")
         print(f"wrote {write_quality(quality)}")
 
 

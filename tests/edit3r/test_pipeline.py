@@ -12,7 +12,7 @@ from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.interfaces import Editor, Reconstructor
 from edit3r.pipeline import composite
 from edit3r.reporting import Report
-from edit3r.run_config import make_run_config
+from edit3r.run_config import DEFAULTS, make_run_config
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -145,6 +145,21 @@ def test_every_reconstructor_is_given_the_request(views):
     assert torch.equal(keeping.request.masks, masks)
 
 
+@pytest.mark.parametrize(("refine", "grid"), [(2, (3, 4)), (0, (6, 8))])
+def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail_and_the_result_is_of_full_size(
+    views, refine, grid
+):
+    class OnGrid(Flat):
+        def __call__(self, views, source=None, request=None):
+            self.made = views.at(request.grid_of(views.image_size))
+            return super().__call__(self.made)
+
+    recon = OnGrid()
+    result = run(views, editor=Answer(lambda v: v), recon=recon, grid=0.5, refine=refine, gaussians="all")
+    assert recon.made.image_size == grid
+    assert result.cameras.image_size == (6, 8) and result.rendered.images.shape[-2:] == (6, 8)
+
+
 class Counting(Flat):
     """Counts how often it is asked."""
 
@@ -197,7 +212,7 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
 def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first(views):
     config = make_run_config({"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3})
     listed = [(choice.name, choice.settings) for choice in config.all_refiners()]
-    fewer = ("simplify", {"gaussians": 5, "polish": 0})
+    fewer = ("simplify", {"gaussians": 5, **DEFAULTS["shorthands"]["gaussians_before_refine"]})
     assert listed == [fewer, ("refine", {"steps": 3}), ("keep-outside-mask", {})]
 
 

@@ -74,3 +74,14 @@ def test_views_select_keeps_poses_with_their_pictures():
     assert torch.equal(views.select([2, 0]).c2w, poses[:, [2, 0]])
     with pytest.raises(ValueError, match=r"Views.c2w: expected shape \[1, 3, 4, 4\], got \[1, 2, 4, 4\]"):
         Views(views.images, views.intrinsics, c2w=poses[:, :2])
+
+
+def test_views_and_cameras_of_another_size_show_the_same_and_a_grid_is_a_share_of_both_sides():
+    ramp = torch.linspace(0, 1, 30).expand(1, 2, 3, 20, 30)
+    views = Views(ramp, torch.eye(3).expand(1, 2, 3, 3))
+    size = EditRequest("", grid=0.5).grid_of(views.image_size)
+    assert size == (10, 15) and EditRequest("").grid_of((20, 30)) == (20, 30)
+    assert views.at((20, 30)) is views and views.at(size).image_size == size
+    assert torch.allclose(views.at(size).images[..., 1:-1], torch.linspace(0.5, 28.5, 15)[1:-1] / 29, atol=1e-3)
+    cameras = Cameras(torch.eye(4).expand(1, 2, 4, 4), views.intrinsics, (20, 30)).at(size)
+    assert cameras.image_size == size and torch.equal(cameras.intrinsics, views.intrinsics)

@@ -125,8 +125,10 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
     assert join_tracks(matches, keypoints) == []
 
 
-def test_a_process_that_is_ended_prints_no_stack_trace():
-    code = "import edit3r_matching.bundle_adjustment as _, sys, time; print(1, flush=True); time.sleep(60)"
+@pytest.mark.parametrize("where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"])
+def test_a_process_that_is_ended_prints_no_stack_trace(where):
+    load = "import sys, threading, time; load = lambda: __import__('edit3r_matching.bundle_adjustment')"
+    code = f"{load}; {where}; print(1, flush=True); time.sleep(60)"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.readline()
     process.terminate()

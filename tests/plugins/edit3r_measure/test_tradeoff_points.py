@@ -230,16 +230,21 @@ PAIRS = st.tuples(st.floats(0.1, 100), st.floats(0, 40))
 
 
 @given(st.lists(st.tuples(PAIRS, PAIRS), max_size=10), st.floats(1.5, 3))
-def test_presets_lie_on_both_fronts_and_apart(points, apart):
+def test_presets_lie_on_the_front_and_apart(points, apart):
     points = [rated(str(i), *one, other=two) for i, (one, two) in enumerate(points)]
     chosen = list(choose_presets(points, apart).values())
-    for kind in "ab":
-        for point in chosen:
-            beaten = [p for p in points if p.expected[kind].seconds < point.expected[kind].seconds]
-            assert all(p.expected[kind].psnr < point.expected[kind].psnr for p in beaten)
-        for quick, slow in pairwise(chosen):
-            assert apart * quick.expected[kind].seconds <= slow.expected[kind].seconds
-            assert quick.expected[kind].psnr <= slow.expected[kind].psnr
+    for point in chosen:
+        assert all(p.accuracy < point.accuracy for p in points if p.seconds < point.seconds)
+    for quick, slow in pairwise(chosen):
+        assert quick.accuracy <= slow.accuracy
+        assert all(apart * quick.expected[kind].seconds <= slow.expected[kind].seconds for kind in "ab")
+
+
+def test_the_best_is_at_the_largest_size_of_photos_although_a_smaller_one_scores_higher():
+    full, small = {"size": 512}, {"size": 256}
+    points = [rated("a", 1, 10), rated("b", 2, 11), rated("c", 4, 12), rated("d", 5, 13)]
+    points = [p.model_copy(update={"settings": full if p.label == "c" else small}) for p in points]
+    assert choose_presets(points, apart=2)["best"].label == "c"
 
 
 def test_within_limits_the_most_accurate_is_taken():

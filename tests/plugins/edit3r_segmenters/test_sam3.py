@@ -58,8 +58,8 @@ def test_a_click_and_a_box_give_different_masks_and_tracks_start_from_theirs(bui
 
 
 def test_images_are_normalised_to_minus_one_to_one(build_sam3):
-    pixels = build_sam3()._pixels(torch.tensor([0.0, 0.5, 1.0])[None, :, None, None].expand(1, 3, 20, 30), 14)
-    assert pixels[0, :, 7, 7].tolist() == pytest.approx([-1, 0, 1], abs=1e-5)
+    pixels = build_sam3()._pixels(torch.tensor([0.25, 0.5, 1.0])[None, :, None, None].expand(1, 3, 20, 30), 14)
+    assert pixels[0, :, 7, 7].tolist() == pytest.approx([-0.5, 0, 1], abs=1e-5)
 
 
 def test_gated_weights_are_told_before_any_work(monkeypatch, tmp_path):
