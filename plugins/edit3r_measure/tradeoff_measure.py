@@ -28,7 +28,7 @@ from edit3r.config import merge
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.interfaces import LossInputs, Rasterizer
 from edit3r.io.cameras import read_scene_cameras
-from edit3r.io.images import save_image
+from edit3r.io.images import evenly, save_image
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder, installed_versions
 from edit3r.registry import Registry, default_registry
@@ -156,9 +156,12 @@ def measure(job: Job) -> dict[str, Any]:
 
 def _run(job: Job, scene: SceneFolder, settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Do one `edit3r run` in this process, which replaces the last one in `out`, and return what it tells."""
+    photos = evenly(
+        scene.photos, settings.get("views")
+    )  # by their places, not by coverage: the target lies between them
     config = out.with_suffix(".yaml")
     config.write_text(yaml.safe_dump(dict(settings)), encoding="utf-8")
-    argv = ["run", *map(str, scene.photos), "--cameras", str(scene.cameras), "--config", str(config)]
+    argv = ["run", *map(str, photos), "--cameras", str(scene.cameras), "--config", str(config)]
     argv += ["--out", str(out), "--quiet", *(part for file in job.plugins for part in ("--plugin", file))]
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     with contextlib.redirect_stderr(io.StringIO()) as said:

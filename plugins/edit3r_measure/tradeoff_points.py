@@ -17,7 +17,7 @@ from edit3r_measure.metrics import psnr
 from edit3r_measure.report import grouped
 from edit3r_measure.tradeoff_knobs import SweepPlan
 
-APART = 1.3
+APART = 1.5
 """How many times as quick each preset is as the next, at least."""
 
 DIGITS = {"psnr": 2, "ssim": 4, **dict.fromkeys(("seconds", "seconds_first", "seconds_middle", "seconds_most"), 3)}
@@ -179,15 +179,12 @@ def on_every_front(points: Sequence[ShippedPoint]) -> list[bool]:
 
 
 def choose_presets(points: Sequence[ShippedPoint], apart: float = 2.0) -> dict[str, ShippedPoint]:
-    """Return the presets by name, all on the front of all scenes together; empty when there are no three such points.
-
-    That front is of the time on the slower kind of scene against the mean accuracy.
+    """Return the presets by name, all of them points on every front; empty when there are no three such points.
 
     `best` is the most accurate point at the largest size of photos for which the other two exist. `balanced` is the
     most accurate point that costs at most 1/`apart` of it on every kind of scene, and `fast` the same below `balanced`.
     """
-    flags = front([point.seconds for point in points], [point.accuracy for point in points])
-    candidates = [point for point, flag in zip(points, flags) if flag]
+    candidates = [point for point, flag in zip(points, on_every_front(points)) if flag]
     largest = max((point.settings.get("size", 0) for point in points), default=0)
     full = [point for point in candidates if point.settings.get("size", 0) == largest]
     for best in sorted(full, key=lambda p: p.accuracy, reverse=True):

@@ -230,14 +230,16 @@ PAIRS = st.tuples(st.floats(0.1, 100), st.floats(0, 40))
 
 
 @given(st.lists(st.tuples(PAIRS, PAIRS), max_size=10), st.floats(1.5, 3))
-def test_presets_lie_on_the_front_and_apart(points, apart):
+def test_presets_lie_on_both_fronts_and_apart(points, apart):
     points = [rated(str(i), *one, other=two) for i, (one, two) in enumerate(points)]
     chosen = list(choose_presets(points, apart).values())
-    for point in chosen:
-        assert all(p.accuracy < point.accuracy for p in points if p.seconds < point.seconds)
-    for quick, slow in pairwise(chosen):
-        assert quick.accuracy <= slow.accuracy
-        assert all(apart * quick.expected[kind].seconds <= slow.expected[kind].seconds for kind in "ab")
+    for kind in "ab":
+        for point in chosen:
+            beaten = [p for p in points if p.expected[kind].seconds < point.expected[kind].seconds]
+            assert all(p.expected[kind].psnr < point.expected[kind].psnr for p in beaten)
+        for quick, slow in pairwise(chosen):
+            assert apart * quick.expected[kind].seconds <= slow.expected[kind].seconds
+            assert quick.expected[kind].psnr <= slow.expected[kind].psnr
 
 
 def test_the_best_is_at_the_largest_size_of_photos_although_a_smaller_one_scores_higher():
