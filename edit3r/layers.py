@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-__all__ = ["Conv2d", "GroupNorm", "one_thread"]
+__all__ = ["Conv2d", "GroupNorm", "bilinear", "one_thread"]
 
 SMALL = 1 << 16  # values; ATen has 20480
 
@@ -52,3 +52,11 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@one_thread()
+def bilinear(
+    x: Float[Tensor, "batch channel height width"], size: tuple[int, int]
+) -> Float[Tensor, "batch channel height2 width2"]:
+    """Resize between pixel centres; torch's own rounds otherwise where its threads share a picture."""
+    return F.interpolate(x, size, mode="bilinear", align_corners=False)

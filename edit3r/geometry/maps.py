@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.compiling import compiled
+from edit3r.layers import bilinear
 
 __all__ = ["dilate", "dilate_softly", "guided_upsample", "resize", "upsample_depth"]
 
@@ -40,8 +41,9 @@ def resize(
     """Images at `size` (height, width): area mean when they shrink, bilinear when they grow."""
     if tuple(images.shape[-2:]) == size:
         return images
-    mode = {"mode": "area"} if size[0] <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
-    return F.interpolate(images.flatten(0, -4), size, **mode).unflatten(0, images.shape[:-3])
+    flat = images.flatten(0, -4)
+    shrinks = size[0] <= images.shape[-2]
+    return (F.interpolate(flat, size, mode="area") if shrinks else bilinear(flat, size)).unflatten(0, images.shape[:-3])
 
 
 def guided_upsample(
@@ -79,7 +81,7 @@ def _peak(x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
 
 
 def _bilinear(x: Float[Tensor, "b c h w"], like: Float[Tensor, "b d h2 w2"]) -> Float[Tensor, "b c h2 w2"]:
-    return F.interpolate(x, like.shape[-2:], mode="bilinear", align_corners=False)
+    return bilinear(x, like.shape[-2:])
 
 
 def upsample_depth(

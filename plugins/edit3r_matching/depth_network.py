@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.layers import Conv2d, GroupNorm
+from edit3r.layers import Conv2d, GroupNorm, bilinear
 from edit3r.training.checkpoint import load_weights
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.front import FRONT_CHANNELS, Front, imagenet_front, standardised
@@ -76,7 +76,7 @@ class DepthNetwork(nn.Module):
         images = standardised(images)
         with torch.no_grad():
             _, quarter, eighth = self.front(images)
-        eighth = F.interpolate(eighth, quarter.shape[-2:], mode="bilinear", align_corners=False)
+        eighth = bilinear(eighth, quarter.shape[-2:])
         return self.features(torch.cat((quarter, eighth, F.pixel_unshuffle(images, STRIDE)), 1))
 
 

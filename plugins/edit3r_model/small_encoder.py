@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.geometry.warping import Correspondences, partner_views, warp
-from edit3r.layers import Conv2d, GroupNorm
+from edit3r.layers import Conv2d, GroupNorm, bilinear
 
 STRIDE = 2
 """Network pixels per token side."""
@@ -134,7 +134,7 @@ def upsample_to(
     x: Float[Tensor, "batch channel height width"], like: Float[Tensor, "batch other height2 width2"]
 ) -> Float[Tensor, "batch channel height2 width2"]:
     """Resize `x` bilinearly to the grid of `like`."""
-    return F.interpolate(x, like.shape[-2:], mode="bilinear", align_corners=False)
+    return bilinear(x, like.shape[-2:])
 
 
 def convex_upsample(

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import nn
 
-from edit3r.layers import Conv2d, GroupNorm
+from edit3r.layers import Conv2d, GroupNorm, bilinear
 
 THREADS = (1, 2, 4, 16)
 MAKERS = (lambda: GroupNorm(8, 64), lambda: Conv2d(64, 3, 1), lambda: Conv2d(64, 64, 1), lambda: Conv2d(64, 8, 3, 1, 1))
@@ -34,6 +34,13 @@ def test_any_number_of_threads_gives_the_same_bits(on_threads, make, order, shap
     first, *others = on_threads(lambda: layer(x))
     assert all(torch.equal(first, other) for other in others)
     assert first.is_contiguous(memory_format=order)
+
+
+@pytest.mark.parametrize(("size", "wished"), [((29, 43), (32, 48)), ((345, 512), (231, 343))])
+def test_pictures_are_resized_to_the_same_bits_by_any_number_of_threads(on_threads, size, wished):
+    x = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
+    first, *others = on_threads(lambda: bilinear(x, wished))
+    assert all(torch.equal(first, other) for other in others)
 
 
 def test_they_are_the_layers_of_torch():

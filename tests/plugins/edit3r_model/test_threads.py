@@ -1,21 +1,24 @@
 """The same photos, edit and seed give the same scene for any number of threads."""
 
+import pytest
 import torch
 
 import edit3r
 from edit3r.io.images import load_views, packaged_pair
+from edit3r.types import EditRequest
 
 
-def test_the_scene_does_not_depend_on_the_number_of_threads():
+@pytest.mark.parametrize(("size", "grid"), [(128, 1.0), (64, 0.67)])
+def test_the_scene_does_not_depend_on_the_number_of_threads(size, grid):
     photos, cameras = packaged_pair()
-    views = load_views(photos, cameras=cameras, size=128)
+    views = load_views(photos, cameras=cameras, size=size)
     edited = edit3r.Views(views.images.flip(2), views.intrinsics, views.names)
     reconstructor = edit3r.build("reconstructor", "edit3r")
     before, scenes = torch.get_num_threads(), []
     for threads in (1, 2, 4):
         torch.set_num_threads(threads)
         with torch.no_grad():
-            scenes.append(reconstructor(edited, source=views).gaussians)
+            scenes.append(reconstructor(edited, views, EditRequest("", grid=grid)).gaussians)
     torch.set_num_threads(before)
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         assert all(torch.equal(getattr(scenes[0], name), getattr(scene, name)) for scene in scenes[1:]), name
