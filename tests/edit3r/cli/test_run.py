@@ -31,7 +31,7 @@ def posed_photos(tmp_path_factory):
 
 def run(folder, out, *options):
     photos = [str(path) for path in sorted(folder.glob("?.png"))]
-    quick = ["--editor", "none", "--frames", "2", "--outputs", "scene", "--rasterizer", "torch", "--refine", "0"]
+    quick = ["--editor", "none", "--frames", "2", "--outputs", "scene", "--gaussians", "all", "--refine", "0"]
     assert main(["run", *photos, "--out", str(out), *quick, "--size", "128", *options]) == 0
     given, found = read_cameras(folder / "given.json"), read_cameras(out / "cameras.json")
     relative = np.linalg.inv(given[0].c2w) @ given[1].c2w

@@ -94,7 +94,12 @@ def tab(browser, server):
 
 
 def go(page, address):
-    page.goto(address, wait_until="domcontentloaded")
+    try:
+        page.goto(address, wait_until="domcontentloaded")
+    except playwright.Error as error:
+        if "interrupted by another navigation" not in str(error):
+            raise
+        page.goto(address, wait_until="domcontentloaded")  # the page had begun to reload itself: the server is back
 
 
 def upload(page, files):

@@ -96,14 +96,14 @@ def test_presets_are_on_the_front_of_everything_measured():
 @pytest.mark.parametrize("kind", KINDS)
 def test_presets_are_apart_in_time(kind):
     seconds = {point.preset: point.expected[kind].seconds for point in QUALITY.points}
-    assert 1.3 * seconds["fast"] <= seconds["balanced"] and 1.3 * seconds["balanced"] <= seconds["best"]
+    assert 1.5 * seconds["fast"] <= seconds["balanced"] and 1.5 * seconds["balanced"] <= seconds["best"]
 
 
-def test_the_best_preset_has_photos_of_full_size_and_the_default_is_balanced():
+def test_the_best_preset_has_photos_of_full_size_and_the_default_was_measured():
     settings = {point.preset: point.settings for point in QUALITY.points}
     assert settings["best"]["size"] == RunConfig().size
     shared = {key: getattr(RunConfig(), key) for key in ("size", "refine", "grid", "gaussians")}
-    assert {key: settings["balanced"][key] for key in shared} == shared
+    assert any({key: point.settings.get(key) for key in shared} == shared for point in QUALITY.points)
 
 
 def test_every_shipped_point_can_be_run():
