@@ -33,7 +33,8 @@ class AutoSegmenter(Segmenter):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.classical = ClassicalSegmenter(settings)
+        # As a component: what is remembered of its answers depends on the weights that it declares.
+        self.classical = build("segmenter", "classical", **settings.model_dump(exclude={"pick"}))
         self._chosen = build("segmenter", "sam2") if settings.pick == "sam2" else self.classical
 
     @property

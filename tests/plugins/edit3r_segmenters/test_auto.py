@@ -3,6 +3,7 @@
 import torch
 
 import edit3r
+from edit3r.cache import identity
 from edit3r.interfaces import Marks
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import DEFAULTS, RunConfig
@@ -56,3 +57,12 @@ def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
 def test_it_is_what_a_run_takes_for_clicks(at_hand):
     assert edit3r.build("editor", RunConfig().editor.name).parts["segmenter"].offer.component.name == "auto"
     assert DEFAULTS["segmenter"] == "auto"
+
+
+def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weights(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    classical = edit3r.build("segmenter", "auto").classical
+    without = identity(classical)
+    (tmp_path / "u2netp").mkdir()
+    (tmp_path / "u2netp" / "u2netp.onnx").touch()
+    assert identity(classical) != without
