@@ -188,7 +188,7 @@ def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match
 def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:
     """Note the inliers of every pair and where their matches come from, and warn of views that were left out."""
     helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
-    learned = f" and, for {helped} of {len(features.indices)} pairs, ALIKED + LightGlue" if helped else ""
+    learned = f" and, for {helped} of {len(features.indices)} pairs, {features.helper}" if helped else ""
     reporting.note("matcher.matches", f"SIFT{learned}")
     reporting.note(
         "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}
