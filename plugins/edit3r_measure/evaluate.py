@@ -30,7 +30,7 @@ class EvaluateCommand(Command):
         add("folders", nargs="+", metavar="FOLDER|NAME", help=places)
         add("--recon", default="edit3r", metavar="NAME", help="reconstructor (default edit3r)")
         add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
-        pairs = "most pairs of photos a folder, 5 to 30 degrees apart; scenes of a data set"
+        pairs = "most pairs of photos a folder (and class of overlap), 5 to 30 degrees apart; scenes of a data set"
         add("--pairs", type=int, default=6, metavar="N", help=pairs)
         size = "side of the square the photos are cut and resized to"
         add("--size", type=int, default=256, metavar="PIXELS", help=size)
@@ -115,8 +115,9 @@ def _scores_by_index(
     places = [
         p if Path(p).is_dir() else registry.build("dataset", p, image_size=args.size, **own) for p in args.folders
     ]
-    scores = []
-    for scene, entry in track(read_index(Path(args.index)), args.index):
+    found = grouped(read_index(Path(args.index)), lambda pair: f"{pair[0]} {pair[1].overlap_class}")
+    pairs, scores = [pair for own in found.values() for pair in own[: args.pairs]], []
+    for scene, entry in track(pairs, args.index):
         frames = (*entry.context, *entry.targets)
         photos, failure, figures = photos_of(places, scene, frames, args.size), "", {}
         count = len(entry.context)

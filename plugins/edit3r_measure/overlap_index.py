@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -39,11 +39,14 @@ SAME_SURFACE = 0.1
 """Relative difference of depth below which two photos show one place."""
 
 
+Frame = Annotated[int, Field(ge=0)]
+
+
 class Entry(Settings):
     """One pair of an index file."""
 
-    context: tuple[int, ...] = Field(min_length=2, description="frames that are given")
-    target: tuple[int, ...] | int = Field(description="frames that are predicted")
+    context: tuple[Frame, ...] = Field(min_length=2, description="frames that are given")
+    target: tuple[Frame, ...] | Frame = Field(description="frames that are predicted")
     overlap: float | str | None = Field(None, description="share of one photo that the other shows, or a class")
 
     @property
@@ -59,7 +62,7 @@ class Entry(Settings):
 
 
 def read_index(path: Path) -> list[tuple[str, Entry]]:
-    """Return scenes and pairs of an index file, scenes without one left out. Raises InputError naming file and scene."""
+    """Return scenes and pairs of an index file, null ones left out. Raises InputError naming file and scene."""
     if not path.is_file():
         raise InputError(f"{path}: no such index file; edit3r evaluate FOLDER --make-index FILE makes one.")
     content = read_json(path)

@@ -62,7 +62,7 @@ def align(
             value = compare(rasterizer.render(moved, here).images, photo)
             adam.zero_grad()
             value.backward()
-        best = min(best, (float(value), here), key=lambda place: place[0])
+        best = min(best, (value.item(), here), key=lambda place: place[0])
         adam.step()
         with torch.no_grad():  # the step is taken by the camera, and the next one begins at zero
             c2w = c2w @ invert_rigid(_motion(turn, shift * unit))
