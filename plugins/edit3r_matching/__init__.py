@@ -127,14 +127,3 @@ def register_reconstructors():
             min_views=2,
         )
     ]
-
-
-@hookimpl
-def register_trainers():
-    return [
-        Component(
-            "depth-network",
-            "edit3r_matching.depth_trainer:DepthTrainer",
-            "teaches the network of matcher 'classical' which depth is right, from data with depths",
-        )
-    ]
