@@ -86,6 +86,8 @@ def photos_of(places: Sequence[str | Dataset], scene: str, indices: Sequence[int
     """
     for place in places:
         if isinstance(place, Dataset):
+            if not hasattr(place, "photos"):
+                raise InputError(f"{type(place).__name__} has no scenes by name, as re10k has; give folders of photos.")
             return place.photos(scene, indices)
         for folder in (Path(place), Path(place) / scene):
             if folder.resolve().name == scene and folder.is_dir():
