@@ -35,7 +35,10 @@ TARGETS = 3
 MOST_PHOTOS = 16
 """Photos of a folder that are tried against each other for an index, evenly chosen."""
 
-SAME_SURFACE = 0.1
+MOST_DEGREES = 60.0
+"""Angle up to which two photos make a pair of an index: from farther round, a floor that both show looks another."""
+
+SAME_SURFACE = 0.05
 """Relative difference of depth below which two photos show one place."""
 
 
@@ -126,7 +129,8 @@ def _overlaps(folder: PosedFolder, matcher: Matcher, size: int) -> Iterator[tupl
         except MatchingError:
             continue  # nothing is known of what it shows
     for pair in combinations(photos, 2):
-        yield *pair, overlap(*([own[index] for index in pair] for own in (photos, depths)))
+        if rotation_degrees(*(photos[index].c2w[:3, :3] for index in pair)) <= MOST_DEGREES:
+            yield *pair, overlap(*([own[index] for index in pair] for own in (photos, depths)))
 
 
 def overlap(photos: Sequence[Photo], depths: Sequence[Float[np.ndarray, "height width"]]) -> float:

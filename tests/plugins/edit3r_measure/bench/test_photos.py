@@ -203,10 +203,11 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
     text, *pictures = request["messages"][1]["content"]
     assert path == "/v1/chat/completions" and "cup" in text["text"]
     shown = [Image.open(io.BytesIO(base64.b64decode(p["image_url"]["url"].partition(",")[2]))) for p in pictures]
-    own = [Image.open(folder / "garden" / f"{index}.png").convert("RGB") for index in range(3)]
-    assert len(shown) == 3 and shown[0].size == own[0].size
-    for mine in shown:  # all photos of this scene, each once, and of no other
-        assert min(np.abs(np.asarray(mine, int) - np.asarray(photo, int)).mean() for photo in own) < 12
+    photos = [Image.open(folder / "garden" / f"{index}.png").convert("RGB") for index in range(3)]
+    assert [image.size for image in shown] == [photo.size for photo in photos]
+    for mine, photo in zip(shown, photos):  # noise, of which JPEG keeps the coarse part
+        coarse = [np.asarray(image.resize((8, 6), Image.Resampling.BOX), int) for image in (mine, photo)]
+        assert np.abs(coarse[0] - coarse[1]).max() < 12
 
 
 def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, capsys):
@@ -218,7 +219,7 @@ def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, caps
 def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(folder, tmp_path):
     seen = tmp_path / "seen.txt"
     plugin = tmp_path / "counting.py"
-    look = f"        open({str(seen)!r}, 'a').write(f'{{text}} {{float(image.mean()):.4f}}\\n')\n"
+    look = f"        open({str(seen)!r}, 'a').write(f'{{text}} {{float(image.mean()):.7f}}\\n')\n"
     plugin.write_text(DETECTOR.replace("        height, width", look + "        height, width", 1))
     options = ["--detector", "middle", "--plugin", str(plugin), "--labels", "cup", "--no-vetting"]
     manifest = read_bench_manifest(build(folder, *options))
