@@ -35,7 +35,10 @@ TARGETS = 3
 MOST_PHOTOS = 16
 """Photos of a folder that are tried against each other for an index, evenly chosen."""
 
-SAME_SURFACE = 0.1
+MOST_DEGREES = 60.0
+"""Angle up to which two photos make a pair of an index: from farther round, a floor that both show looks another."""
+
+SAME_SURFACE = 0.05
 """Relative difference of depth below which two photos show one place."""
 
 
@@ -86,6 +89,8 @@ def photos_of(places: Sequence[str | Dataset], scene: str, indices: Sequence[int
     """
     for place in places:
         if isinstance(place, Dataset):
+            if not hasattr(place, "photos"):
+                raise InputError(f"{type(place).__name__} has no scenes by name, as re10k has; give folders of photos.")
             return place.photos(scene, indices)
         for folder in (Path(place), Path(place) / scene):
             if folder.resolve().name == scene and folder.is_dir():
@@ -124,7 +129,8 @@ def _overlaps(folder: PosedFolder, matcher: Matcher, size: int) -> Iterator[tupl
         except MatchingError:
             continue  # nothing is known of what it shows
     for pair in combinations(photos, 2):
-        yield *pair, overlap(*([own[index] for index in pair] for own in (photos, depths)))
+        if rotation_degrees(*(photos[index].c2w[:3, :3] for index in pair)) <= MOST_DEGREES:
+            yield *pair, overlap(*([own[index] for index in pair] for own in (photos, depths)))
 
 
 def overlap(photos: Sequence[Photo], depths: Sequence[Float[np.ndarray, "height width"]]) -> float:
