@@ -96,7 +96,7 @@ def are_of_the_full_network(source: str) -> bool:
         return True
     if path.is_dir():
         path = next((path / name for name in (WEIGHTS, TRAINED) if (path / name).is_file()), path)
-    return path.is_file() and any(name.startswith("backbone.") for name in _read_safetensors(path))
+    return path.is_file() and ((path.parent / CONFIG).is_file() or EXTRA_STATE in _read_safetensors(path))
 
 
 def save_weights(
