@@ -45,12 +45,8 @@ _CITATION = (
 
 @hookimpl
 def register_backbones():
-    small = Component(
-        "matched-unet",
-        "edit3r_model.small_backbone:MatchedUNet",
-        "small U-Net over photos and matched geometry",
-        min_views=2,
-    )
+    about = "small U-Net over photos and matched geometry"
+    small = Component("matched-unet", "edit3r_model.small_backbone:MatchedUNet", about, min_views=2)
     full = Component(
         "asymmetric-vit",
         "edit3r_model.backbone:AsymmetricViT",

@@ -33,15 +33,6 @@ GRID = 8
 """The network's images have sides that are multiples of this [pixels]."""
 
 
-class PartsNetwork(nn.Module):
-    """Backbone and head as one module, so that they are trained and saved together."""
-
-    def __init__(self, backbone: Backbone, head: GaussianHead) -> None:
-        super().__init__()
-        self.backbone, self.head = backbone, head
-        self.to(memory_format=torch.channels_last)  # a quarter quicker on a CPU
-
-
 class Edit3rReconstructor(Reconstructor):
     """Matched poses and depths, and a network that draws disagreeing edits to the reference's.
 
@@ -82,14 +73,14 @@ class Edit3rReconstructor(Reconstructor):
 
     def __init__(self, settings: Settings, matcher: Matcher, backbone: Backbone, head: GaussianHead) -> None:
         self.settings = settings
-        self.matcher = matcher
+        self.matcher, self.backbone, self.head = matcher, backbone, head
         self.full = _full_form(settings, backbone, head)  # None: the small form
         self.takes_geometry = self.full is None
         self._network = self.full.network if self.full else load_parts(settings.weights, backbone, head)
 
     @property
     def network(self) -> nn.Module:
-        """The trainable part: backbone and head."""
+        """The trainable part: backbone and head together."""
         return self._network
 
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
@@ -121,15 +112,14 @@ class Edit3rReconstructor(Reconstructor):
 
     def _gaussians(self, views: Views, source: Views, prior: MatchedGeometry) -> Gaussians:
         """Backbone, then head; only parts that take geometry are given it."""
-        backbone, head = self._network.backbone, self._network.head
-        size = network_grid(source.image_size, self.settings.network_size, backbone.patch_size)
-        given = (averaged(prior, size),) if backbone.takes_geometry else ()
-        features = backbone(resize(source.images, size), source.intrinsics, *given)
-        if head.takes_geometry:
-            return head(features, views.images, source, prior)
+        size = network_grid(source.image_size, self.settings.network_size, self.backbone.patch_size)
+        given = (averaged(prior, size),) if self.backbone.takes_geometry else ()
+        features = self.backbone(resize(source.images, size), source.intrinsics, *given)
+        if self.head.takes_geometry:
+            return self.head(features, views.images, source, prior)
         from edit3r_model import view_fitting
 
-        gaussians = head(features, view_fitting.resize(views.images, size))
+        gaussians = self.head(features, view_fitting.resize(views.images, size))
         return view_fitting.regrid(gaussians, size, views.image_size, views.images)
 
     def _with_surroundings(
@@ -168,9 +158,10 @@ def _full_form(settings: Edit3rReconstructor.Settings, backbone: Backbone, head:
     return None
 
 
-def load_parts(weights: str, backbone: Backbone, head: GaussianHead) -> PartsNetwork:
+def load_parts(weights: str, backbone: Backbone, head: GaussianHead) -> nn.Module:
     """Give the parts the 'shipped' weights or those of a file; 'untrained' ones keep their own, which is announced."""
-    network = PartsNetwork(backbone, head)
+    network = nn.ModuleDict({"backbone": backbone, "head": head})
+    network.to(memory_format=torch.channels_last)  # a quarter quicker on a CPU
     if weights == "untrained":
         reporting.warn("edit3r: the network is untrained; repairs and fused edits are those of a random start.")
         return network.eval()
@@ -180,7 +171,6 @@ def load_parts(weights: str, backbone: Backbone, head: GaussianHead) -> PartsNet
     card = path.with_suffix(".json")  # data, steps, licence
     licence = json.loads(card.read_text(encoding="utf-8")).get("licence") if card.is_file() else None
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    reporting.note("edit3r.weights", path.name)
     reporting.note("weights.edit3r", {"file": path.name, "sha256": digest, "licence": licence or "not stated"})
     return network.eval()
 

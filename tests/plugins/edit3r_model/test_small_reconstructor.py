@@ -344,7 +344,7 @@ def test_describe_shows_the_parts(capsys):
 def test_another_backbone_carries_the_edit_with_the_same_head():
     """The vision transformer in the place of the U-Net: untrained features, but colours stay the photos' own."""
     reconstructor = _reconstructor(backbone=VIT, weights="untrained")
-    assert type(reconstructor.network.backbone) is AsymmetricViT and reconstructor.takes_geometry
+    assert type(reconstructor.backbone) is AsymmetricViT and reconstructor.takes_geometry
     colours = _colours(reconstructor(_views(), _views()))
     assert torch.allclose(colours, _views().images[0], atol=1e-6)
     assert (_colours(reconstructor(_recoloured(_views(), (0,)), _views()))[1] - colours[1]).abs().max() > 0.02
@@ -391,7 +391,7 @@ def test_a_stranger_s_head_takes_the_place_of_ours_by_its_name(tmp_path, monkeyp
     settings = parse_assignments(["head=flat", "weights=untrained", "network_size=64"])
     made = registry.build("reconstructor", "edit3r", {"matcher": _TrueGeometry()}, **settings)
     result = made(_recoloured(_views(), (0,)), _views())
-    assert type(made.network.head).__name__ == "Flat" and type(made.network.backbone) is MatchedUNet
+    assert type(made.head).__name__ == "Flat" and type(made.backbone) is MatchedUNet
     assert torch.allclose(_colours(result), _recoloured(_views(), (0,)).images[0], atol=0.01)  # one for each pixel
     assert torch.equal(result.cameras.c2w, SCENE.cameras.c2w[:, :2])
 
