@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError, is_out_of_memory
 from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
@@ -155,8 +155,7 @@ def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # torch.OutOfMemoryError is one; a CPU raises the plain class
-        text = str(error).lower()
-        if "out of memory" not in text and "not enough memory" not in text and "can't allocate memory" not in text:
+        if not is_out_of_memory(error):
             raise
         raise RunError(f"out of memory while {doing}; {advice}.") from error
 
