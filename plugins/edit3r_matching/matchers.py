@@ -81,12 +81,15 @@ class ClassicalMatcher(Matcher):
             found = _registered(_Asked.of(self, views, 0))
         except MatchingError:  # told when the photos are matched
             return None
-        placed = {view: found.registration.poses[view] for view in np.flatnonzero(found.registration.registered)}
+        views_placed = np.flatnonzero(found.registration.registered).tolist()
+        if len(views_placed) < 3:  # two see the same, whatever the lens
+            return None
+        poses = {view: found.registration.poses[view] for view in views_placed}
         matches = {pair: view.indices for pair, view in found.registration.pairs.items()}
         points = [keypoints.points for keypoints in found.features.keypoints]
         threshold = 2 * self.settings.threshold * max(found.images[0].size) / 256
-        radial, gain = fit_distortion(found.images, points, matches, placed, threshold)
-        if len(placed) < 3 or abs(radial) < LEAST_DISTORTION or gain < LEAST_GAIN:
+        radial, gain = fit_distortion(found.images, points, matches, poses, threshold)
+        if abs(radial) < LEAST_DISTORTION or gain < LEAST_GAIN:
             return None
         (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
