@@ -36,6 +36,7 @@ __all__ = [
     "log_false_alarms",
     "refine",
     "rough_pose",
+    "sharp_support",
     "signed_support",
 ]
 
@@ -44,6 +45,7 @@ LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not show."""
 _REFINEMENT_ROUNDS = 3
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
+_SHARP = 0.15  # times the threshold: what a good match is off, where it is asked how exactly they agree
 _NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
 
 
@@ -124,6 +126,18 @@ def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
     return max(
         _support(matches, Pose(pose.rotation, sign * pose.translation), threshold, in_front=True)[0] for sign in (1, -1)
     )
+
+
+def sharp_support(matches: Matches, pose: Pose, threshold: float) -> float:
+    """Score of `pose` like `signed_support`, by Cauchy's law: it also tells how exactly matches agree, not only that.
+
+    1 a match on its epipolar line, half of that at about a third of the `threshold` [pixels], 0 beyond it.
+    """
+    errors = sampson_errors(matches, pose)
+    depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
+    likely = np.log1p((threshold / (_SHARP * threshold)) ** 2) - np.log1p((errors / (_SHARP * threshold)) ** 2)
+    score = np.maximum(likely, 0) / np.log1p(_SHARP**-2)
+    return float(max(score[(sign * depth_a > 0) & (sign * depth_b > 0)].sum() for sign in (1, -1)))
 
 
 def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
