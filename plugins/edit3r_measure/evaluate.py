@@ -34,7 +34,7 @@ class EvaluateCommand(Command):
         add("--size", type=int, default=256, metavar="PIXELS", help=size)
         edits = "on data sets that know a true edit: how it is carried and fused, instead of novel views"
         add("--edits", action="store_true", help=edits)
-        settings = "such as reconstructor.opacity=0.8 or dataset.seed=5"
+        settings = "such as reconstructor.head.opacity=0.8 or dataset.seed=5"
         add("--set", action="append", default=[], metavar="KEY=VALUE", help=settings)
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="FILE", help="write the table (.md) or every pair's figures (.json)")
