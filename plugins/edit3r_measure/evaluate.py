@@ -45,7 +45,7 @@ class EvaluateCommand(Command):
             action="store_true",
             help="with --index: LPIPS instead of the perceptual distance that is offline",
         )
-        settings = "such as reconstructor.opacity=0.8 or dataset.seed=5"
+        settings = "such as reconstructor.head.opacity=0.8 or dataset.seed=5"
         add("--set", action="append", default=[], metavar="KEY=VALUE", help=settings)
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="FILE", help="write the table (.md) or every pair's figures (.json)")
