@@ -49,18 +49,10 @@ GENERATED_EDITS = (
 )
 """Suffix of the item, type, settings of the dataset, prompt. The first one is the pickiest, so it is tried first."""
 
-MOST_TRIES = 40
-"""Generated scenes looked at for each that is taken, before giving up."""
-
+MOST_TRIES = 40  # generated scenes looked at for each that is taken, before giving up
 PAPER_SCENES = 20
-MOST_SHOWN_SIDE = 512
-"""Longer side of what the language model is shown [pixels]."""
-
-UNNAMED = "object in the middle"
-"""What templates speak of when nobody knows what a scene shows."""
-
-
-# ---- generated scenes ----
+MOST_SHOWN_SIDE = 512  # longer side of what the language model is shown [pixels]
+UNNAMED = "object in the middle"  # what templates speak of when nobody knows what a scene shows
 
 
 class GeneratedSettings(Settings):
@@ -134,9 +126,6 @@ def is_visible(sample: SceneSample, everywhere: bool, settings: GeneratedSetting
     inside = change.mean(1)[changed]
     strong = inside.numel() > 0 and float(inside.mean()) >= settings.change
     return strong and (everywhere or bool(((share >= low) & (share <= high)).all()))
-
-
-# ---- folders of photos ----
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_column
 from edit3r_measure.oracle import ORACLE
 from edit3r_measure.report import format_or_dash, markdown_table, write_text
 
+# Measures of the table; the folders of the pairs hold all
 SHOWN = ("score", "psnr-in-edit", "psnr-in-background", "edit-uptake-2d", "consistency-2d", "consistency-warped")
-"""Measures of the table; the folders of the pairs hold all."""
 
 REACHES_OUT = "reaches out to the network, to a service that costs money, say; name it to include it."
 

@@ -49,8 +49,8 @@ LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
 
 ONE_WORKER = Workers(threads=1)
 
+# Errors that are a result of the method; any other ends the benchmark, since the wish itself was wrong
 FAILURES = (MatchingError, PromptError, RunError, PluginError)
-"""Errors that are a result of the method; any other ends the benchmark, since the wish itself was wrong."""
 
 
 class Method(Settings):

@@ -15,8 +15,7 @@ from edit3r_measure.bench_metrics import BY_REGION, METRICS
 from edit3r_measure.metrics import Interval, bootstrap_mean
 from edit3r_measure.report import format_or_dash, grouped, markdown_table
 
-FORMS = {**METRICS, **BY_REGION}
-"""Better direction and number format of every measure."""
+FORMS = {**METRICS, **BY_REGION}  # better direction and number format of every measure
 
 WALL = ("editor", "network", "rendering")
 CPU = ("editor_cpu", "network_cpu", "rendering_cpu")

@@ -17,8 +17,8 @@ if TYPE_CHECKING:  # the command line is parsed without torch
     from edit3r.registry import Registry
     from edit3r_measure.novel_view import SceneScore
 
+# Settings of data sets; the seeds of training are others
 UNSEEN = {"procedural": {"seed": 1000, "targets": 1, "angles": [5, 25]}}
-"""Settings of data sets; the seeds of training are others."""
 
 
 class EvaluateCommand(Command):

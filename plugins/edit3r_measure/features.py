@@ -18,14 +18,9 @@ from edit3r.errors import InputError
 from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
-CROPS = 5
-"""Pieces that an image is compared by: itself and its four corners."""
-
-CORNER = 0.6
-"""Side of a corner piece [image sides]."""
-
-EFFNET_SIZE = 128
-"""Side that images are resized to for EfficientNet [pixels]."""
+CROPS = 5  # pieces that an image is compared by: itself and its four corners
+CORNER = 0.6  # side of a corner piece [image sides]
+EFFNET_SIZE = 128  # side that images are resized to for EfficientNet [pixels]
 
 CLIP_MODEL = "openai/clip-vit-large-patch14"
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
@@ -69,8 +64,7 @@ class InceptionFeatures:
         return self.network(pixels, return_features=True).double().numpy()
 
 
-FeatureNetwork = EffnetFeatures | InceptionFeatures
-"""A frozen network from images to one vector each."""
+FeatureNetwork = EffnetFeatures | InceptionFeatures  # a frozen network from images to one vector each
 
 
 def crops(images: Float[Tensor, "n 3 height width"]) -> Float[Tensor, "n5 3 height width"]:

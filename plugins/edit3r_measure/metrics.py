@@ -29,26 +29,22 @@ Images = Float[np.ndarray, "view height width 3"]
 Masks = Float[np.ndarray, "view height width"]
 Features = Float[np.ndarray, "n feature"]
 
+# Standard deviations tried for the best-blurred copy [pixels]
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
-"""Standard deviations tried for the best-blurred copy [pixels]."""
 
 LOW_PASS = 0.015
 """Standard deviation of the low-pass before changes are measured [image widths]: a rendering that is a little blurred
 or shifted has not been edited."""
 
+# A warped point whose depth differs from what the other view sees by more than this share is hidden there
 DEPTH_TOLERANCE = 0.03
-"""A warped point whose depth differs from what the other view sees by more than this share is hidden there."""
 
 REGIONS = ("edit", "band", "background")
 
-BAND = 0.05
-"""Width of the band around an edit [image widths]."""
-
-RATIO = 0.8
-"""A match counts when its descriptor is nearer than this share of the second nearest's distance (Lowe 2004)."""
+BAND = 0.05  # width of the band around an edit [image widths]
+RATIO = 0.8  # a match counts when its descriptor is nearer than this share of the second nearest's distance (Lowe 2004)
 
 KERNEL_DEGREE, KERNEL_OFFSET = 3, 1.0  # of KID's polynomial kernel
-
 DRAWS, CONFIDENCE = 2000, 0.95  # of the bootstrap
 
 

@@ -21,14 +21,9 @@ from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_measure.metrics import best_blurred_copy, psnr, ssim
 from edit3r_measure.scene_sources import Scene, rotation_degrees
 
-COVERED = 0.5
-"""Alpha above which a pixel of a rendering counts as covered."""
-
-CHANGED = 2 / 255
-"""Mean change of colour above which a pixel belongs to a true edit."""
-
-SAME_SURFACE = 0.05
-"""Relative difference of depth below which two views show one surface."""
+COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
+CHANGED = 2 / 255  # mean change of colour above which a pixel belongs to a true edit
+SAME_SURFACE = 0.05  # relative difference of depth below which two views show one surface
 
 FIGURES = {
     "novel view": {

@@ -23,14 +23,10 @@ from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
+# Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item
 ORACLE = "oracle"
-"""Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item."""
-
-FAULTS = ("blurred", "shifted", "coloured")
-"""What may be wrong with a reference."""
-
-NOISE_CELLS = 6
-"""Cells of the texture and warp noise along each side of the image."""
+FAULTS = ("blurred", "shifted", "coloured")  # what may be wrong with a reference
+NOISE_CELLS = 6  # cells of the texture and warp noise along each side of the image
 
 
 class OracleSettings(Settings):

@@ -28,18 +28,14 @@ from edit3r_measure.novel_view import views_of
 from edit3r_measure.report import read_json
 from edit3r_measure.scene_sources import photos_between, rotation_degrees
 
+# Overlap of two photos, as NoPoSplat's tables are divided; what is in none of them is left out there
 CLASSES = {"small": (0.05, 0.3), "medium": (0.3, 0.55), "large": (0.55, 0.8)}
-"""Overlap of two photos, as NoPoSplat's tables are divided; what is in none of them is left out there."""
 
 TARGETS = 3
-MOST_PHOTOS = 16
-"""Photos of a folder that are tried against each other for an index, evenly chosen."""
-
+MOST_PHOTOS = 16  # photos of a folder that are tried against each other for an index, evenly chosen
+# Angle up to which two photos make a pair of an index: from farther round, a floor that both show looks another
 MOST_DEGREES = 60.0
-"""Angle up to which two photos make a pair of an index: from farther round, a floor that both show looks another."""
-
-SAME_SURFACE = 0.05
-"""Relative difference of depth below which two photos show one place."""
+SAME_SURFACE = 0.05  # relative difference of depth below which two photos show one place
 
 
 Frame = Annotated[int, Field(ge=0)]

@@ -22,14 +22,9 @@ from edit3r.types import Cameras, Gaussians
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import pose_errors, predicted_pose, target_camera, views_of
 
-RATE = 0.005
-"""Step of Adam, of a turn [radians] and of a shift [distances between the input cameras]."""
-
-WEIGHT = 0.05
-"""Of the perceptual distance beside the mean squared error, as in the training of NoPoSplat."""
-
-STRUCTURE_ENOUGH = 0.98
-"""Likeness of structure from which more of it is not asked for."""
+RATE = 0.005  # step of Adam, of a turn [radians] and of a shift [distances between the input cameras]
+WEIGHT = 0.05  # of the perceptual distance beside the mean squared error, as in the training of NoPoSplat
+STRUCTURE_ENOUGH = 0.98  # likeness of structure from which more of it is not asked for
 
 AUC_DEGREES = (5, 10, 20)
 

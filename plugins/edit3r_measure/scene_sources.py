@@ -30,8 +30,7 @@ from edit3r.types import Cameras
 
 PHOTOS = "photos"
 TRUTH_FILE = "truth.json"
-FARTHEST_BETWEEN = 0.4
-"""How far a photo between two others may be from the middle [baselines]."""
+FARTHEST_BETWEEN = 0.4  # how far a photo between two others may be from the middle [baselines]
 
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
