@@ -145,9 +145,9 @@ class PhotoFolder:
 
 
 def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
-    """Return every sub-folder with at least two photos, else the folder itself. Raises InputError without any.
+    """Return every sub-folder with two photos or more, else the folder itself; without poses `views` photos are inputs.
 
-    Scenes without poses give `views` evenly spaced photos as inputs.
+    Raises InputError without any.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of scenes.")
@@ -292,11 +292,7 @@ class PhotoBuild(Settings):
     def _masks(
         self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Sequence[Detection | None]
     ) -> tuple[FrameRecord, ...]:
-        """Return those a person named, else those around a removed or modified object that a detector found.
-
-        None are made when it did not find the object in every input: an edit confined to some of the views would be
-        another edit.
-        """
+        """Return masks a person named, else those around a removed or modified object that was found in every input."""
         if edit.masks and len(edit.masks) != len(scene.inputs):
             counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
             raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")

@@ -25,10 +25,9 @@ REACHES_OUT = "reaches out to the network, to a service that costs money, say; n
 def pairs_of(
     registry: Registry, asked: Mapping[str, Sequence[str]], common: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> dict[str, tuple[Method, str]]:
-    """Return pairs of the editors and reconstructors that are `asked` for, of all installed without names, by label.
+    """Return pairs of the editors and reconstructors `asked` for (none: all), by label, and why one is not tried.
 
-    With each comes why it is not even tried, or "". `common` are fields that all methods share; `settings` are those of
-    components, by kind and name.
+    `common` are fields that all methods share, `settings` those of components by kind and name.
     """
     kinds = ("editor", "reconstructor")
     offers = {kind: {offer.component.name: offer.component for offer in registry.offers(kind)} for kind in kinds}

@@ -273,9 +273,9 @@ def _distances(
     covered: Bool[np.ndarray, "view height width"] | None,
     distances: Mapping[str, Loss],
 ) -> dict[str, float]:
-    """Return means over the views, of the `covered` pixels alone if given; views where nothing is covered do not count.
+    """Return means over the views, of the `covered` pixels if given; views where nothing is covered do not count.
 
-    The distances of networks are those of the truth with only the covered pixels replaced, over the share of these.
+    Networks see the truth with only the covered pixels replaced; their distance is divided by the share of these.
     """
     areas = [None] * len(truth) if covered is None else list(covered)
     views = [view for view in zip(images, truth, areas) if view[2] is None or view[2].any()]

@@ -54,10 +54,7 @@ class ProposedEdit(Settings):
 def find_objects(
     images: Iterable[Float[Tensor, "3 height width"]], detector: Detector, words: Sequence[str]
 ) -> dict[str, Boxes]:
-    """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
-
-    They are in order of that score, each with its best box in every photo, None where a photo does not show it.
-    """
+    """Return at most MOST_OBJECTS of `words` that enough photos show, by mean score, with the best box in each."""
     boxes: dict[str, Boxes] = dict.fromkeys(words, ())
     for image in images:
         area = image.shape[-2] * image.shape[-1]
@@ -144,7 +141,7 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
 def edits_from_model(
     labels: Sequence[str], images: Float[Tensor, "frame 3 height width"], model: LanguageModel
 ) -> list[ProposedEdit]:
-    """Return what the model proposes for a scene of which it sees images, which may be none, and is told the objects.
+    """Return what the model proposes for a scene whose objects it is told and whose images, if any, it sees.
 
     Raises RunError when its answer holds no usable edit.
     """
@@ -214,9 +211,9 @@ def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
 
 
 def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit]:
-    """Return the five of a scene: those kept, then undecided ones, types in turn. Raises InputError for another count.
+    """Return the five of a scene, in the order of EDIT_TYPES: those kept, then undecided ones, types in turn.
 
-    They are in the order of EDIT_TYPES.
+    Raises InputError for another count.
     """
     kept = [edit for edit in edits if edit.verdict == "keep"]
     if len(kept) > EDITS_PER_SCENE:

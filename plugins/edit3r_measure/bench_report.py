@@ -52,9 +52,9 @@ class Column:
 
 
 def read_columns(folders: Iterable[Path]) -> list[Column]:
-    """Read every run in the folders, or one level below them. Raises InputError unless all are of one benchmark.
+    """Read every run in the folders, or one level below them, cut to the edits that every method has a result of.
 
-    Kept are the edits that every method has a result of, failures included, so that means compare like with like.
+    Raises InputError unless all are of one benchmark.
     """
     columns = []
     for folder in map(Path, folders):
@@ -89,8 +89,7 @@ def metric_names(columns: Sequence[Column]) -> list[str]:
 def mean_of(column: Column, name: str, minus: Column | None = None) -> Interval | None:
     """Return the mean over scenes of a metric with its interval; None when the method has no value.
 
-    With `minus`, the mean of the difference to another method, edit by edit: surer than the two means, for scenes
-    differ more than methods do.
+    With `minus` of the difference to another method, edit by edit, which is surer than two means.
     """
 
     def value(result: ItemResult) -> float:

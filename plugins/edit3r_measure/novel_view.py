@@ -251,9 +251,9 @@ def _carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Raster
 def _share_of_opacity(
     plain: Reconstruction, edited: Reconstruction, other: RenderedView, before: Photo, after: Photo
 ) -> float:
-    """Return the opacity of view 1's Gaussians over that without an edit, where its photo shows the edit; NaN: unseen.
+    """Return the opacity of view 1's Gaussians where its photo shows the edit over that without one; NaN: unseen.
 
-    Counted are those that `other`, what the rest of the scene shows in view 1's camera, has at the same depth.
+    Counted are those at the depth of `other`, what the rest of the scene shows in view 1's camera.
     """
     region = other.covered & (np.abs(after.image - before.image).mean(-1) > CHANGED)
     sums = []

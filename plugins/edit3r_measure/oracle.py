@@ -83,11 +83,10 @@ def slightly_off(image: Float[Tensor, "3 height width"], fault: str) -> Float[Te
 
 
 def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> Float[Tensor, "3 height width"]:
-    """Return `image` warped, recoloured and textured, in [0, 1].
+    """Return `image` warped, recoloured and textured by a draw from a hash of `key`, in [0, 1].
 
-    How it is spoiled is drawn from a hash of `key`, how much by `amount` in [0, 1]: at 1 hues turn by up to 0.35 half
-    turns, channels change by up to half and 0.2 more, smooth texture has a deviation of 0.12 and points move by about
-    0.02 image widths.
+    At `amount` 1 hues turn by up to 0.35 half turns, channels change by up to half and 0.2 more, smooth texture has a
+    deviation of 0.12 and points move by about 0.02 image widths.
     """
     if amount == 0:
         return image
