@@ -1,6 +1,7 @@
 """`edit3r run`: photos in, an edited 3D scene out."""
 
 import argparse
+import gc
 import hashlib
 import types
 import typing
@@ -62,6 +63,7 @@ class RunCommand(Command):
         from edit3r.console import JsonLines, StageConsole
         from edit3r.reporting import Report
 
+        gc.set_threshold(100_000, 50, 100)  # as usual, half a second goes into looking through what modules made
         with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             result = self._run(args, Report(on_event=console))
         if not args.quiet:
