@@ -22,7 +22,7 @@ from edit3r.interfaces import Editor, MatchedGeometry, Matcher
 from edit3r.reporting import note, warn
 from edit3r.types import EditRequest, Views
 
-BEFORE = 0.1  # how much nearer, relative to a point, a measured surface of another view must be to hide it there
+NEAR = 0.1  # relative difference in depth within which a surface is taken to be the one that is looked for
 SURE = 0.5  # confidence above which a depth was measured; filled-in depths bleed over the edges of what is removed
 
 
@@ -91,15 +91,30 @@ def behind(
         carried = _carried(torch.cat([points[o][sure[o]] for o in others]), intrinsics[view], c2w[view], holes[view])
         background = 1 / torch.minimum(_spanned(torch.where(holes[view], carried, known)), 1 / depths[view])
         hidden = unproject(background, intrinsics[view], c2w[view])
-        for other in others:
-            grid, z = project(hidden.flatten(0, 1), intrinsics[other], c2w[other])
-            grid, z = grid.view(*background.shape, 2), z.view_as(background)
-            surface = warp(torch.where(sure[other], depths[other], torch.inf)[None], grid, mode="nearest")[0]
-            shown = (warp(lent[other, None].to(images), grid, padding="zeros")[0] > 0.99) & (z > 0)
-            new = holes[view] & shown & (z < (1 + BEFORE) * surface) & ~seen[view]
-            filled[view] = torch.where(new, warp(images[other], grid), filled[view])
-            seen[view] |= new
+        lenders = (_lent(hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])) for o in others)
+        pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
+        # What one of several photos alone shows, against its own depth, is more often wrong than what is inpainted.
+        trusted = agrees.any(0) | (shown.sum(0) >= min(2, len(others)))
+        first = torch.where(agrees.any(0), agrees.int().argmax(0), shown.int().argmax(0))
+        seen[view] = holes[view] & trusted
+        filled[view] = torch.where(seen[view], pixels.gather(0, first.expand(1, 3, -1, -1))[0], images[view])
     return filled, seen
+
+
+def _lent(
+    points: Float[Tensor, "height width 3"],
+    image: Float[Tensor, "3 height width"],
+    depth: Float[Tensor, "height width"],
+    sure: Bool[Tensor, "height width"],
+    lent: Bool[Tensor, "height width"],
+    camera: tuple[Float[Tensor, "3 3"], Float[Tensor, "4 4"]],
+) -> tuple[Float[Tensor, "3 height width"], Bool[Tensor, "height width"], Bool[Tensor, "height width"]]:
+    """What a view shows at points, where nothing measured hides them there, and where its depth says so too."""
+    grid, z = project(points.flatten(0, 1), *camera)
+    grid, z = grid.view(*depth.shape, 2), z.view_as(depth)
+    surface, measured = warp(torch.stack((depth, torch.where(sure, depth, torch.inf))), grid, mode="nearest")
+    shown = (warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99) & (z > 0) & (z < (1 + NEAR) * measured)
+    return warp(image, grid), shown, shown & ((z / surface - 1).abs() < NEAR)
 
 
 def _carried(
