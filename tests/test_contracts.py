@@ -59,7 +59,6 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("dataset", "transforms"): "needs a folder of scenes",
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
-    ("trainer", "depth-network"): "trains the depth network of matcher 'classical' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""
 
