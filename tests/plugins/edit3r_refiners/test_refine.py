@@ -49,7 +49,7 @@ def test_more_photos_get_more_steps(rasterizer):
         cameras, taken = cameras_around(count), []
         with torch.no_grad():
             views = Views(rasterizer.render(truth, cameras).images, cameras.intrinsics)
-        with collecting(Report(on_event=lambda event, text, done, total: taken.append(total))):
+        with collecting(Report(on_event=lambda event, text, done, total, taken=taken: taken.append(total))):
             refiner(spoilt, cameras, views, EditRequest(""), rasterizer)
         assert max(taken) == steps
 
