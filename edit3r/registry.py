@@ -113,9 +113,9 @@ class Registry:
         """Build the component that a configuration chose; its settings may have any names."""
         return self._build(kind, choice.name, dict(choice.settings), dict(parts or {}), built={}, where=kind)
 
-    def check(self, kind: str, choice: PartChoice) -> None:
-        """Raise what building the component would raise about its name, its packages and its own settings."""
-        self._settings(self.find(kind, choice.name), choice.settings, kind)
+    def check(self, kind: str, choice: PartChoice) -> Settings:
+        """The settings; raises what building the component would raise about its name, its packages and them."""
+        return self._settings(self.find(kind, choice.name), choice.settings, kind)
 
     def _settings(self, offer: Offer, values: Mapping[str, Any], where: str) -> Settings:
         cls = self.settings_class(offer)

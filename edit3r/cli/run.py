@@ -6,6 +6,7 @@ import hashlib
 import types
 import typing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,9 @@ def read_photos(
     """
     from edit3r.io.coverage import choose_photos
     from edit3r.io.images import LoadedPhotos, load_photos
+    from edit3r.pipeline import lens_of
     from edit3r.quality import note_quality
+    from edit3r.registry import default_registry
 
     used = paths if continued else choose_photos(paths, config.views)
     given = args.mask
@@ -135,7 +138,8 @@ def read_photos(
     if continued:
         photos = LoadedPhotos(continued.edited, continued.records)
     else:
-        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
+        read_lens = partial(lens_of, config, default_registry(tuple(getattr(args, "plugin", ()))))
+        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras, read_lens=read_lens)
     masks = _masks_or_marks(args, given, photos, config)
     hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
     note_quality(config.model_dump(), len(paths))

@@ -33,9 +33,9 @@ __all__ = [
     "TwoViewPose",
     "estimate_pose",
     "log_false_alarms",
-    "pose_fitted_once",
     "refine",
     "rough_pose",
+    "sharp_support",
     "signed_support",
 ]
 
@@ -45,6 +45,7 @@ LEAST_SHARE = 0.3
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
+_SHARP = 0.15  # times the threshold: what a good match is off, where it is asked how exactly they agree
 _NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
 
 
@@ -127,6 +128,18 @@ def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
     )
 
 
+def sharp_support(matches: Matches, pose: Pose, threshold: float) -> float:
+    """Score of `pose` like `signed_support`, by Cauchy's law: it also tells how exactly matches agree, not only that.
+
+    1 a match on its epipolar line, half of that at about a third of the `threshold` [pixels], 0 beyond it.
+    """
+    errors = sampson_errors(matches, pose)
+    depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
+    likely = np.log1p((threshold / (_SHARP * threshold)) ** 2) - np.log1p((errors / (_SHARP * threshold)) ** 2)
+    score = np.maximum(likely, 0) / np.log1p(_SHARP**-2)
+    return float(max(score[(sign * depth_a > 0) & (sign * depth_b > 0)].sum() for sign in (1, -1)))
+
+
 def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     """Signed first-order distance of each match to the epipolar geometry [pixels]."""
     essential = cross_matrix(pose.translation) @ pose.rotation
@@ -174,17 +187,6 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
         if 0 <= gain < 1e-9 or damping > 1e9:
             break
     return pose
-
-
-def pose_fitted_once(matches: Matches, pose: Pose) -> Pose:
-    """Two Gauss-Newton steps from `pose` to where the Sampson errors are least; its baseline keeps its length."""
-    length = np.linalg.norm(pose.translation)
-    pose = Pose(pose.rotation, pose.translation / length)
-    for _ in range(2):
-        moved, errors = _tangent_step(pose), sampson_errors(matches, pose)
-        slopes = np.stack([(sampson_errors(matches, moved(1e-5 * axis)) - errors) / 1e-5 for axis in np.eye(5)], 1)
-        pose = moved(-np.linalg.lstsq(slopes, errors, rcond=1e-4)[0].clip(-0.05, 0.05))
-    return Pose(pose.rotation, pose.translation * length)
 
 
 def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:

@@ -4,18 +4,20 @@ photos -> labels (detector) -> proposals (language model, templates) -> near dup
 vetting file, edited by a person -> five edits a scene
 """
 
+import base64
+import io
 import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import yaml
 from jaxtyping import Float
+from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
@@ -26,25 +28,15 @@ from edit3r.interfaces import Detection, Detector, Segmenter
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 from edit3r_measure.report import write_text
 
-Boxes = tuple[Detection | None, ...]
-"""One object's box in each photo; None where a photo does not show it."""
+Boxes = tuple[Detection | None, ...]  # one object's box in each photo; None where a photo does not show it
 
 KEY_VARIABLE = "OPENAI_API_KEY"
-
-SHARE_OF_VIEWS = 0.5
-"""An object counts when at least this share of the photos shows it."""
-
-LARGEST_SHARE = 0.7
-"""Boxes over more of a photo than this name the place rather than a thing in it."""
-
-MOST_OBJECTS = 8
-"""Objects of a scene that edits are proposed for."""
-
-ALIKE = 0.82
-"""Likeness from which two prompts count as one."""
-
+SHARE_OF_VIEWS = 0.5  # an object counts when at least this share of the photos shows it
+LARGEST_SHARE = 0.7  # boxes over more of a photo than this name the place rather than a thing in it
+MOST_OBJECTS = 8  # objects of a scene that edits are proposed for
+PROPOSALS = 4  # edits of each type that a language model is asked for
+# Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file
 WORDS = read_yaml(Path(__file__).with_name("bench_words.yaml"))
-"""Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file."""
 
 
 class ProposedEdit(Settings):
@@ -59,21 +51,17 @@ class ProposedEdit(Settings):
     masks: tuple[str, ...] = Field((), description="mask files of the inputs, relative to the vetting file")
 
 
-# ---- what the photos show ----
-
-
 def find_objects(
-    images: Float[Tensor, "frame 3 height width"], detector: Detector, words: Sequence[str]
+    images: Iterable[Float[Tensor, "3 height width"]], detector: Detector, words: Sequence[str]
 ) -> dict[str, Boxes]:
-    """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
-
-    They are in order of that score, each with its best box in every photo, None where a photo does not show it.
-    """
-    area = images.shape[-2] * images.shape[-1]
-    boxes = {word: tuple(_best(detector.detect(image, word), area) for image in images) for word in words}
-    scores = {word: sum(box.score for box in own if box) / len(images) for word, own in boxes.items()}
-    seen = [word for word, own in boxes.items() if sum(b is not None for b in own) >= SHARE_OF_VIEWS * len(images)]
-    return {word: boxes[word] for word in sorted(seen, key=lambda word: -scores[word])[:MOST_OBJECTS]}
+    """Return at most MOST_OBJECTS of `words` that enough photos show, by mean score, with the best box in each."""
+    boxes: dict[str, Boxes] = dict.fromkeys(words, ())
+    for image in images:
+        area = image.shape[-2] * image.shape[-1]
+        boxes = {word: (*own, _best(detector.detect(image, word), area)) for word, own in boxes.items()}
+    seen = {word: [box.score for box in own if box] for word, own in boxes.items()}
+    often = [word for word, scores in seen.items() if scores and len(scores) >= SHARE_OF_VIEWS * len(boxes[word])]
+    return {word: boxes[word] for word in sorted(often, key=lambda word: -sum(seen[word]))[:MOST_OBJECTS]}
 
 
 def _best(detections: Sequence[Detection], area: int) -> Detection | None:
@@ -96,9 +84,6 @@ def masks_from_boxes(
     return dilate_softly(masks)
 
 
-# ---- proposals ----
-
-
 @dataclass(frozen=True)
 class LanguageModel:
     """A model behind an OpenAI-compatible address, asked once a scene; its key comes from the environment only."""
@@ -106,8 +91,8 @@ class LanguageModel:
     address: str  # such as http://localhost:8000/v1; local servers want no key
     name: str
 
-    def ask(self, system: str, request: str) -> str:
-        """Return the model's answer at temperature 0. Raises RunError when none comes."""
+    def ask(self, system: str, request: str, images: Float[Tensor, "frame 3 height width"]) -> str:
+        """Return the model's answer at temperature 0, shown the images too. Raises RunError when none comes."""
         try:
             import openai
         except ImportError:
@@ -115,15 +100,28 @@ class LanguageModel:
             raise MissingDependencyError(f"--llm needs the openai client; {cure}") from None
         key = os.environ.get(KEY_VARIABLE, "").strip() or "none"
         client = openai.OpenAI(api_key=key, base_url=self.address, timeout=120, max_retries=2)
-        messages = [{"role": "system", "content": system}, {"role": "user", "content": request}]
+        content = [{"type": "text", "text": request}]
+        content += [{"type": "image_url", "image_url": {"url": _as_jpeg(image)}} for image in images]
+        messages = [
+            {"role": "system", "content": system},
+            {"role": "user", "content": content if len(images) else request},
+        ]
         try:
             answer = client.chat.completions.create(model=self.name, messages=messages, temperature=0)
         except openai.OpenAIError as error:
-            raise RunError(f"language model {self.name} at {self.address}: {' '.join(str(error).split())}") from None
+            sentence = f"language model {self.name} at {self.address}: {' '.join(str(error).split())}"
+            raise RunError(f"{sentence}; one that takes no pictures needs --llm-photos 0.") from None
         text = answer.choices[0].message.content if answer.choices else None
         if not text:
             raise RunError(f"language model {self.name} at {self.address} gave an empty answer.")
         return text
+
+
+def _as_jpeg(image: Float[Tensor, "3 height width"]) -> str:
+    """Return an image as the address that holds it."""
+    buffer = io.BytesIO()
+    Image.fromarray((image * 255).round().byte().permute(1, 2, 0).numpy()).save(buffer, "JPEG", quality=90)
+    return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
 def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
@@ -135,24 +133,25 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
         own = [(texts, label) for texts in WORDS["templates"][kind] for label in objects]
         for texts, label in (own[index] for index in rng.permutation(len(own))):
             prompt, description = (text.format(object=label) for text in texts)
-            found.append(_edit(kind, prompt, label, description, "template"))
+            named = {"prompt": prompt, "object": label, "description": description}
+            found.append(ProposedEdit(type=kind, **named, source="template"))
     return found
 
 
-def _edit(kind: str, prompt: str, thing: str, description: str, source: str) -> ProposedEdit:
-    return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
+def edits_from_model(
+    labels: Sequence[str], images: Float[Tensor, "frame 3 height width"], model: LanguageModel
+) -> list[ProposedEdit]:
+    """Return what the model proposes for a scene whose objects it is told and whose images, if any, it sees.
 
-
-def edits_from_model(labels: Sequence[str], model: LanguageModel, count: int = 4) -> list[ProposedEdit]:
-    """Return what the model proposes. Raises RunError when its answer holds no usable edit."""
-    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=count)
-    answer = model.ask(WORDS["system"], request)
+    Raises RunError when its answer holds no usable edit.
+    """
+    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=PROPOSALS)
+    answer = model.ask(WORDS["system"], request, images)
     start, end = answer.find("["), answer.rfind("]")  # models like to put words around the list
     try:
         entries = json.loads(answer[start : end + 1])
     except ValueError:
         entries = []
-    entries = entries if isinstance(entries, list) else []
     found = [edit for entry in entries if (edit := _usable_edit(entry, labels, model.name))]
     if not found:
         raise RunError(f"language model {model.name}: no usable edit in its answer: {answer[:200]!r}")
@@ -169,37 +168,22 @@ def _usable_edit(entry: object, labels: Sequence[str], source: str) -> ProposedE
     kind, thing = kind.capitalize(), thing.lower()
     if kind not in EDIT_TYPES or not prompt or (kind in ("Remove", "Modify") and thing not in labels):
         return None
-    return _edit(kind, prompt, "" if kind == "Global" else thing, description, source)
-
-
-def likeness(first: str, second: str) -> float:
-    """Return how alike two prompts are in [0, 1]: the larger of the shares of common words and of letters in order.
-
-    Case, punctuation, plural s and words that carry nothing are ignored. It knows no meaning: "red" and "crimson"
-    stay two prompts, which a person may drop in the vetting file.
-    """
-    a, b = _words(first), _words(second)
-    if not a or not b:
-        return float(a == b)
-    common = len(set(a) & set(b)) / len(set(a) | set(b))
-    return max(common, SequenceMatcher(None, " ".join(a), " ".join(b), autojunk=False).ratio())
-
-
-def _words(text: str) -> list[str]:
-    words = [word.removesuffix("s") if len(word) > 3 else word for word in re.findall(r"[^\W_]+", text.lower())]
-    return [word for word in words if word not in WORDS["fillers"]]
+    named = {"prompt": prompt, "object": "" if kind == "Global" else thing, "description": description}
+    return ProposedEdit(type=kind, **named, source=source)
 
 
 def without_near_duplicates(edits: Iterable[ProposedEdit]) -> list[ProposedEdit]:
-    """Return the edits in order, without those whose prompt is like that of one before."""
-    kept: list[ProposedEdit] = []
+    """Return the edits in order, without those whose prompt has the words of one before.
+
+    Order, case, plural s and words that carry nothing do not count. It knows no meaning: "red" and "crimson" stay two
+    prompts, of which a person may drop one in the vetting file.
+    """
+    kept: dict[frozenset[str], ProposedEdit] = {}
     for edit in edits:
-        if all(likeness(edit.prompt, other.prompt) < ALIKE for other in kept):
-            kept.append(edit)
-    return kept
-
-
-# ---- a person's verdicts ----
+        words = re.findall(r"[^\W_]+", edit.prompt.lower())
+        plain = (word.removesuffix("s") if len(word) > 3 else word for word in words)
+        kept.setdefault(frozenset(word for word in plain if word not in WORDS["fillers"]), edit)
+    return list(kept.values())
 
 
 def write_vetting(path: Path, proposed: Mapping[str, Sequence[ProposedEdit]]) -> None:
@@ -227,9 +211,9 @@ def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
 
 
 def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit]:
-    """Return the five of a scene: those kept, then undecided ones, types in turn. Raises InputError for another count.
+    """Return the five of a scene, in the order of EDIT_TYPES: those kept, then undecided ones, types in turn.
 
-    They are in the order of EDIT_TYPES.
+    Raises InputError for another count.
     """
     kept = [edit for edit in edits if edit.verdict == "keep"]
     if len(kept) > EDITS_PER_SCENE:

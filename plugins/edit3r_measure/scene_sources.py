@@ -30,8 +30,7 @@ from edit3r.types import Cameras
 
 PHOTOS = "photos"
 TRUTH_FILE = "truth.json"
-FARTHEST_BETWEEN = 0.4
-"""How far a photo between two others may be from the middle [baselines]."""
+FARTHEST_BETWEEN = 0.4  # how far a photo between two others may be from the middle [baselines]
 
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
@@ -94,23 +93,21 @@ def choose_triples(
     for first, second in combinations(range(len(poses)), 2):
         angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
         if degrees[0] <= angle <= degrees[1]:
-            target = _photo_between(poses, first, second, angle)
-            if target is not None:
-                triples.append(Triple(first, second, target, angle))
+            triples += [Triple(first, second, target, angle) for target in photos_between(poses, first, second)[:1]]
     return evenly(triples, count)
 
 
-def _photo_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int, angle: float) -> int | None:
-    """Return the photo nearest to the middle of the baseline that looks the same way; None when there is none."""
+def photos_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> list[int]:
+    """Return the photos near the middle of the baseline that look the same way, nearest to it first."""
+    angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
     start, end = poses[first][:3, 3], poses[second][:3, 3]
-    baseline = max(np.linalg.norm(end - start), 1e-12)
+    near = FARTHEST_BETWEEN * max(np.linalg.norm(end - start), 1e-12)
     distances = {
-        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2) / baseline
+        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2)
         for index, turn in _turns(poses, first, second).items()
         if turn <= angle
     }
-    best = min(distances, key=distances.__getitem__, default=None)
-    return None if best is None or distances[best] >= FARTHEST_BETWEEN else best
+    return sorted((index for index in distances if distances[index] < near), key=distances.__getitem__)
 
 
 def _turns(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> dict[int, float]:
@@ -131,10 +128,7 @@ def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
 
 
 def find_scenes(source: str, options: SceneOptions, registry: Registry) -> list[SceneSource]:
-    """Return the scenes of a folder of posed photos or of a data set, which may be none.
-
-    Raises InputError for what is neither, and for a folder whose camera file cannot be read.
-    """
+    """Return the scenes of a folder of posed photos or of a data set, perhaps none; InputError for what is neither."""
     if Path(source).is_dir():
         return list(_photographed(read_posed_folder(source), options))
     try:
@@ -172,10 +166,7 @@ def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator
 
 
 def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
-    """Turn one sample of the data set called `name` into a scene: its context views and its first target.
-
-    The true edit is there if the data set knows it.
-    """
+    """Return a sample of the data set called `name` as a scene: context views, first target, the true edit if known."""
     sample = samples[index]
     between = sample.target_cameras.select([0])
     inputs, (target,) = _photos(sample.context, sample.context_cameras), _photos(sample.target[:1], between)
@@ -250,10 +241,7 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:
-    """Write a scene that has a target below `root`, unless it is there already.
-
-    The truth comes last, so that half a scene is not taken for a whole one.
-    """
+    """Write a scene below `root`, unless it is there already; the truth comes last, so no half is taken for whole."""
     path = root / source.name
     if not (path / TRUTH_FILE).is_file():
         scene = source.load()
