@@ -22,7 +22,15 @@ from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, ray
 from edit3r_matching.features import Keypoints, detect, match
 from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose, log_false_alarms
 
-__all__ = ["FeatureSettings", "FoundFeatures", "PairView", "Registration", "find_features", "register"]
+__all__ = [
+    "FeatureSettings",
+    "FoundFeatures",
+    "PairView",
+    "Registration",
+    "agreeing_pairs",
+    "find_features",
+    "register",
+]
 
 LEARNED_WEIGHTS = "aliked-lightglue"
 """Name of the weights of learned features, see `edit3r.weights`."""
@@ -193,15 +201,7 @@ def register(
     `names` are for messages. `free_focal`: nobody knows the lens, so that three views and more also settle its focal
     length. Raises MatchingError with the reason when view 0 cannot be placed with any other.
     """
-    pairs: dict[tuple[int, int], PairView] = {}
-    failures: dict[tuple[int, int], str] = {}
-    for (a, b), indices in features.indices.items():
-        limit = threshold * max(*images[a].size, *images[b].size) / 256
-        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
-        if isinstance(found, PairView):
-            pairs[a, b] = found
-        else:
-            failures[a, b] = found
+    pairs, failures = agreeing_pairs(images, features, threshold, seed)
     first = [(pair, key) for key, pair in pairs.items() if key[0] == 0]
     if not first:
         reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
@@ -212,6 +212,22 @@ def register(
     growing.place_the_rest()
     growing.adjust(free_focal)
     return growing.result()
+
+
+def agreeing_pairs(
+    images: Sequence[CalibratedImage], features: FoundFeatures, threshold: float, seed: int
+) -> tuple[dict[tuple[int, int], PairView], dict[tuple[int, int], str]]:
+    """The epipolar geometry of every two images that show one; for the others, why not."""
+    pairs: dict[tuple[int, int], PairView] = {}
+    failures: dict[tuple[int, int], str] = {}
+    for (a, b), indices in features.indices.items():
+        limit = threshold * max(*images[a].size, *images[b].size) / 256
+        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
+        if isinstance(found, PairView):
+            pairs[a, b] = found
+        else:
+            failures[a, b] = found
+    return pairs, failures
 
 
 def _pair(
