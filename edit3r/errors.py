@@ -63,7 +63,9 @@ def suggest(given: str, known: Iterable[str]) -> str:
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out; torch raises several types for it."""
     text = str(error).lower()
-    return isinstance(error, MemoryError) or "out of memory" in text or "can't allocate" in text
+    return isinstance(error, MemoryError) or any(
+        words in text for words in ("out of memory", "not enough memory", "can't allocate")
+    )
 
 
 def as_known(error: Exception) -> Edit3rError:

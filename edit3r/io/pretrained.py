@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError, is_out_of_memory
 from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
@@ -68,6 +68,18 @@ def load_pretrained(cls: type, weights: ChosenWeights, **given: Any) -> Any:
             return cls.from_pretrained(model, local_files_only=weights.local_files_only, **given)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
             raise loading_error(error, cls, weights) from error
+
+
+def load_whole_network(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+    """A network of transformers by `load_pretrained`, refused where weights that it needs are not in the files."""
+    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    if lacking:
+        raise InputError(
+            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, such as {lacking[0]}; "
+            "with random ones in their place its answers would mean nothing."
+        )
+    return network
 
 
 def require_at_hand(weights: ChosenWeights) -> None:
@@ -143,8 +155,7 @@ def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # torch.OutOfMemoryError is one; a CPU raises the plain class
-        text = str(error).lower()
-        if "out of memory" not in text and "not enough memory" not in text and "can't allocate memory" not in text:
+        if not is_out_of_memory(error):
             raise
         raise RunError(f"out of memory while {doing}; {advice}.") from error
 

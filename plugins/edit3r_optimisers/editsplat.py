@@ -50,7 +50,7 @@ class EditSplatReconstructor(FittingMethod):
         first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
         guided = self._guided(scene, first, gaussians, cameras)
         trimmed = self._trimmed(scene, guided, gaussians, cameras)
-        return self._fit(scene, "edits", trimmed, cameras, TargetImages(guided.images[0])), cameras
+        return self._fit("edits", trimmed, cameras, TargetImages(guided.images[0])), cameras
 
     def _guided(self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras) -> Views:
         """Edit every view again from the fusion of its neighbours' first edits."""

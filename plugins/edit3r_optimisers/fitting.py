@@ -1,24 +1,20 @@
 """Fit Gaussians to images from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al. 2023).
 
 One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as in the beginning. The same inputs give
-the same result, and a stopped fit continues from its checkpoint with the same bytes, because everything random is drawn
-from the seed and the step.
+the same result: everything random is drawn from the seed and the step.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.errors import InputError
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
-from edit3r_optimisers.checkpoints import CheckpointFile
 from edit3r_optimisers.settings import FitSettings
 from edit3r_optimisers.trainable import TrainableGaussians, detached
 
@@ -35,13 +31,6 @@ class TargetImages:
 
     def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
         """Called before every step with a function that returns the Gaussians so far."""
-
-    def state(self) -> dict[str, Any]:
-        """Return what changed since the beginning, for checkpoints."""
-        return {}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from what `state` returned."""
 
 
 @dataclass(frozen=True)
@@ -62,24 +51,21 @@ class Fitted:
     losses: tuple[float, ...]
 
 
-def fit(
-    start: Gaussians,
-    cameras: Cameras,
-    targets: TargetImages,
-    rasterizer: Rasterizer,
-    plan: FitPlan,
-    checkpoint: CheckpointFile | None = None,
-) -> Fitted:
+def fit(start: Gaussians, cameras: Cameras, targets: TargetImages, rasterizer: Rasterizer, plan: FitPlan) -> Fitted:
     """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
-    run = _Fit(start, cameras, targets, rasterizer, plan)
-    first = run.resume(checkpoint)
-    for step in range(first, plan.steps):
-        run.step(step)
-        done = step + 1
-        progress(plan.text, done, plan.steps)
-        if checkpoint is not None and (done % checkpoint.every == 0 or done == plan.steps):
-            checkpoint.save(run.state(done))
-    return Fitted(detached(run.scene.gaussians()), tuple(run.losses))
+    settings, steps, losses = plan.settings, plan.steps, []
+    scene, extent = TrainableGaussians(start, settings.degree), scene_extent(start, cameras)
+    for step in range(steps):
+        targets.before_step(step, lambda: detached(scene.gaussians()))
+        view = view_at(step, cameras.count, plan.seed)
+        with torch.enable_grad():
+            gaussians = scene.gaussians(active_degree(settings, step, steps))
+            image = rasterizer.render(gaussians, cameras.select([view])).images[0, 0]
+            loss = photometric_loss(image, targets.images[view], settings.ssim)
+        losses.append(float(loss.detach()))
+        scene.step(loss, step_sizes(settings, step, steps, extent))
+        progress(plan.text, step + 1, steps)
+    return Fitted(detached(scene.gaussians()), tuple(losses))
 
 
 def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:
@@ -90,50 +76,6 @@ def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:
     """
     centres = cameras.c2w[0, :, :3, 3]
     return max(float(torch.cdist(centres, gaussians.means[0].detach()).median()), 1e-6)
-
-
-class _Fit:
-    """A fit in progress."""
-
-    def __init__(
-        self, start: Gaussians, cameras: Cameras, targets: TargetImages, rasterizer: Rasterizer, plan: FitPlan
-    ) -> None:
-        self.cameras, self.targets, self.rasterizer, self.plan = cameras, targets, rasterizer, plan
-        self.extent = scene_extent(start, cameras)
-        self.scene = TrainableGaussians(start, plan.settings.degree)
-        self.losses: list[float] = []
-
-    def step(self, step: int) -> None:
-        """Render one view and take one step of Adam."""
-        settings, steps = self.plan.settings, self.plan.steps
-        self.targets.before_step(step, lambda: detached(self.scene.gaussians()))
-        view = view_at(step, self.cameras.count, self.plan.seed)
-        camera = self.cameras.select([view])
-        with torch.enable_grad():
-            gaussians = self.scene.gaussians(active_degree(settings, step, steps))
-            image = self.rasterizer.render(gaussians, camera).images[0, 0]
-            loss = photometric_loss(image, self.targets.images[view], settings.ssim)
-        self.losses.append(float(loss.detach()))
-        self.scene.step(loss, step_sizes(settings, step, steps, self.extent))
-
-    def state(self, done: int) -> dict[str, Any]:
-        """Return the checkpoint after `done` steps."""
-        return {"step": done, "scene": self.scene.state(), "losses": self.losses, "targets": self.targets.state()}
-
-    def resume(self, checkpoint: CheckpointFile | None) -> int:
-        """Restore what the checkpoint holds and return the step to go on with."""
-        content = checkpoint.load() if checkpoint is not None else None
-        if content is None:
-            return 0
-        try:
-            self.scene.restore(content["scene"])
-            self.losses = list(content["losses"])
-            self.targets.restore(content["targets"])
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise InputError(
-                f"{checkpoint.path}: not a checkpoint of this fit ({error}); delete it to begin anew."
-            ) from None
-        return content["step"]
 
 
 def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> dict[str, float]:

@@ -60,7 +60,7 @@ class GaussCtrlReconstructor(FittingMethod):
         views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
         geometry = depths_of(gaussians, cameras, self.rasterizer)
         images = self._edited(views, cameras, geometry, scene.request)
-        return self._fit(scene, "edits", gaussians, cameras, TargetImages(images)), cameras
+        return self._fit("edits", gaussians, cameras, TargetImages(images)), cameras
 
     def _edited(
         self, views: Views, cameras: Cameras, geometry: tuple[Depths, Depths], request: EditRequest

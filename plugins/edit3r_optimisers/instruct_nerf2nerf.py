@@ -6,12 +6,10 @@ noised, and denoised with the unedited photo as condition; the result replaces t
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import torch
 from pydantic import Field, model_validator
 
-from edit3r.cache import identity
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
@@ -45,11 +43,8 @@ class InstructNerf2NerfReconstructor(FittingMethod):
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
-        chosen, asked = self.settings, scene.request
-        targets = DatasetUpdate(scene.photos, cameras, asked, chosen, self.editor, self.rasterizer)
-        schedule = chosen.every, chosen.views_at_once, chosen.least_strength, chosen.most_strength, chosen.fresh_noise
-        made_from = asked.prompt, asked.seed, asked.masks, schedule, identity(self.editor)
-        gaussians = self._fit(scene, "edits", gaussians, cameras, targets, *made_from)
+        targets = DatasetUpdate(scene.photos, cameras, scene.request, self.settings, self.editor, self.rasterizer)
+        gaussians = self._fit("edits", gaussians, cameras, targets)
         note("refit.edits_of_the_dataset", targets.updates)
         return gaussians, cameras
 
@@ -74,12 +69,6 @@ class DatasetUpdate(TargetImages):
     def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
         if step % self.settings.every == 0:
             self._update(scene())
-
-    def state(self) -> dict[str, Any]:
-        return {"images": self.images.clone(), "updates": self.updates}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.images, self.updates = state["images"], state["updates"]
 
     @torch.no_grad()
     def _update(self, gaussians: Gaussians) -> None:

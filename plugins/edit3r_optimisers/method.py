@@ -1,8 +1,7 @@
 """What the four methods share: one scene at a time, a fit to the photos, edits, and a fit to the edits."""
 
 from abc import abstractmethod
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Shaped
@@ -11,7 +10,6 @@ from torch import Tensor
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.checkpoints import Checkpoints
 from edit3r_optimisers.fitting import FitPlan, TargetImages, fit
 from edit3r_optimisers.settings import FitSettings, MethodSettings
 from edit3r_optimisers.starting_points import begin
@@ -24,7 +22,6 @@ class Scene:
     photos: Views  # unedited
     edited: Views  # as the caller's editor made them; the photos themselves where it edited nothing
     request: EditRequest
-    checkpoints: Checkpoints = field(repr=False)
 
     @property
     def is_edited(self) -> bool:
@@ -49,15 +46,14 @@ class FittingMethod(Reconstructor):
         if photos.c2w is None and views.c2w is not None:
             photos = replace(photos, c2w=views.c2w)
         request = request or EditRequest(self.settings.prompt, self.settings.seed)
-        folder = Path(self.settings.checkpoint) if self.settings.checkpoint else None
         results = []
         for item in range(len(views.images)):
             asked = replace(request, masks=_item(request.masks, item))
-            checkpoints = Checkpoints(folder, self.settings.checkpoint_every)
-            scene = Scene(_views_of(photos, item), _views_of(views, item), asked, checkpoints)
-            results.append(self._reconstruct(scene))
-            checkpoints.discard()
-        return _batched(results)
+            results.append(self._reconstruct(Scene(_views_of(photos, item), _views_of(views, item), asked)))
+        scenes, cameras = zip(*results)
+        c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
+        gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
+        return Reconstruction(gaussians, Cameras(c2w, intrinsics, cameras[0].image_size))
 
     @abstractmethod
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
@@ -65,23 +61,15 @@ class FittingMethod(Reconstructor):
 
     def _fit_photos(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
-        start, cameras = begin(scene.photos, self.reconstructor, self.settings)
-        return self._fit(scene, "photos", start, cameras, TargetImages(scene.photos.images[0])), cameras
+        start, cameras = begin(scene.photos, self.reconstructor, self.settings.points, self.settings.seed)
+        return self._fit("photos", start, cameras, TargetImages(scene.photos.images[0])), cameras
 
-    def _fit(
-        self, scene: Scene, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages, *made_from: object
-    ) -> Gaussians:
-        """Fit the "photos" or the "edits", beginning at `start`.
-
-        `made_from` says what else decides how the targets change, so that a checkpoint is only used for the same.
-        """
+    def _fit(self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages) -> Gaussians:
+        """Fit the "photos" or the "edits", beginning at `start`."""
         steps = self.settings.steps if what == "photos" else self.settings.edit_steps
         chosen = {name: getattr(self.settings, name) for name in FitSettings.model_fields}
         plan = FitPlan(FitSettings(**chosen), steps, self.settings.seed, f"fit to the {what}")
-        tensors = start.means, start.scales, start.quats, start.opacities, start.harmonics
-        seen = cameras.c2w, cameras.intrinsics, targets.images
-        file = scene.checkpoints.file(what, *tensors, *seen, sorted(chosen.items()), steps, plan.seed, *made_from)
-        fitted = fit(start, cameras, targets, self.rasterizer, plan, file)
+        fitted = fit(start, cameras, targets, self.rasterizer, plan)
         first, last = (sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:]))
         facts = {"steps": steps, "gaussians": fitted.gaussians.count, "first_loss": first, "last_loss": last}
         note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})
@@ -96,22 +84,3 @@ def _views_of(views: Views, item: int) -> Views:
 
 def _item(tensor: Shaped[Tensor, "batch *shape"] | None, item: int) -> Shaped[Tensor, "1 *shape"] | None:
     return None if tensor is None else tensor[item : item + 1]
-
-
-def _batched(results: list[tuple[Gaussians, Cameras]]) -> Reconstruction:
-    """Join scenes to one batch; those with fewer Gaussians are filled up with transparent ones."""
-    most = max(gaussians.count for gaussians, _ in results)
-    filled = [_filled(gaussians, most) for gaussians, _ in results]
-    names = ("means", "scales", "quats", "opacities", "harmonics")
-    fields = {name: torch.cat([getattr(gaussians, name) for gaussians in filled]) for name in names}
-    # One index serves the whole batch, so scenes that were fitted apart have none.
-    view_index = filled[0].view_index if len(filled) == 1 else None
-    cameras = [cameras for _, cameras in results]
-    c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
-    return Reconstruction(Gaussians(**fields, view_index=view_index), Cameras(c2w, intrinsics, cameras[0].image_size))
-
-
-def _filled(gaussians: Gaussians, count: int) -> Gaussians:
-    """Append transparent copies of the first Gaussian, up to `count`."""
-    copies = gaussians.select(torch.zeros(count - gaussians.count, dtype=torch.int64))
-    return Gaussians.cat((gaussians, replace(copies, opacities=torch.zeros_like(copies.opacities))))

@@ -31,4 +31,4 @@ class RefitReconstructor(FittingMethod):
             views = scene.edited
         else:
             return gaussians, cameras
-        return self._fit(scene, "edits", gaussians, cameras, TargetImages(views.images[0])), cameras
+        return self._fit("edits", gaussians, cameras, TargetImages(views.images[0])), cameras

@@ -1,7 +1,5 @@
 """What all four methods share: how long and how fast to fit, where to begin."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from edit3r.config import PartChoice, Settings
@@ -38,11 +36,6 @@ class MethodSettings(FitSettings):
     rasterizer: PartChoice = Field(PartChoice(name="auto"), description="renders while fitting")
     prompt: str = Field("", description="what to change; in a run, the run's own takes its place")
     seed: int = Field(0, ge=0, lt=2**31, description="of the edits, in a run the run's own; and of the order of views")
-    start: Literal["reconstructor", "random"] = Field(
-        "reconstructor", description="first Gaussians: a reconstruction, or random points (needs known poses)"
-    )
     points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
     steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
     edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
-    checkpoint: str = Field("", description="folder for checkpoints: a stopped call continues from there; empty: none")
-    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")

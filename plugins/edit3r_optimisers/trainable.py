@@ -1,9 +1,7 @@
 """Gaussians while they are fitted: unconstrained parameters under Adam."""
 
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import replace
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -65,18 +63,6 @@ class TrainableGaussians:
         for group in self.adam.param_groups:
             group["lr"] = sizes[group["name"]]
         self.adam.step()
-
-    def state(self) -> dict[str, Any]:
-        """Return all that the next steps depend on."""
-        parameters = {name: value.detach() for name, value in self.parameters.items()}
-        return deepcopy({"parameters": parameters, "adam": self.adam.state_dict()})
-
-    @torch.no_grad()
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from what `state` returned; raises KeyError, RuntimeError or ValueError for what does not fit."""
-        for name, value in self.parameters.items():
-            value.copy_(state["parameters"][name])
-        self.adam.load_state_dict(state["adam"])
 
 
 def detached(gaussians: Gaussians) -> Gaussians:

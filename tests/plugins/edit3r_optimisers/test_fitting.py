@@ -1,8 +1,7 @@
-"""A fit finds the scene, repeats itself, and goes on after it was stopped; its schedule and its loss."""
+"""A fit finds the scene and repeats itself; its schedule and its loss."""
 
 import pytest
 import torch
-from edit3r_optimisers.checkpoints import Checkpoints
 from edit3r_optimisers.fitting import (
     FitPlan,
     TargetImages,
@@ -17,7 +16,6 @@ from edit3r_optimisers.fitting import (
 from edit3r_optimisers.settings import FitSettings
 from skimage.metrics import structural_similarity as reference
 
-from edit3r.errors import InputError
 from edit3r.types import Views
 
 QUICK = FitSettings(degree=1)
@@ -31,9 +29,8 @@ def start(build, posed):
     return first.gaussians, first.cameras
 
 
-def fitted(start, posed, rasterizer, steps, settings=QUICK, checkpoint=None, targets=None):
-    targets = targets or TargetImages(posed.images[0])
-    return fit(*start, targets, rasterizer, FitPlan(settings, steps, 3, "test"), checkpoint)
+def fitted(start, posed, rasterizer, steps, settings=QUICK):
+    return fit(*start, TargetImages(posed.images[0]), rasterizer, FitPlan(settings, steps, 3, "test"))
 
 
 def psnr(image, target) -> float:
@@ -55,50 +52,6 @@ def test_gaussians_are_valid_and_know_the_view_they_came_from(start, posed, rast
     assert not any(getattr(scene, name).requires_grad for name in FIELDS)
     assert scene.count == start[0].count and torch.equal(scene.view_index, start[0].view_index)
     assert torch.allclose(scene.quats.norm(dim=-1), torch.ones(1, scene.count), atol=1e-5)
-
-
-class Stop(Exception):
-    pass
-
-
-class Stopping(TargetImages):
-    """Raises when it is asked before step 9."""
-
-    def before_step(self, step, scene):
-        if step == 9:
-            raise Stop
-
-
-def test_a_fit_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(start, posed, rasterizer, tmp_path):
-    straight = fitted(start, posed, rasterizer, 18)
-    checkpoint = Checkpoints(tmp_path / "new", every=4).file("fit", posed.images)
-    with pytest.raises(Stop):
-        fitted(start, posed, rasterizer, 18, checkpoint=checkpoint, targets=Stopping(posed.images[0]))
-    assert checkpoint.load()["step"] == 8
-    resumed = fitted(start, posed, rasterizer, 18, checkpoint=checkpoint)
-    assert resumed.losses == straight.losses
-    assert all(torch.equal(getattr(resumed.gaussians, n), getattr(straight.gaussians, n)) for n in FIELDS)
-    # A finished one is taken as it is.
-    again = fitted(start, posed, rasterizer, 18, checkpoint=checkpoint, targets=Stopping(posed.images[0]))
-    assert torch.equal(again.gaussians.means, straight.gaussians.means)
-
-
-def test_a_file_that_is_no_checkpoint_is_an_error_that_says_what_to_do(tmp_path):
-    checkpoint = Checkpoints(tmp_path, every=1).file("fit", 1)
-    checkpoint.path.write_bytes(b"no checkpoint")
-    with pytest.raises(InputError, match="delete it to begin anew"):
-        checkpoint.load()
-
-
-def test_checkpoints_of_other_inputs_are_other_files_and_vanish_when_the_work_is_done(tmp_path):
-    checkpoints = Checkpoints(tmp_path, every=1)
-    one, other = (checkpoints.file("fit", torch.tensor([value]), "same") for value in (1.0, 2.0))
-    assert one.path != other.path
-    for checkpoint in (one, other):
-        checkpoint.save({"step": 1})
-    checkpoints.discard()
-    assert not list(tmp_path.iterdir())
-    assert Checkpoints(None, every=1).file("fit", 1) is None
 
 
 def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_other(truth, start):

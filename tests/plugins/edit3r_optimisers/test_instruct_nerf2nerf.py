@@ -100,12 +100,3 @@ def test_masks_go_with_their_view_and_confine_it(targets, posed, editor):
 def test_several_views_at_once_are_one_call(targets, editor):
     before(targets(SCHEDULE.model_copy(update={"views_at_once": 3})), [0, 3])
     assert [views.count for views, _ in editor.calls] == [3, 3]
-
-
-def test_restored_targets_go_on_where_they_were(targets):
-    straight, stopped, resumed = targets(), targets(), targets()
-    before(straight, range(12))
-    before(stopped, range(6))
-    resumed.restore(stopped.state())
-    before(resumed, range(6, 12))
-    assert torch.equal(resumed.images, straight.images) and resumed.updates == straight.updates

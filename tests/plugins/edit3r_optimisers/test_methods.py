@@ -12,7 +12,6 @@ from edit3r.types import EditRequest
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 ASK = EditRequest("invert", seed=2)
-FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
 @pytest.fixture(params=METHODS)
@@ -84,6 +83,23 @@ def test_editsplat_edits_itself_when_it_is_given_nothing_edited(build, editor, p
     assert [views.count for views, _ in editor.calls] == [3, 1, 1, 1]
 
 
+def test_editsplat_edits_each_view_again_from_its_neighbours_edits_too(build, editor, posed, monkeypatch):
+    """View 0 is edited to black, the others to white: what view 0 begins from is neither."""
+    starts = []
+
+    def edit_from(views, start, request, strength):
+        starts.append(start)
+        return edit3r.Views(start, views.intrinsics)
+
+    monkeypatch.setattr(editor, "starts_from_images", True)
+    monkeypatch.setattr(editor, "edit_from", edit_from)
+    edits = torch.ones_like(posed.images)
+    edits[:, 0] = 0
+    build("editsplat")(edit3r.Views(edits, posed.intrinsics), posed, ASK)
+    assert [start.shape[1] for start in starts] == [1, 1, 1]
+    assert 0.3 < starts[0].mean() < 1 and starts[1].min() < 0.7
+
+
 def test_refit_of_nothing_edited_is_the_first_fit_alone(build, posed):
     report = Report()
     with collecting(report):
@@ -94,28 +110,6 @@ def test_refit_of_nothing_edited_is_the_first_fit_alone(build, posed):
 def test_prompt_and_seed_of_the_settings_count_when_no_run_gives_others(build, editor, posed):
     build("gaussctrl", prompt="paint it", seed=4)(posed)
     assert (editor.calls[0][1].prompt, editor.calls[0][1].seed) == ("paint it", 4)
-
-
-def test_stopped_in_the_second_fit_it_goes_on_with_the_same_bytes(build, posed, tmp_path, method):
-    settings = {"checkpoint": str(tmp_path), "checkpoint_every": 2}
-    straight = build(method, **{**settings, "checkpoint": ""})(posed, posed, ASK).gaussians
-    stopping = build(method, **settings)
-    rasterizer, calls = stopping.rasterizer, []
-
-    class Stopping:
-        def render(self, gaussians, cameras):
-            calls.append(1)
-            if len(calls) > wanted:
-                raise KeyboardInterrupt
-            return rasterizer.render(gaussians, cameras)
-
-    stopping.rasterizer, wanted = Stopping(), 10 if method != "refit" else 5
-    with pytest.raises(KeyboardInterrupt):
-        stopping(posed, posed, ASK)
-    assert list(tmp_path.iterdir())
-    resumed = build(method, **settings)(posed, posed, ASK).gaussians
-    assert all(torch.equal(getattr(resumed, name), getattr(straight, name)) for name in FIELDS)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["recolor", "mock-diffusion"])
@@ -129,7 +123,7 @@ def test_a_run_gives_the_method_its_editor_prompt_and_masks(build, posed, name):
 
 
 def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
-    tiny = {"steps": 1, "edit_steps": 1, "start": "random", "points": 50}
+    tiny = {"steps": 1, "edit_steps": 1, "points": 50}
     result = edit3r.run(posed, "make it red", recon={"name": "refit", **tiny}, editor="none")
     assert result.reconstructor.editor is result.editor and result.editor.offer.component.name == "none"
 

@@ -1,6 +1,5 @@
 """Trainable parameters: made from Gaussians and back, and stepped by Adam."""
 
-import pytest
 import torch
 from edit3r_optimisers.fitting import step_sizes
 from edit3r_optimisers.settings import FitSettings
@@ -33,20 +32,3 @@ def test_the_first_step_moves_each_kind_by_its_own_size():
     for name, value in scene.parameters.items():
         moved = before[name] - value.detach()
         assert torch.allclose(moved, torch.full_like(moved, SIZES[name]), rtol=1e-2, atol=1e-7), name
-
-
-def test_a_restored_scene_takes_the_same_next_step():
-    scene, twin = (TrainableGaussians(gaussian_cloud(count, degree=1), degree=1) for count in (6, 6))
-    for _ in range(2):
-        scene.step(scene.gaussians().means.square().sum() + scene.parameters["colour"].sum(), SIZES)
-    twin.restore(scene.state())
-    for one in (scene, twin):
-        one.step(one.parameters["means"].square().sum() + one.parameters["colour"].square().sum(), SIZES)
-    for name in ("means", "colour"):
-        assert torch.equal(scene.parameters[name], twin.parameters[name])
-
-
-def test_a_state_of_another_scene_is_refused():
-    scene, other = (TrainableGaussians(gaussian_cloud(count, degree=1), degree=1) for count in (6, 5))
-    with pytest.raises(RuntimeError):
-        scene.restore(other.state())
