@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching import registration
-from edit3r_matching.bundle_adjustment import adjust, adjust_poses, join_tracks
+from edit3r_matching.bundle_adjustment import adjust, adjust_poses, fit_distortion, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
@@ -111,6 +111,19 @@ def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
     poses, zoom = adjust(taken, keypoints, matches, true, threshold=4.0, free_focal=True)
     fixed = adjust_poses(taken, keypoints, matches, true, threshold=4.0)
     assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
+
+
+@pytest.mark.parametrize("radial", [-0.12, 0.0, 0.06])
+def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
+    images, keypoints, matches, true = scene
+    k, rng = images[0].intrinsics, np.random.default_rng(8)
+    rays = [(points - k[:2, 2]) / FOCAL for points in keypoints]
+    bent = [FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2] for ray in rays]
+    noisy = [points + rng.normal(0, 0.2, points.shape) for points in bent]
+    taken = [image.zoomed(1.04) for image in images]
+    found, gain = fit_distortion(taken, noisy, matches, disturbed(true), threshold=2.0)
+    assert found == pytest.approx(radial, abs=0.02)
+    assert gain > 0.2 if radial else abs(gain) < 0.03
 
 
 def test_matches_that_share_a_keypoint_are_one_track():
