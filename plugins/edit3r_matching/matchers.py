@@ -42,7 +42,7 @@ MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03
 """Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight photos too."""
-LEAST_GAIN = 0.08
+LEAST_GAIN = 0.05
 """Share of the points' distance from their pixels that a distortion must explain before it is believed."""
 LEAST_MATCHES = 8
 """Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""

@@ -119,11 +119,11 @@ def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
     k, rng = images[0].intrinsics, np.random.default_rng(8)
     rays = [(points - k[:2, 2]) / FOCAL for points in keypoints]
     bent = [FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2] for ray in rays]
-    noisy = [points + rng.normal(0, 0.2, points.shape) for points in bent]
+    noisy = [points + rng.normal(0, 0.1, points.shape) for points in bent]
     taken = [image.zoomed(1.04) for image in images]
     found, gain = fit_distortion(taken, noisy, matches, disturbed(true), threshold=2.0)
     assert found == pytest.approx(radial, abs=0.02)
-    assert gain > 0.2 if radial else abs(gain) < 0.03
+    assert gain > 0.15 if radial else abs(gain) < 0.03
 
 
 def test_matches_that_share_a_keypoint_are_one_track():
