@@ -53,7 +53,7 @@ DEPTH_STEP = 0.05
 """Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
 SPREAD = 0.2
 """Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
-CORNER = 0.08
+CORNER = 0.07
 """Share of the area with matches, in one picture times that in the other, below which only a poster agrees."""
 MOST_LOOP = 7.0
 """How far the turns from one view to a second, on to a third and back may miss [degrees]."""
