@@ -158,9 +158,7 @@ def with_known_poses(config: RunConfig, views: "Views", registry: "Registry", re
     has_matcher = "matcher" in registry.find("reconstructor", chosen.name).component.parts
     usable = views.c2w is not None and has_matcher and "matcher" not in chosen.settings
     if refine and not usable:
-        raise InputError(
-            "--refine-poses: needs --cameras with the poses of all photos, and no other matcher."
-        )
+        raise InputError("--refine-poses: needs --cameras with the poses of all photos, and no other matcher.")
     if not usable:
         return config
     say("poses.source", "those that were given" + (", as they are" if not refine else ""))
