@@ -105,8 +105,14 @@ def test_the_surface_behind_a_hole_continues_the_plane_around_it():
     y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
     plane = 0.2 + 0.004 * x + 0.002 * y
     hole = (x - 30).abs().lt(9) & (y - 22).abs().lt(12)
-    assert (_spanned(torch.where(hole, 0, plane)) - plane).abs().max() < 0.01 * plane.max()
-    assert torch.equal(_spanned(torch.zeros(8, 8)), torch.zeros(8, 8))
+    found = _spanned(torch.where(hole, 0, plane).numpy())
+    assert abs(found - plane.numpy()).max() < 0.01 * plane.max()
+
+
+def test_a_photo_without_any_measured_depth_is_still_filled():
+    views, _, masks, geometry = _scene()
+    image, _ = _retouched(replace(geometry, confidence=torch.zeros_like(geometry.confidence)), views, masks)
+    assert torch.isfinite(image).all() and torch.equal(image[:, 0][masks[0] == 0], views.images[0, :, 0][masks[0] == 0])
 
 
 def test_what_no_other_view_sees_is_invented_and_said():
