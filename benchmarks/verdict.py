@@ -18,8 +18,7 @@ import torch
 
 import edit3r
 from edit3r.errors import Edit3rError
-from edit3r.geometry.alignment import median_scale
-from edit3r.geometry.cameras import scale_poses
+from edit3r.geometry.cameras import median_scale, scale_poses
 from edit3r.io.posed_folder import read_posed_folder
 
 SETS = ((2, 2), (2, 4), (2, 8), (3, 2), (3, 4), (4, 2), (4, 5), (6, 2), (6, 3), (6, 7))  # photos, distance

@@ -16,7 +16,8 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError
+from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, is_out_of_memory
+from edit3r.stage_checks import require_device
 from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
@@ -124,17 +125,7 @@ def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3r
 
 def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
     """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is not there."""
-    if name == "auto":
-        return photos_on
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        reason = str(error).strip().splitlines()[0].rstrip(".")
-        raise SettingsError(
-            f"{key}: {name!r} cannot be used on this machine ({reason}); use --set {key}=cpu."
-        ) from None
-    return device
+    return photos_on if name == "auto" else require_device(name, key)
 
 
 @contextmanager
@@ -143,8 +134,7 @@ def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # torch.OutOfMemoryError is one; a CPU raises the plain class
-        text = str(error).lower()
-        if "out of memory" not in text and "not enough memory" not in text and "can't allocate memory" not in text:
+        if not is_out_of_memory(error):
             raise
         raise RunError(f"out of memory while {doing}; {advice}.") from error
 

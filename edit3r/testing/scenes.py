@@ -114,20 +114,6 @@ def gaussian_cloud(
     return Gaussians(means, scales, quats / quats.norm(dim=-1, keepdim=True), opacities, harmonics)
 
 
-def broad_gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
-    """Five Gaussians that cover the whole image at well-separated depths.
-
-    Nowhere does an alpha cross the 1/255 below which rasterizers skip, or two Gaussians swap order, so that a
-    image is a smooth function of every parameter and finite differences can be trusted.
-    """
-    cloud = gaussian_cloud(5, seed=3, dtype=dtype)
-    depths = torch.linspace(2.0, 4.0, 5, dtype=dtype)
-    means = torch.cat((cloud.means[..., :2] * 0.3, depths[None, :, None]), -1)
-    widths = 0.5 * depths[None, :, None] * (1 + 0.3 * torch.sin(torch.arange(15, dtype=dtype).view(1, 5, 3)))
-    opacities = torch.linspace(0.35, 0.6, 5, dtype=dtype)[None]
-    return Gaussians(means, widths, cloud.quats, opacities, 0.5 * cloud.harmonics)
-
-
 def cameras_around(
     camera_count: int = 2, image_size: tuple[int, int] = (24, 32), batch: int = 1, dtype: torch.dtype = torch.float32
 ) -> Cameras:

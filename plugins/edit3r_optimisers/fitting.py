@@ -18,7 +18,6 @@ from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers.settings import FitSettings
 from edit3r_optimisers.trainable import TrainableGaussians, detached
 
-DETAIL_SHARE = 1 / 20  # harmonics above the constant move slower by this
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 
@@ -34,16 +33,6 @@ class TargetImages:
 
 
 @dataclass(frozen=True)
-class FitPlan:
-    """How long and how to fit, and what the progress bar says."""
-
-    settings: FitSettings
-    steps: int
-    seed: int
-    text: str
-
-
-@dataclass(frozen=True)
 class Fitted:
     """A fitted scene, and the loss of each step before it was taken, each of one view."""
 
@@ -51,20 +40,30 @@ class Fitted:
     losses: tuple[float, ...]
 
 
-def fit(start: Gaussians, cameras: Cameras, targets: TargetImages, rasterizer: Rasterizer, plan: FitPlan) -> Fitted:
-    """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
-    settings, steps, losses = plan.settings, plan.steps, []
-    scene, extent = TrainableGaussians(start, settings.degree), scene_extent(start, cameras)
+def fit(
+    start: Gaussians,
+    cameras: Cameras,
+    targets: TargetImages,
+    rasterizer: Rasterizer,
+    settings: FitSettings,
+    steps: int,
+    seed: int,
+    text: str,
+) -> Fitted:
+    """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`.
+
+    `seed` decides the order of the views, `text` is what the progress bar says.
+    """
+    scene, extent, losses = TrainableGaussians(start), scene_extent(start, cameras), []
     for step in range(steps):
         targets.before_step(step, lambda: detached(scene.gaussians()))
-        view = view_at(step, cameras.count, plan.seed)
+        view = view_at(step, cameras.count, seed)
         with torch.enable_grad():
-            gaussians = scene.gaussians(active_degree(settings, step, steps))
-            image = rasterizer.render(gaussians, cameras.select([view])).images[0, 0]
+            image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[0, 0]
             loss = photometric_loss(image, targets.images[view], settings.ssim)
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
-        progress(plan.text, step + 1, steps)
+        progress(text, step + 1, steps)
     return Fitted(detached(scene.gaussians()), tuple(losses))
 
 
@@ -92,13 +91,7 @@ def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> d
         "quats": settings.rotation_rate,
         "opacities": settings.opacity_rate,
         "colour": settings.colour_rate,
-        "detail": settings.colour_rate * DETAIL_SHARE,
     }
-
-
-def active_degree(settings: FitSettings, step: int, steps: int) -> int:
-    """Return the degree of the harmonics in use: from 0 up to the setting, each for an even share of the fit."""
-    return min(settings.degree, step * (settings.degree + 1) // steps)
 
 
 def view_at(step: int, views: int, seed: int) -> int:

@@ -10,8 +10,8 @@ from torch import Tensor
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.fitting import FitPlan, TargetImages, fit
-from edit3r_optimisers.settings import FitSettings, MethodSettings
+from edit3r_optimisers.fitting import TargetImages, fit
+from edit3r_optimisers.settings import MethodSettings
 from edit3r_optimisers.starting_points import begin
 
 
@@ -67,9 +67,8 @@ class FittingMethod(Reconstructor):
     def _fit(self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages) -> Gaussians:
         """Fit the "photos" or the "edits", beginning at `start`."""
         steps = self.settings.steps if what == "photos" else self.settings.edit_steps
-        chosen = {name: getattr(self.settings, name) for name in FitSettings.model_fields}
-        plan = FitPlan(FitSettings(**chosen), steps, self.settings.seed, f"fit to the {what}")
-        fitted = fit(start, cameras, targets, self.rasterizer, plan)
+        text = f"fit to the {what}"
+        fitted = fit(start, cameras, targets, self.rasterizer, self.settings, steps, self.settings.seed, text)
         first, last = (sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:]))
         facts = {"steps": steps, "gaussians": fitted.gaussians.count, "first_loss": first, "last_loss": last}
         note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})

@@ -14,45 +14,38 @@ OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 
 
-def unconstrained(gaussians: Gaussians, degree: int) -> dict[str, Float[Tensor, "gaussian *shape"]]:
-    """Return the parameters of one scene (batch 1), harmonics cut or filled up with 0 to `degree`.
+def unconstrained(gaussians: Gaussians) -> dict[str, Float[Tensor, "gaussian *shape"]]:
+    """Return the parameters of one scene (batch 1).
 
-    Scales are logarithms, opacities logits, quaternions of any norm; `colour` is the constant harmonic, `detail` those
-    above it.
+    Scales are logarithms, opacities logits, quaternions of any norm; of the harmonics only the constant one is kept.
     """
-    harmonics = gaussians.harmonics[0].detach()
-    wanted = (degree + 1) ** 2
-    missing = harmonics.new_zeros(len(harmonics), max(0, wanted - harmonics.shape[1]), 3)
-    harmonics = torch.cat((harmonics, missing), 1)[:, :wanted]
     return {
         "means": gaussians.means[0].detach().clone(),
-        "scales": gaussians.scales[0].detach().clamp(min=torch.finfo(harmonics.dtype).tiny).log(),
+        "scales": gaussians.scales[0].detach().clamp(min=torch.finfo(gaussians.scales.dtype).tiny).log(),
         "quats": gaussians.quats[0].detach().clone(),
         "opacities": gaussians.opacities[0].detach().clamp(*OPACITY_RANGE).logit(),
-        "colour": harmonics[:, :1].clone(),
-        "detail": harmonics[:, 1:].clone(),
+        "colour": gaussians.harmonics[0, :, :1].detach().clone(),
     }
 
 
 class TrainableGaussians:
     """The parameters of one scene, and Adam over them with one step size per kind of parameter."""
 
-    def __init__(self, gaussians: Gaussians, degree: int) -> None:
+    def __init__(self, gaussians: Gaussians) -> None:
         self.view_index = gaussians.view_index
-        self.parameters = unconstrained(gaussians, degree)
+        self.parameters = unconstrained(gaussians)
         groups = [{"params": [value.requires_grad_(True)], "name": name} for name, value in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
 
-    def gaussians(self, degree: int | None = None) -> Gaussians:
-        """Return a batch of one, harmonics up to `degree` (None: all); differentiable in the parameters."""
+    def gaussians(self) -> Gaussians:
+        """Return a batch of one; differentiable in the parameters."""
         values = self.parameters
-        harmonics = torch.cat((values["colour"], values["detail"]), 1)
         return Gaussians(
             values["means"][None],
             values["scales"].exp()[None],
             normalise_quats(values["quats"])[None],
             values["opacities"].sigmoid()[None],
-            harmonics[None, :, : None if degree is None else (degree + 1) ** 2],
+            values["colour"][None],
             self.view_index,
         )
 

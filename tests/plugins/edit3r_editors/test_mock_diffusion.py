@@ -26,10 +26,6 @@ def views_differ(**settings) -> float:
     return float((first - second).abs().mean())
 
 
-def test_same_seed_same_bytes():
-    assert torch.equal(edit(), edit())
-
-
 @pytest.mark.parametrize("other", [{"seed": 2}, {"prompt": "turn it to stone"}])
 def test_seed_and_prompt_change_the_result(other):
     assert (edit(**other) - edit()).abs().mean() > 0.01

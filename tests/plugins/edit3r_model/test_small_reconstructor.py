@@ -1,6 +1,5 @@
 import hashlib
 import math
-from typing import ClassVar
 
 import pytest
 import skimage.data
@@ -19,7 +18,7 @@ from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.io.run_folder import WeightsRecord
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting
-from edit3r.testing import ReconstructorContract, photograph
+from edit3r.testing import photograph
 from edit3r.types import Views
 
 SIZE = (64, 80)
@@ -34,11 +33,6 @@ class _TrueGeometry(Matcher):
         depths = SCENE.depths[:, :count]
         seen = torch.ones(1, count, dtype=torch.bool)
         return MatchedGeometry(SCENE.cameras.c2w[:, :count], depths, torch.ones_like(depths), seen)
-
-
-class TestEdit3r(ReconstructorContract):
-    component = "edit3r"
-    image_size: ClassVar = (96, 128)
 
 
 def _reconstructor(**settings):

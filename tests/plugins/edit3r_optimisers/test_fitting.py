@@ -3,9 +3,7 @@
 import pytest
 import torch
 from edit3r_optimisers.fitting import (
-    FitPlan,
     TargetImages,
-    active_degree,
     fit,
     photometric_loss,
     scene_extent,
@@ -18,7 +16,7 @@ from skimage.metrics import structural_similarity as reference
 
 from edit3r.types import Views
 
-QUICK = FitSettings(degree=1)
+QUICK = FitSettings()
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
@@ -30,7 +28,7 @@ def start(build, posed):
 
 
 def fitted(start, posed, rasterizer, steps, settings=QUICK):
-    return fit(*start, TargetImages(posed.images[0]), rasterizer, FitPlan(settings, steps, 3, "test"))
+    return fit(*start, TargetImages(posed.images[0]), rasterizer, settings, steps, 3, "test")
 
 
 def psnr(image, target) -> float:
@@ -66,15 +64,9 @@ def test_centres_slow_down_log_linearly_in_units_of_the_scene():
     assert sizes == pytest.approx([3e-2, 3e-3, 3e-4])
 
 
-def test_other_groups_keep_their_pace_and_harmonics_above_the_constant_move_at_a_twentieth():
+def test_other_groups_keep_their_pace():
     first, last = (step_sizes(FitSettings(), step, 100, 2.0) for step in (0, 99))
     assert {k: v for k, v in first.items() if k != "means"} == {k: v for k, v in last.items() if k != "means"}
-    assert first["detail"] == pytest.approx(first["colour"] / 20)
-
-
-def test_harmonics_come_in_one_degree_after_the_other():
-    degrees = [active_degree(FitSettings(degree=2), step, 9) for step in range(9)]
-    assert degrees == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def test_every_round_looks_at_every_view_once_in_its_own_order():
