@@ -51,9 +51,6 @@ class DoctorCommand(Command):
     """`edit3r doctor`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        for part, dest in (("editor", "editor"), ("recon", "reconstructor"), ("rasterizer", "rasterizer")):
-            default = f"{dest} of the tiny job (default: that of edit3r run)"
-            parser.add_argument(f"--{part}", dest=dest, metavar="NAME", help=default)
         parser.add_argument("--device", metavar="D", help="torch device of the tiny job (default cpu)")
         parser.add_argument("--json", action="store_true", help="machine-readable output")
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
@@ -61,8 +58,7 @@ class DoctorCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.run_config import make_run_config
 
-        named = {key: getattr(args, key) for key in ("editor", "reconstructor", "rasterizer", "device")}
-        config = make_run_config({"prompt": JOB_PROMPT, **{key: value for key, value in named.items() if value}})
+        config = make_run_config({"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})})
         findings = []
         for finding in examine(default_registry(tuple(args.plugin)), config):
             if not args.json:
