@@ -36,16 +36,6 @@ def test_disagreement_is_a_dial():
     assert amounts[0] == 0 and amounts == sorted(amounts) and amounts[-1] > 0.05
 
 
-def test_more_guidance_changes_more():
-    amounts = [change(guidance_scale=scale, disagreement=0) for scale in (0, 2, 7.5, 30)]
-    assert amounts == sorted(amounts) and amounts[0] < 0.01 < amounts[-1]
-
-
-def test_more_image_guidance_changes_less():
-    amounts = [change(image_guidance_scale=scale, disagreement=0) for scale in (0, 1.5, 5, 30)]
-    assert amounts == sorted(amounts, reverse=True) and amounts[-1] < 0.5 * amounts[0]
-
-
 def test_strength_0_returns_the_photos():
     assert torch.equal(edit(strength=0), photos().images)
     assert change(strength=0.3, disagreement=0) < change(strength=1.0, disagreement=0)
