@@ -4,7 +4,7 @@ One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as 
 the same result: everything random is drawn from the seed and the step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -12,14 +12,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.geometry.rotations import normalise_quats
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers.settings import FitSettings
-from edit3r_optimisers.trainable import TrainableGaussians, detached
 
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
+OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
+BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 
 
 class TargetImages:
@@ -56,7 +58,7 @@ def fit(
     """
     scene, extent, losses = TrainableGaussians(start), scene_extent(start, cameras), []
     for step in range(steps):
-        targets.before_step(step, lambda: detached(scene.gaussians()))
+        targets.before_step(step, scene.so_far)
         view = view_at(step, cameras.count, seed)
         with torch.enable_grad():
             image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[0, 0]
@@ -64,7 +66,53 @@ def fit(
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
         progress(text, step + 1, steps)
-    return Fitted(detached(scene.gaussians()), tuple(losses))
+    return Fitted(scene.so_far(), tuple(losses))
+
+
+class TrainableGaussians:
+    """The parameters of one scene, and Adam over them with one step size per kind of parameter.
+
+    Scales are logarithms, opacities logits, quaternions of any norm; of the harmonics only the constant one is kept.
+    """
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self.view_index = gaussians.view_index
+        tiny = torch.finfo(gaussians.scales.dtype).tiny
+        values = {
+            "means": gaussians.means[0],
+            "scales": gaussians.scales[0].clamp(min=tiny).log(),
+            "quats": gaussians.quats[0],
+            "opacities": gaussians.opacities[0].clamp(*OPACITY_RANGE).logit(),
+            "colour": gaussians.harmonics[0, :, :1],
+        }
+        self.parameters = {name: value.detach().clone().requires_grad_(True) for name, value in values.items()}
+        groups = [{"params": [value], "name": name} for name, value in self.parameters.items()]
+        self.adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+
+    def gaussians(self) -> Gaussians:
+        """Return a batch of one; differentiable in the parameters."""
+        values = self.parameters
+        return Gaussians(
+            values["means"][None],
+            values["scales"].exp()[None],
+            normalise_quats(values["quats"])[None],
+            values["opacities"].sigmoid()[None],
+            values["colour"][None],
+            self.view_index,
+        )
+
+    @torch.no_grad()
+    def so_far(self) -> Gaussians:
+        """Return the Gaussians without gradient history."""
+        return self.gaussians()
+
+    def step(self, loss: Float[Tensor, ""], sizes: Mapping[str, float]) -> None:
+        """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the parameter."""
+        self.adam.zero_grad()
+        loss.backward()
+        for group in self.adam.param_groups:
+            group["lr"] = sizes[group["name"]]
+        self.adam.step()
 
 
 def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:

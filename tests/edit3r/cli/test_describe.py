@@ -122,7 +122,7 @@ def test_all_there_is_to_know_is_shown(local, capsys):
 
 
 def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):
-    from edit3r.scaffold import new_package
+    from edit3r.cli.new_plugin import new_package
 
     package = str(new_package("refiner", "described-refiner", tmp_path) / "edit3r_described_refiner")
     assert main(["describe", "refiner", "described-refiner", "--plugin", package]) == 0

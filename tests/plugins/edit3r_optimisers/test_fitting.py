@@ -4,6 +4,7 @@ import pytest
 import torch
 from edit3r_optimisers.fitting import (
     TargetImages,
+    TrainableGaussians,
     fit,
     photometric_loss,
     scene_extent,
@@ -14,6 +15,7 @@ from edit3r_optimisers.fitting import (
 from edit3r_optimisers.settings import FitSettings
 from skimage.metrics import structural_similarity as reference
 
+from edit3r.testing import gaussian_cloud
 from edit3r.types import Views
 
 QUICK = FitSettings()
@@ -108,3 +110,22 @@ def test_gradient_agrees_with_finite_differences(pair):
 
 def test_a_picture_smaller_than_a_window_has_a_loss():
     assert torch.isfinite(photometric_loss(torch.rand(3, 4, 2), torch.rand(3, 4, 2), 0.2))
+
+
+SIZES = step_sizes(FitSettings(), 0, 10, 1.0)
+
+
+def test_gaussians_survive_the_way_in_and_out():
+    scene = gaussian_cloud(5, degree=0)
+    back = TrainableGaussians(scene).gaussians()
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        assert torch.allclose(getattr(back, name), getattr(scene, name), atol=1e-6), name
+
+
+def test_the_first_step_moves_each_kind_by_its_own_size():
+    scene = TrainableGaussians(gaussian_cloud(6, degree=0))
+    before = {name: value.detach().clone() for name, value in scene.parameters.items()}
+    scene.step(sum(value.sum() for value in scene.parameters.values()), SIZES)
+    for name, value in scene.parameters.items():
+        moved = before[name] - value.detach()
+        assert torch.allclose(moved, torch.full_like(moved, SIZES[name]), rtol=1e-2, atol=1e-7), name

@@ -4,13 +4,14 @@ import itertools
 
 import pytest
 import torch
+from edit3r_optimisers.method import VISIBLE_OPACITY, begin, thinned
 from pydantic import ValidationError
 
 import edit3r
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract
-from edit3r.types import EditRequest
+from edit3r.types import EditRequest, Reconstruction
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 ASK = EditRequest("invert", seed=2)
@@ -121,3 +122,22 @@ def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
 def test_strengths_in_the_wrong_order_are_refused():
     with pytest.raises((SettingsError, ValidationError), match="least_strength"):
         edit3r.build("reconstructor", "instruct-nerf2nerf", least_strength=0.9, most_strength=0.2)
+
+
+@pytest.fixture
+def first(build, posed) -> Reconstruction:
+    return build("refit").reconstructor(posed)
+
+
+def test_a_fit_begins_with_visible_gaussians_and_the_cameras_of_the_reconstruction(build, posed, first):
+    gaussians, cameras = begin(posed, build("refit").reconstructor, 100, seed=0)
+    assert torch.equal(cameras.c2w, first.cameras.c2w)
+    assert gaussians.count == 100 and gaussians.opacities.min() >= VISIBLE_OPACITY
+
+
+def test_thinned_gaussians_cover_as_much_as_before(first):
+    few = thinned(first.gaussians, 100, seed=0)
+    ratio = first.gaussians.count / 100
+    assert few.count == 100 and thinned(first.gaussians, 10**6, 0) is first.gaussians
+    widened = few.scales[0, :, 0] / first.gaussians.scales[0, :, 0].mean()
+    assert float(widened.mean()) == pytest.approx(ratio**0.5, rel=0.1)
