@@ -4,7 +4,9 @@ The scene is a slanted wall behind two balls, all with a solid texture, so corre
 and the true depth of every pixel is known. Everything is computed on the CPU from a seed.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +36,11 @@ def photograph(
     view_count: int = 2, image_size: tuple[int, int] = (48, 64), batch: int = 1, seed: int = 0
 ) -> Photographed:
     """Photos of `batch` scenes that differ in texture, from cameras along a slightly curved line."""
+    return deepcopy(_photographed(view_count, tuple(image_size), batch, seed))  # whoever gets them may write into them
+
+
+@lru_cache(maxsize=32)
+def _photographed(view_count: int, image_size: tuple[int, int], batch: int, seed: int) -> Photographed:
     height, width = image_size
     fine = (height * SUPERSAMPLING, width * SUPERSAMPLING)
     intrinsics = intrinsics_from_fov(FOV_X, image_size)
