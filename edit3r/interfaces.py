@@ -208,20 +208,39 @@ class Backbone(Configured, nn.Module, ABC):
 
     patch_size: int  # height and width of its input must be multiples of this [pixels]
     feature_widths: tuple[int, ...]  # channels of each level it returns
+    takes_geometry: bool = False  # True: `forward` takes `geometry` too; others are not given any
 
     @abstractmethod
     def forward(
-        self, images: Float[Tensor, "batch view 3 height width"], intrinsics: Float[Tensor, "batch view 3 3"]
+        self,
+        images: Float[Tensor, "batch view 3 height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        geometry: "MatchedGeometry | None" = None,
     ) -> Features:
-        """Features of images in [0, 1] with normalised intrinsics."""
+        """Features of images in [0, 1] with normalised intrinsics.
+
+        `geometry` is what a matcher read from these images, at their size, in a unit that makes depths about 1.
+        """
 
 
 class GaussianHead(Configured, nn.Module, ABC):
     """Network from features to one Gaussian per pixel, ordered view-major, then row-major."""
 
+    takes_geometry: bool = False  # True: `forward` takes `source` and `geometry` too; others are not given them
+
     @abstractmethod
-    def forward(self, features: Features, images: Float[Tensor, "batch view 3 height width"]) -> Gaussians:
-        """Gaussians with `view_index` set, for images in [0, 1]."""
+    def forward(
+        self,
+        features: Features,
+        images: Float[Tensor, "batch view 3 height width"],
+        source: Views | None = None,
+        geometry: "MatchedGeometry | None" = None,
+    ) -> Gaussians:
+        """Gaussians with `view_index` set, for images in [0, 1].
+
+        A head that takes geometry gets everything at the photos' size, which need not be the backbone's: `images` after
+        the edit, `source` before it, and what a matcher read from `source`. Its Gaussians are in that unit of length.
+        """
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ SETTINGS: dict[tuple[str, str], dict] = {
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
+    ("backbone", "matched-unet"): {"patches": (8, 12)},
+    ("reconstructor", "edit3r"): {"trained_with": {"weights": "shipped"}},  # untrained corrections are 0: no gradient
 }
 """What its contract needs to know."""
 
@@ -56,7 +58,6 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("dataset", "transforms"): "needs a folder of scenes",
     ("dataset", "re10k"): "needs downloaded chunks",
     ("trainer", "recolor"): "trains the network of reconstructor 'edit3r' only",
-    ("trainer", "depth-network"): "trains the depth network of matcher 'classical' only",
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""
 

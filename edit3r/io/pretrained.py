@@ -71,6 +71,18 @@ def load_pretrained(cls: type, weights: ChosenWeights, **given: Any) -> Any:
             raise loading_error(error, cls, weights) from error
 
 
+def load_whole_network(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+    """A network of transformers by `load_pretrained`, refused where weights that it needs are not in the files."""
+    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    if lacking:
+        raise InputError(
+            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, such as {lacking[0]}; "
+            "with random ones in their place its answers would mean nothing."
+        )
+    return network
+
+
 def require_at_hand(weights: ChosenWeights) -> None:
     """Raise MissingDependencyError, with licence and the command that fetches them, for declared weights not here."""
     if declared := _declared(weights):

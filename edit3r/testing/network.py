@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.interfaces import Backbone, GaussianHead
+from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry
 from edit3r.testing.contract import Contract, require_valid_gaussians
 from edit3r.testing.scenes import photograph
 from edit3r.types import Features, Views
@@ -72,14 +72,15 @@ class BackboneContract(Contract):
     def test_gradients_are_finite(self) -> None:
         views = self._views(2)
         images = views.images.clone().requires_grad_()
-        features = self.call("forward()", self.subject, images, views.intrinsics)
+        features = self.call("forward()", self.subject, images, views.intrinsics, *_geometry(self.subject, views))
         backward(self, features.levels)
         require_finite_gradients(self, {"images": images, **dict(self.subject.named_parameters())})
         self.subject.zero_grad()
 
     def _features(self, views: Views) -> Features:
         with torch.no_grad():
-            features = self.call(f"forward() of {views.count} views", self.subject, views.images, views.intrinsics)
+            given = (views.images, views.intrinsics, *_geometry(self.subject, views))
+            features = self.call(f"forward() of {views.count} views", self.subject, *given)
         self.require_type("forward() returned", features, Features, "Features")
         return features
 
@@ -134,9 +135,9 @@ class HeadContract(Contract):
     def test_gradients_are_finite(self) -> None:
         views = self._views(2)
         with torch.no_grad():
-            features = self.backbone(views.images, views.intrinsics)
+            features = self._features(views)
         levels = tuple(level.clone().requires_grad_() for level in features.levels)
-        gaussians = self.call("forward()", self.subject, Features(levels, features.grid), views.images)
+        gaussians = self.call("forward()", self.subject, Features(levels, features.grid), *self._given(views))
         fields = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.harmonics)
         backward(self, fields)
         named = {f"levels[{i}]": level for i, level in enumerate(levels)}
@@ -145,12 +146,31 @@ class HeadContract(Contract):
 
     def _gaussians(self, views: Views):
         with torch.no_grad():
-            features = self.backbone(views.images, views.intrinsics)
-            return self.call(f"forward() of {views.count} views", self.subject, features, views.images)
+            features = self._features(views)
+            return self.call(f"forward() of {views.count} views", self.subject, features, *self._given(views))
+
+    def _features(self, views: Views) -> Features:
+        return self.backbone(views.images, views.intrinsics, *_geometry(self.backbone, views))
+
+    def _given(self, views: Views) -> tuple:
+        """What the head gets beside the features."""
+        prior = _geometry(self.subject, views)
+        return (views.images, views, *prior) if prior else (views.images,)
 
     def _views(self, count: int) -> Views:
         size = tuple(side * self.backbone.patch_size for side in self.patches)
         return photograph(count, size).views.to(self.device)
+
+
+def _geometry(part: Backbone | GaussianHead, views: Views) -> tuple[MatchedGeometry, ...]:
+    """What a part that takes geometry is given: the true one of the test photos."""
+    if not part.takes_geometry:
+        return ()
+    (batch, count), device = views.images.shape[:2], views.images.device
+    truth = photograph(count, views.image_size, batch)
+    depths = truth.depths.to(device)
+    seen = torch.ones(batch, count, dtype=torch.bool, device=device)
+    return (MatchedGeometry(truth.cameras.c2w.to(device), depths, torch.ones_like(depths), seen),)
 
 
 def backward(contract: Contract, outputs: Iterable[Tensor]) -> None:

@@ -25,6 +25,27 @@ _ALIKED = Weights(
     ),
 )
 
+_PAIR_NETWORKS = (
+    Weights(
+        "efficientloftr",
+        "semi-dense matches of two photos (EfficientLoFTR)",
+        64_000_000,
+        "Apache-2.0",
+        "yes",
+        "hub:zju-community/efficientloftr",
+        files=(("config.json", ""), ("model.safetensors", "")),
+    ),
+    Weights(
+        "superpoint-lightglue",
+        "local features and their matching (SuperPoint + LightGlue)",
+        53_000_000,
+        "SuperPoint: Magic Leap, non-commercial research only; LightGlue Apache-2.0",
+        "no",
+        "hub:ETH-CVG/lightglue_superpoint",
+        files=(("config.json", ""), ("model.safetensors", "")),
+    ),
+)
+
 _DEPTH_ANYTHING_3 = (
     Weights(
         "da3-small",
@@ -63,7 +84,7 @@ def register_matchers():
             "edit3r_matching.matchers:ClassicalMatcher",
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and semi-global aggregation",
             min_views=2,
-            weights=(_ALIKED,),
+            weights=(_ALIKED, *_PAIR_NETWORKS),
         ),
         Component(
             "posed",
@@ -104,16 +125,5 @@ def register_reconstructors():
             "one Gaussian a pixel at the depth a matcher measured; no learned weights",
             parts=("matcher",),
             min_views=2,
-        )
-    ]
-
-
-@hookimpl
-def register_trainers():
-    return [
-        Component(
-            "depth-network",
-            "edit3r_matching.depth_trainer:DepthTrainer",
-            "teaches the network of matcher 'classical' which depth is right, from data with depths",
         )
     ]

@@ -6,6 +6,7 @@ lens, the one focal length of all views moves with them.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -116,48 +117,48 @@ def _scene(
             scene.add_camera_with_trivial_rig(camera)
         image = pycolmap.Image(f"{view}", keypoints[view], camera_id=number, image_id=view + 1)
         scene.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.matrix[:3]))
-    for track in tracks:
-        point = _point(track, images, keypoints, poses)
-        if point is None:
-            continue
-        seen = [
-            view for view in track if _distance(point, images[view], poses[view], keypoints[view][track[view]]) < limit
-        ]
-        if len(seen) >= 2:
-            elements = [pycolmap.TrackElement(view + 1, track[view]) for view in seen]
-            scene.add_point3D(point, pycolmap.Track(elements))
+    sightings = _sightings(tracks, len(keypoints))
+    points = _points(sightings, images, keypoints, poses)
+    near = np.zeros(sightings.shape, bool)
+    for view, pose in poses.items():
+        own = np.flatnonzero((sightings[:, view] >= 0) & np.isfinite(points[:, 0]))
+        seen = pose.apply(points[own])
+        off = np.linalg.norm(project(seen, images[view].intrinsics) - keypoints[view][sightings[own, view]], axis=1)
+        near[own, view] = (seen[:, 2] > 0) & (off < limit)
+    for index in np.flatnonzero(near.sum(1) >= 2):
+        elements = [pycolmap.TrackElement(view + 1, sightings[index, view]) for view in np.flatnonzero(near[index])]
+        scene.add_point3D(points[index], pycolmap.Track(elements))
     return scene
 
 
-def _point(
-    track: dict[int, int],
+def _sightings(tracks: Tracks, views: int) -> Int[np.ndarray, "track view"]:
+    """The keypoint of each track in each view, -1 where the view does not see it."""
+    found = np.full((len(tracks), views), -1)
+    for index, track in enumerate(tracks):
+        found[index, list(track)] = list(track.values())
+    return found
+
+
+def _points(
+    sightings: Int[np.ndarray, "track view"],
     images: Sequence[CalibratedImage],
     keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
     poses: dict[int, Pose],
-) -> Float[np.ndarray, "3"] | None:
-    """The point of a track, from its two views that see it from the most different sides; None where there is none."""
-    views = sorted(track)
-    rays = {view: rays_through(keypoints[view][track[view]][None], images[view].intrinsics) for view in views}
-    best, found = MIN_PARALLAX, None
-    for i, a in enumerate(views):
-        for b in views[i + 1 :]:
-            pose = poses[b].after(poses[a].inverse())
-            angle = float(parallax_degrees(rays[a], rays[b], pose)[0])
-            if angle > best:
-                best, found = angle, (a, b, pose)
-    if found is None:
-        return None
-    a, b, pose = found
-    depth_a, depth_b = triangulate(rays[a], rays[b], pose)
-    return poses[a].inverse().apply(rays[a] * depth_a[:, None])[0] if min(depth_a[0], depth_b[0]) > 0 else None
-
-
-def _distance(
-    point: Float[np.ndarray, "3"], image: CalibratedImage, pose: Pose, pixel: Float[np.ndarray, "2"]
-) -> float:
-    """How far the point falls from its pixel [pixels]; infinite behind the camera."""
-    seen = pose.apply(point)
-    return float(np.linalg.norm(project(seen, image.intrinsics) - pixel)) if seen[2] > 0 else np.inf
+) -> Float[np.ndarray, "track 3"]:
+    """The point of each track, from the two views that see it from the most different sides; NaN: none."""
+    rays = {view: rays_through(keypoints[view], images[view].intrinsics) for view in poses}
+    widest, points = np.full(len(sightings), MIN_PARALLAX), np.full((len(sightings), 3), np.nan)
+    for a, b in combinations(sorted(poses), 2):
+        both = np.flatnonzero((sightings[:, [a, b]] >= 0).all(1))
+        rays_a, rays_b = (rays[view][sightings[both, view]] for view in (a, b))
+        pose = poses[b].after(poses[a].inverse())
+        angle = parallax_degrees(rays_a, rays_b, pose)
+        depth_a, depth_b = triangulate(rays_a, rays_b, pose)
+        placed = np.where(np.minimum(depth_a, depth_b) > 0, depth_a, np.nan)
+        wider = angle > widest[both]
+        widest[both[wider]] = angle[wider]
+        points[both[wider]] = poses[a].inverse().apply(rays_a * placed[:, None])[wider]
+    return points
 
 
 def _problem(scene: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:

@@ -1,7 +1,6 @@
 """Depth of every pixel of every registered view: plane sweep, cross-check, completion, and back to the images' size."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -16,13 +15,7 @@ from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plan
 from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import aggregate, best_plane
 
-if TYPE_CHECKING:
-    from edit3r_matching.depth_network import DepthNetwork
-
-__all__ = ["DepthSettings", "chosen_network", "inverse_depth_range", "measure_depths", "sweep_depth"]
-
-PRIOR = 0.1
-"""What the network's -log probability of a plane adds to its matching cost."""
+__all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
 
 
 class DepthSettings(config.Settings):
@@ -33,25 +26,12 @@ class DepthSettings(config.Settings):
     )
     planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
     neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
-    depth_weights: str = Field(
-        "none", description="network that weighs the hypotheses: 'none', 'shipped', or a file of `edit3r train`"
-    )
-
-
-def chosen_network(settings: DepthSettings) -> "DepthNetwork | None":
-    """The network that the settings name; None for 'none'."""
-    if settings.depth_weights == "none":
-        return None
-    from edit3r_matching.depth_network import load_depth_network  # torch's layers, only where they are used
-
-    return load_depth_network(settings.depth_weights)
 
 
 def measure_depths(
     images: Sequence[CalibratedImage],
     registration: Registration,
     settings: DepthSettings,
-    network: "DepthNetwork | None" = None,
 ) -> tuple[Float[np.ndarray, "view height width"], Float[np.ndarray, "view height width"]]:
     """Inverse depth (1 / camera z) and confidence of every pixel, measured at the settings' working size.
 
@@ -63,9 +43,7 @@ def measure_depths(
     raw: dict[int, RawDepth] = {}
     for view in reporting.track(np.flatnonzero(registration.registered).tolist(), "measuring depth"):
         depths = np.concatenate([registration.shared_depths(view, other) for other in around[view]])
-        raw[view] = sweep_depth(
-            small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes, network
-        )
+        raw[view] = sweep_depth(small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes)
     measured = {view: _measured(small[view], around[view], view, raw) for view in raw}
     maps = [_blank(image.size) for image in images]
     for view in raw:
@@ -102,21 +80,11 @@ def sweep_depth(
     neighbours: Sequence[Neighbour],
     inverse_range: tuple[float, float],
     planes: int,
-    network: "DepthNetwork | None" = None,
 ) -> RawDepth:
-    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes` hypotheses.
-
-    What the network finds unlikely costs more, and costs are then aggregated anew.
-    """
+    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes` hypotheses."""
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
     cost = matching_cost(reference, neighbours, inverse_depths)
-    total = aggregate(cost, reference.grey)
-    if network is not None:
-        from edit3r_matching.depth_network import at_pixels, plane_log_probabilities
-
-        cells = plane_log_probabilities(network, reference, neighbours, inverse_depths, cost, total)
-        total = aggregate(cost - PRIOR * at_pixels(cells, reference.size), reference.grey)
-    position = best_plane(total)
+    position = best_plane(aggregate(cost, reference.grey))
     first, step = float(inverse_depths[0]), float(inverse_depths[1] - inverse_depths[0])
     return RawDepth((first + position * step).astype(np.float32), first, step)
 

@@ -20,7 +20,7 @@ from edit3r.stage_checks import component_name, require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
-from edit3r_matching.depth_maps import DepthSettings, chosen_network, measure_depths
+from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
 from edit3r_matching.relative_pose import Matches
 
@@ -52,7 +52,6 @@ class ClassicalMatcher(Matcher):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.depth_network = chosen_network(settings)
 
     @remembered
     def match(self, views: Views) -> MatchedGeometry:
@@ -80,7 +79,7 @@ class ClassicalMatcher(Matcher):
             reporting.note("matcher.fov", round(images[0].fov, 1))
         _report(registration, features, names)
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
-        maps = (c2w, *measure_depths(images, registration, chosen, self.depth_network))
+        maps = (c2w, *measure_depths(images, registration, chosen))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         in_pixels = torch.from_numpy(np.stack([image.intrinsics for image in images]))
         intrinsics = from_pixels(in_pixels, views.image_size).to(c2w)
@@ -135,8 +134,7 @@ class PosedMatcher(Matcher):
                 "view 0 shares too few features with the other photos on the lines that the known poses give; "
                 "look whether poses and photos belong together."
             )
-        network = chosen_network(self.settings)
-        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings, network)
+        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
 
@@ -188,7 +186,7 @@ def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match
 def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:
     """Note the inliers of every pair and where their matches come from, and warn of views that were left out."""
     helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
-    learned = f" and, for {helped} of {len(features.indices)} pairs, ALIKED + LightGlue" if helped else ""
+    learned = f" and, for {helped} of {len(features.indices)} pairs, {features.helper}" if helped else ""
     reporting.note("matcher.matches", f"SIFT{learned}")
     reporting.note(
         "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}

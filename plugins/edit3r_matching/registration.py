@@ -24,8 +24,12 @@ from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, est
 
 __all__ = ["FeatureSettings", "FoundFeatures", "PairView", "Registration", "find_features", "register"]
 
-LEARNED_WEIGHTS = "aliked-lightglue"
-"""Name of the weights of learned features, see `edit3r.weights`."""
+LEARNED = {
+    "learned": ("aliked-lightglue", "ALIKED + LightGlue"),
+    "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
+    "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
+}
+"""Learned sources of matches: the name of their weights, see `edit3r.weights`, and what to call them."""
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4
@@ -107,10 +111,11 @@ class FeatureSettings(config.Settings):
     ratio: float = Field(
         0.85, gt=0, le=1, description="a match must be this much nearer than its second choice (Lowe's test)"
     )
-    matches: Literal["auto", "sift", "learned"] = Field(
+    matches: Literal["auto", "sift", "learned", "efficientloftr", "superpoint"] = Field(
         "auto",
         description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get "
-        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those weights are at hand",
+        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those weights are at hand; "
+        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', 'superpoint-lightglue'",
     )
     learned_keypoints: int = Field(1024, ge=128, le=4096, description="most learned features a photo")
 
@@ -122,6 +127,7 @@ class FoundFeatures:
     keypoints: tuple[Keypoints, ...]
     indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]  # (a, b) with a < b: keypoints of images a and b
     sift: tuple[int, ...] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    helper: str = ""  # what to call the source of the learned ones
 
     def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
         """Which matches of images a and b are learned ones."""
@@ -149,11 +155,11 @@ def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) 
     keypoints = tuple(detect(image.pixels, settings.keypoints, settings.detection_size) for image in images)
     every = combinations(range(len(images)), 2)
     found = FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
-    asked = settings.matches == "learned"
+    asked = settings.matches in LEARNED
     few = [pair for pair, indices in found.indices.items() if asked or len(indices) < ENOUGH_MATCHES]
     if settings.matches == "sift" or not few:
         return found
-    declared = weights.named(LEARNED_WEIGHTS)
+    declared = weights.named(LEARNED[settings.matches if asked else "learned"][0])
     folder = weights.find(declared) if asked else weights.at_hand(declared)
     return found if folder is None else _with_learned(found, few, images, folder, settings)
 
@@ -166,18 +172,18 @@ def _with_learned(
     settings: FeatureSettings,
 ) -> FoundFeatures:
     """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
-    from edit3r_matching.learned import LearnedFeatures  # torch's networks and kornia load only where they are used
+    from edit3r_matching import learned  # torch's networks, kornia and transformers load only where they are used
 
-    networks = LearnedFeatures.load(folder, settings.learned_keypoints)
+    name, called = LEARNED.get(settings.matches, LEARNED["learned"])
+    networks = learned.load(name, folder, settings.learned_keypoints)
     views = sorted({view for pair in pairs for view in pair})
-    more = {view: networks.detect(images[view].pixels, settings.detection_size) for view in views}
+    more, own = networks.between({view: images[view].pixels for view in views}, pairs, settings.detection_size)
     sift = tuple(map(len, found.keypoints))
     indices = dict(found.indices)
     for a, b in pairs:
-        own = networks.match(more[a], more[b], (images[a].size, images[b].size)) + np.array([sift[a], sift[b]])
-        indices[a, b] = np.concatenate((indices[a, b], own))
+        indices[a, b] = np.concatenate((indices[a, b], own[a, b] + np.array([sift[a], sift[b]])))
     keypoints = tuple(k.followed_by(more[view]) if view in more else k for view, k in enumerate(found.keypoints))
-    return FoundFeatures(keypoints, indices, sift)
+    return FoundFeatures(keypoints, indices, sift, called)
 
 
 def register(

@@ -34,7 +34,6 @@ __all__ = [
     "TwoViewPose",
     "estimate_pose",
     "log_false_alarms",
-    "pose_fitted_once",
     "refine",
     "rough_pose",
     "signed_support",
@@ -163,17 +162,6 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
         )
         pose = moved(solution.x)
     return pose
-
-
-def pose_fitted_once(matches: Matches, pose: Pose) -> Pose:
-    """Two Gauss-Newton steps from `pose` to where the Sampson errors are least; its baseline keeps its length."""
-    length = np.linalg.norm(pose.translation)
-    pose = Pose(pose.rotation, pose.translation / length)
-    for _ in range(2):
-        moved, errors = _tangent_step(pose), sampson_errors(matches, pose)
-        slopes = np.stack([(sampson_errors(matches, moved(1e-5 * axis)) - errors) / 1e-5 for axis in np.eye(5)], 1)
-        pose = moved(-np.linalg.lstsq(slopes, errors, rcond=1e-4)[0].clip(-0.05, 0.05))
-    return Pose(pose.rotation, pose.translation * length)
 
 
 def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:

@@ -58,6 +58,8 @@ def _declare_build(parser: argparse.ArgumentParser) -> None:
     add("--segmenter", metavar="NAME", help="cuts masks out of the boxes, such as sam2 or classical")
     add("--truth", metavar="EDITOR", help="edits the held-back photos too, such as recolor: its pictures are the truth")
     add("--llm", metavar="URL", help="OpenAI-compatible address of a language model that proposes edits")
+    add("--llm-photos", type=int, default=8, metavar="N", help="photos of a scene it is shown at most (default 8)")
+    add("--scenes", type=int, metavar="N", help="take N scenes of the folder, drawn by --seed; the paper has 20")
     add("--llm-model", metavar="NAME", help="its name there; its key is read from OPENAI_API_KEY")
     add("--vetting", metavar="FILE", help="vetting file (default: beside --out, NAME.vetting.yaml)")
     add("--no-vetting", action="store_true", help="take the first five proposals of each scene unseen")
@@ -78,6 +80,8 @@ def _build(args: argparse.Namespace) -> int:
         write_bench_manifest(args.out, manifest)
         if not args.quiet:
             print(f"{args.out}: {len(manifest.scenes)} scenes, {len(manifest.items)} edits; sha256 {manifest.sha256}")
+            for difference in manifest.notes.get("not_as_the_paper", ()):
+                print(f"  not as the paper: {difference}.")
     return 0
 
 
@@ -112,6 +116,8 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
         "vetting": vetting,
         "seed": args.seed,
         "views": args.views,
+        "count": args.scenes,
+        "photos_shown": args.llm_photos,
         "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
         "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
     }

@@ -1,11 +1,13 @@
 """Build a benchmark's manifest: from generated scenes whose edited truth is known, or from folders of photos."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+import torch
 from jaxtyping import Float
 from PIL import Image
 from pydantic import Field
@@ -13,7 +15,7 @@ from torch import Tensor
 
 from edit3r.config import Settings
 from edit3r.errors import InputError
-from edit3r.interfaces import Detector, Editor, SceneSample, Segmenter
+from edit3r.interfaces import Detection, Detector, Editor, SceneSample, Segmenter
 from edit3r.io.atomic import atomic_write
 from edit3r.io.cameras import CAMERA_FILES, read_cameras
 from edit3r.io.images import evenly, find_photos, load_photos, save_image
@@ -49,6 +51,10 @@ GENERATED_EDITS = (
 
 MOST_TRIES = 40
 """Generated scenes looked at for each that is taken, before giving up."""
+
+PAPER_SCENES = 20
+MOST_SHOWN_SIDE = 512
+"""Longer side of what the language model is shown [pixels]."""
 
 UNNAMED = "object in the middle"
 """What templates speak of when nobody knows what a scene shows."""
@@ -144,9 +150,9 @@ class PhotoFolder:
     inputs: tuple[int, ...]  # indices of `files`
     held_back: tuple[int, ...]
 
-    def load_inputs(self, size: int) -> Float[Tensor, "view 3 height width"]:
-        """Load the input photos, longer side `size` [pixels]."""
-        return load_photos([self.path / self.files[index] for index in self.inputs], size=size).views.images[0]
+    def load(self, size: int, indices: Sequence[int]) -> Float[Tensor, "view 3 height width"]:
+        """Load the photos at `indices`, longer side `size` [pixels]."""
+        return load_photos([self.path / self.files[index] for index in indices], size=size).views.images[0]
 
 
 def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
@@ -196,12 +202,20 @@ class PhotoBuild(Settings):
     detector: Detector | None = None
     segmenter: Segmenter | None = None
     model: LanguageModel | None = None
+    photos_shown: int = Field(8, ge=0, description="most photos of a scene that the language model is shown")
+    count: int | None = Field(None, ge=1, description="how many of the scenes, drawn by the seed; None: all")
     truth: Editor | None = None  # edits all frames, held-back ones too; what it makes is the truth
 
     @cached_property
     def scenes(self) -> list[PhotoFolder]:
-        """The folders of photos."""
-        return find_photo_folders(self.folder, self.views)
+        """The folders of photos. Raises InputError where there are fewer than are asked for."""
+        found = find_photo_folders(self.folder, self.views)
+        if self.count is None:
+            return found
+        if len(found) < self.count:
+            raise InputError(f"{self.folder}: holds {len(found)} scenes, --scenes asks for {self.count}.")
+        chosen = np.random.default_rng(self.seed).choice(len(found), self.count, replace=False)
+        return [found[index] for index in sorted(chosen)]
 
     def propose(self) -> dict[str, list[ProposedEdit]]:
         """Return the proposed edits of every scene, near duplicates removed."""
@@ -210,7 +224,11 @@ class PhotoBuild(Settings):
             labels = tuple(self._objects(scene))
             if not labels:
                 warn(f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a --detector.")
-            own = bench_proposals.edits_from_model(labels, self.model) if self.model is not None else []
+            own = []
+            if self.model is not None:
+                shown = evenly(range(len(scene.files)), self.photos_shown) if self.photos_shown else []
+                photos = scene.load(MOST_SHOWN_SIDE, shown) if shown else torch.zeros(0, 3, 1, 1)
+                own = bench_proposals.edits_from_model(labels, photos, self.model)
             own += bench_proposals.edits_from_templates(labels or (UNNAMED,), self.seed + number)
             found[scene.id] = bench_proposals.without_near_duplicates(own)
         return found
@@ -233,23 +251,37 @@ class PhotoBuild(Settings):
                 "segmenter": self.segmenter and component_name(self.segmenter),
                 "language_model": self.model and self.model.name,
                 "edits_without_masks": [item.id for item in items if not item.masks],
+                "not_as_the_paper": self._differences(items, chosen.values()),
             },
         )
 
+    def _differences(self, items: Sequence[ItemRecord], chosen: Iterable[Sequence[ProposedEdit]]) -> list[str]:
+        """Return in what this benchmark was not built as the paper says (its section 3.5)."""
+        unmasked = sum(item.type in ("Remove", "Modify") and not item.masks for item in items)
+        unvetted = sum(edit.verdict != "keep" for own in chosen for edit in own)
+        said = {
+            f"{len(self.scenes)} scenes, the paper has {PAPER_SCENES}": len(self.scenes) != PAPER_SCENES,
+            "objects are named by hand, not found by a detector in all photos": self.detector is None,
+            "edits come from templates, not from a language model": self.model is None,
+            "the language model was shown no photo": self.model is not None and not self.photos_shown,
+            f"{unvetted} edits are kept by no person": unvetted > 0,
+            f"{unmasked} local edits have no masks": unmasked > 0,
+        }
+        return [sentence for sentence, holds in said.items() if holds]
+
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
-        """Return what the scene shows, with boxes: what the detector finds, else what the user says, without."""
+        """Return what the scene shows, with boxes: what the detector finds in all photos, else what the user says."""
         if self.detector is None:
             return dict.fromkeys(self.labels, ())
-        return bench_proposals.find_objects(
-            scene.load_inputs(self.image_size), self.detector, self.labels or bench_proposals.WORDS["vocabulary"]
-        )
+        photos = (scene.load(self.image_size, [index])[0] for index in range(len(scene.files)))  # of several shapes
+        return bench_proposals.find_objects(photos, self.detector, self.labels or bench_proposals.WORDS["vocabulary"])
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
         frames = tuple(FrameRecord(file=file, sha256=hash_of_file(scene.path / file)) for file in scene.files)
         return SceneRecord(id=scene.id, folder=self._relative(scene.path), cameras=scene.cameras, frames=frames)
 
     def _items(self, scene: PhotoFolder, edits: Sequence[ProposedEdit]) -> list[ItemRecord]:
-        objects = self._objects(scene)
+        objects = {word: [own[i] for i in scene.inputs] if own else [] for word, own in self._objects(scene).items()}
         names = [f"{scene.id}-{number}-{edit.type.lower()}" for number, edit in enumerate(edits, start=1)]
         return [
             ItemRecord(
@@ -262,13 +294,15 @@ class PhotoBuild(Settings):
                 seed=self.seed,
                 inputs=scene.inputs,
                 held_back=scene.held_back,
-                masks=self._masks(name, scene, edit, objects.get(edit.object, ())),
+                masks=self._masks(name, scene, edit, objects.get(edit.object, [])),
                 truth=self._truth(name, scene, edit),
             )
             for name, edit in zip(names, edits)
         ]
 
-    def _masks(self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes) -> tuple[FrameRecord, ...]:
+    def _masks(
+        self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Sequence[Detection | None]
+    ) -> tuple[FrameRecord, ...]:
         """Return those a person named, else those around a removed or modified object that a detector found.
 
         None are made when it did not find the object in every input: an edit confined to some of the views would be
@@ -281,7 +315,7 @@ class PhotoBuild(Settings):
         if not files and edit.type in ("Remove", "Modify") and boxes and None not in boxes:
             folder = make_folder(self.out.parent / f"{self.out.stem}-masks")
             files = [folder / f"{item}-{index:03d}.png" for index in scene.inputs]
-            masks = bench_proposals.masks_from_boxes(scene.load_inputs(self.image_size), boxes, self.segmenter)
+            masks = bench_proposals.masks_from_boxes(scene.load(self.image_size, scene.inputs), boxes, self.segmenter)
             for file, mask in zip(files, masks):
                 with atomic_write(file) as partial:
                     Image.fromarray((mask * 255).round().byte().numpy()).save(partial)

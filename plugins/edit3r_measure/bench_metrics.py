@@ -50,6 +50,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "clip-iqa": ("↑", ".3f"),
     "clip-iqa-sharp": ("↑", ".3f"),
     "clip-t2i": ("↑", ".3f"),
+    "clip-t2i-prompt": ("↑", ".3f"),
     "clip-direction": ("↑", ".3f"),
     "c-fid": ("↓", ".1f"),
     "c-kid": ("↓", ".3f"),
@@ -148,7 +149,8 @@ def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) ->
         found[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
     if networks.clip is not None:
         before, after = item.record.before, item.record.description or item.record.prompt
-        found["clip-t2i"] = float(networks.clip(output.images, [after]).mean())
+        described, instructed = networks.clip(output.images, [after, item.record.prompt]).mean(0).tolist()
+        found |= {"clip-t2i": described, "clip-t2i-prompt": instructed}
         found["clip-iqa"] = prompt_quality(networks.clip, output.images, "Good photo.", "Bad photo.")
         found["clip-iqa-sharp"] = prompt_quality(networks.clip, output.images, "Sharp photo.", "Blurry photo.")
         if before:

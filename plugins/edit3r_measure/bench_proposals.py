@@ -4,6 +4,8 @@ photos -> labels (detector) -> proposals (language model, templates) -> near dup
 vetting file, edited by a person -> five edits a scene
 """
 
+import base64
+import io
 import json
 import os
 import re
@@ -16,6 +18,7 @@ from typing import Literal
 import numpy as np
 import yaml
 from jaxtyping import Float
+from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
@@ -40,6 +43,9 @@ LARGEST_SHARE = 0.7
 MOST_OBJECTS = 8
 """Objects of a scene that edits are proposed for."""
 
+PROPOSALS = 4
+"""Edits of each type that a language model is asked for."""
+
 ALIKE = 0.82
 """Likeness from which two prompts count as one."""
 
@@ -63,17 +69,19 @@ class ProposedEdit(Settings):
 
 
 def find_objects(
-    images: Float[Tensor, "frame 3 height width"], detector: Detector, words: Sequence[str]
+    images: Iterable[Float[Tensor, "3 height width"]], detector: Detector, words: Sequence[str]
 ) -> dict[str, Boxes]:
     """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
 
     They are in order of that score, each with its best box in every photo, None where a photo does not show it.
     """
-    area = images.shape[-2] * images.shape[-1]
-    boxes = {word: tuple(_best(detector.detect(image, word), area) for image in images) for word in words}
-    scores = {word: sum(box.score for box in own if box) / len(images) for word, own in boxes.items()}
-    seen = [word for word, own in boxes.items() if sum(b is not None for b in own) >= SHARE_OF_VIEWS * len(images)]
-    return {word: boxes[word] for word in sorted(seen, key=lambda word: -scores[word])[:MOST_OBJECTS]}
+    boxes: dict[str, Boxes] = dict.fromkeys(words, ())
+    for image in images:
+        area = image.shape[-2] * image.shape[-1]
+        boxes = {word: (*own, _best(detector.detect(image, word), area)) for word, own in boxes.items()}
+    seen = {word: [box.score for box in own if box] for word, own in boxes.items()}
+    often = [word for word, scores in seen.items() if scores and len(scores) >= SHARE_OF_VIEWS * len(boxes[word])]
+    return {word: boxes[word] for word in sorted(often, key=lambda word: -sum(seen[word]))[:MOST_OBJECTS]}
 
 
 def _best(detections: Sequence[Detection], area: int) -> Detection | None:
@@ -106,8 +114,8 @@ class LanguageModel:
     address: str  # such as http://localhost:8000/v1; local servers want no key
     name: str
 
-    def ask(self, system: str, request: str) -> str:
-        """Return the model's answer at temperature 0. Raises RunError when none comes."""
+    def ask(self, system: str, request: str, images: Float[Tensor, "frame 3 height width"]) -> str:
+        """Return the model's answer at temperature 0, shown the images too. Raises RunError when none comes."""
         try:
             import openai
         except ImportError:
@@ -115,15 +123,28 @@ class LanguageModel:
             raise MissingDependencyError(f"--llm needs the openai client; {cure}") from None
         key = os.environ.get(KEY_VARIABLE, "").strip() or "none"
         client = openai.OpenAI(api_key=key, base_url=self.address, timeout=120, max_retries=2)
-        messages = [{"role": "system", "content": system}, {"role": "user", "content": request}]
+        content = [{"type": "text", "text": request}]
+        content += [{"type": "image_url", "image_url": {"url": _as_jpeg(image)}} for image in images]
+        messages = [
+            {"role": "system", "content": system},
+            {"role": "user", "content": content if len(images) else request},
+        ]
         try:
             answer = client.chat.completions.create(model=self.name, messages=messages, temperature=0)
         except openai.OpenAIError as error:
-            raise RunError(f"language model {self.name} at {self.address}: {' '.join(str(error).split())}") from None
+            sentence = f"language model {self.name} at {self.address}: {' '.join(str(error).split())}"
+            raise RunError(f"{sentence}; one that takes no pictures needs --llm-photos 0.") from None
         text = answer.choices[0].message.content if answer.choices else None
         if not text:
             raise RunError(f"language model {self.name} at {self.address} gave an empty answer.")
         return text
+
+
+def _as_jpeg(image: Float[Tensor, "3 height width"]) -> str:
+    """Return an image as the address that holds it."""
+    buffer = io.BytesIO()
+    Image.fromarray((image * 255).round().byte().permute(1, 2, 0).numpy()).save(buffer, "JPEG", quality=90)
+    return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
 def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
@@ -143,10 +164,15 @@ def _edit(kind: str, prompt: str, thing: str, description: str, source: str) -> 
     return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
 
 
-def edits_from_model(labels: Sequence[str], model: LanguageModel, count: int = 4) -> list[ProposedEdit]:
-    """Return what the model proposes. Raises RunError when its answer holds no usable edit."""
-    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=count)
-    answer = model.ask(WORDS["system"], request)
+def edits_from_model(
+    labels: Sequence[str], images: Float[Tensor, "frame 3 height width"], model: LanguageModel
+) -> list[ProposedEdit]:
+    """Return what the model proposes for a scene of which it sees images, which may be none, and is told the objects.
+
+    Raises RunError when its answer holds no usable edit.
+    """
+    request = WORDS["request"].format(labels=", ".join(labels) or "unknown things", count=PROPOSALS)
+    answer = model.ask(WORDS["system"], request, images)
     start, end = answer.find("["), answer.rfind("]")  # models like to put words around the list
     try:
         entries = json.loads(answer[start : end + 1])

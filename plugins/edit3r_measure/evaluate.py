@@ -3,16 +3,18 @@
 import argparse
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
 from edit3r.command import Command
 from edit3r.config import parse_assignments
-from edit3r.errors import InputError, SettingsError
+from edit3r.errors import InputError, MatchingError, SettingsError
 from edit3r.reporting import Report, collecting, track
 from edit3r_measure.report import check_least, grouped, markdown_table, write_json, write_text
 
 if TYPE_CHECKING:  # the command line is parsed without torch
+    from edit3r.registry import Registry
     from edit3r_measure.novel_view import SceneScore
 
 UNSEEN = {"procedural": {"seed": 1000, "targets": 1, "angles": [5, 25]}}
@@ -26,14 +28,23 @@ class EvaluateCommand(Command):
         add = parser.add_argument
         places = "photos with a cameras.json or transforms.json, or a data set such as procedural"
         add("folders", nargs="+", metavar="FOLDER|NAME", help=places)
-        add("--recon", required=True, metavar="NAME", help="reconstructor")
+        add("--recon", default="edit3r", metavar="NAME", help="reconstructor (default edit3r)")
         add("--rasterizer", default="auto", metavar="NAME", help="rasterizer (default auto)")
-        pairs = "most pairs of photos a folder, 5 to 30 degrees apart; scenes of a data set"
+        pairs = "most pairs of photos a folder (and class of overlap), 5 to 30 degrees apart; scenes of a data set"
         add("--pairs", type=int, default=6, metavar="N", help=pairs)
         size = "side of the square the photos are cut and resized to"
         add("--size", type=int, default=256, metavar="PIXELS", help=size)
         edits = "on data sets that know a true edit: how it is carried and fused, instead of novel views"
         add("--edits", action="store_true", help=edits)
+        add("--index", metavar="FILE", help="pairs of an evaluation index file, by NoPoSplat's protocol")
+        add("--make-index", metavar="FILE", help="write such a file for the folders, --pairs of each class of overlap")
+        align = "steps that align a target with its photo (default 100, 0: none), input cameras twice as many"
+        add("--align", type=int, default=100, metavar="N", help=align)
+        add(
+            "--lpips",
+            action="store_true",
+            help="with --index: LPIPS instead of the perceptual distance that is offline",
+        )
         settings = "such as reconstructor.opacity=0.8 or dataset.seed=5"
         add("--set", action="append", default=[], metavar="KEY=VALUE", help=settings)
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
@@ -43,27 +54,17 @@ class EvaluateCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.console import StageConsole
         from edit3r.registry import default_registry
-        from edit3r_measure.novel_view import score_scene
-        from edit3r_measure.scene_sources import NO_TRIPLES, SceneOptions, find_scenes
 
         settings = _checked_settings(args)
         registry = default_registry(tuple(args.plugin))
-        reconstructor = registry.build("reconstructor", args.recon, **settings.get("reconstructor", {}))
-        rasterizer = registry.build("rasterizer", args.rasterizer, **settings.get("rasterizer", {}))
-        own = {"image_size": args.size, **({"edit": "recolor"} if args.edits else {})}
-        unseen = {name: {**drawn, **own} for name, drawn in UNSEEN.items()}
-        datasets = {place: {**unseen.get(place, {}), **settings.get("dataset", {})} for place in args.folders}
-        options = SceneOptions(args.pairs, args.size, datasets)
-        sources = {place: find_scenes(place, options, registry) for place in args.folders}
-        scores = []
+        measure = _scores if args.index is None else _scores_by_index
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
-            for place, scenes in sources.items():
-                with report.stage(place):
-                    found = (score_scene(s.load(), reconstructor, rasterizer, args.edits) for s in track(scenes, place))
-                    scores += [score for score in found if score is not None]
-        if not scores:
-            lacking = "no true edit is known" if args.edits else NO_TRIPLES
-            raise InputError(f"{args.folders[0]}: {lacking}; nothing to measure.")
+            if args.make_index:
+                from edit3r_measure.overlap_index import make_index
+
+                write_json(args.make_index, make_index(args.folders, args.pairs, args.size, registry))
+                return 0
+            scores = measure(args, settings, registry, report)
         text = as_markdown(scores)
         print(text, end="")
         if args.out and args.out.endswith(".json"):
@@ -73,9 +74,67 @@ class EvaluateCommand(Command):
         return 0
 
 
+def _built(settings: Mapping[str, Any], args: argparse.Namespace, registry: "Registry") -> "list[Any]":
+    """Return reconstructor and rasterizer."""
+    names = {"reconstructor": args.recon, "rasterizer": args.rasterizer}
+    return [registry.build(kind, name, **settings.get(kind, {})) for kind, name in names.items()]
+
+
+def _scores(
+    args: argparse.Namespace, settings: Mapping[str, Any], registry: "Registry", report: Report
+) -> "list[SceneScore]":
+    from edit3r_measure.novel_view import score_scene
+    from edit3r_measure.scene_sources import NO_TRIPLES, SceneOptions, find_scenes
+
+    own = {"image_size": args.size, **({"edit": "recolor"} if args.edits else {})}
+    unseen = {name: {**drawn, **own} for name, drawn in UNSEEN.items()}
+    datasets = {place: {**unseen.get(place, {}), **settings.get("dataset", {})} for place in args.folders}
+    options, tools = SceneOptions(args.pairs, args.size, datasets), _built(settings, args, registry)
+    sources = {place: find_scenes(place, options, registry) for place in args.folders}
+    scores = []
+    for place, scenes in sources.items():
+        with report.stage(place):
+            scores += [score_scene(scene.load(), *tools, args.edits) for scene in track(scenes, place)]
+    scores = [score for score in scores if score is not None]
+    if not scores:
+        lacking = "no true edit is known" if args.edits else NO_TRIPLES
+        raise InputError(f"{args.folders[0]}: {lacking}; nothing to measure.")
+    return scores
+
+
+def _scores_by_index(
+    args: argparse.Namespace, settings: Mapping[str, Any], registry: "Registry", report: Report
+) -> "list[SceneScore]":
+    from edit3r_measure.novel_view import SceneScore
+    from edit3r_measure.overlap_index import photos_of, read_index
+    from edit3r_measure.pose_alignment import measure_pair
+    from edit3r_measure.scene_sources import rotation_degrees
+
+    tools, distance = _built(settings, args, registry), "lpips" if args.lpips else "perceptual"
+    perceptual, own = (distance, registry.build("loss", distance)), settings.get("dataset", {})
+    places = [
+        p if Path(p).is_dir() else registry.build("dataset", p, image_size=args.size, **own) for p in args.folders
+    ]
+    found = grouped(read_index(Path(args.index)), lambda pair: f"{pair[0]} {pair[1].overlap_class}")
+    pairs, scores = [pair for own in found.values() for pair in own[: args.pairs]], []
+    for scene, entry in track(pairs, args.index):
+        frames = (*entry.context, *entry.targets)
+        photos, failure, figures = photos_of(places, scene, frames, args.size), "", {}
+        count = len(entry.context)
+        with report.stage(f"{scene} {frames}"):
+            try:
+                figures = measure_pair(*tools, perceptual, photos[:count], photos[count:], args.align)
+            except MatchingError as error:
+                failure = str(error)
+        names = (scene, str(frames[0]), str(frames[count - 1]), " ".join(map(str, entry.targets)))
+        degrees = rotation_degrees(photos[0].c2w[:3, :3], photos[count - 1].c2w[:3, :3])
+        scores.append(SceneScore("protocol", *names, degrees, failure, figures, entry.overlap_class))
+    return scores
+
+
 def _checked_settings(args: argparse.Namespace) -> dict[str, Any]:
     """Return what `--set` says; raises SettingsError for arguments that make no sense."""
-    check_least(args, pairs=1, size=16)
+    check_least(args, pairs=1, size=16, align=0)
     if args.out and not args.out.endswith((".md", ".json")):
         raise SettingsError(f"--out {args.out}: expected a file that ends in .md or .json.")
     settings = parse_assignments(args.set)
@@ -89,7 +148,9 @@ def as_records(scores: Sequence["SceneScore"]) -> list[dict[str, Any]]:
     """Return JSON data, one mapping a pair, novel views first; figures that a failure left unknown are null."""
     from edit3r_measure.novel_view import FIGURES
 
-    abouts = {"novel view": ("scene", "first", "second", "target", "degrees"), "edit": ("scene", "first", "second")}
+    pair = ("scene", "first", "second")
+    abouts = {"novel view": (*pair, "target", "degrees"), "edit": pair}
+    abouts["protocol"] = (*abouts["novel view"], "overlap")
     records = []
     for score in (score for kind in abouts for score in scores if score.kind == kind):
         about = {name: getattr(score, name) for name in (*abouts[score.kind], "failure")}
@@ -160,4 +221,26 @@ def edit_table(scores: Sequence["SceneScore"]) -> str:
     return _with_failures(markdown_table(["carried edits", "scenes", "mean", "median"], rows), scores)
 
 
-TABLES = {"novel view": novel_view_table, "edit": edit_table}
+def protocol_table(scores: Sequence["SceneScore"]) -> str:
+    """Return one row a class of overlap and one for all pairs; failures count as infinite errors of pose."""
+    from edit3r_measure.overlap_index import CLASSES
+    from edit3r_measure.pose_alignment import AUC_DEGREES, auc
+
+    names = next((list(score.figures) for score in scores if score.figures), [])
+    means = [name for name in names if not name.endswith("pose_error")]
+    errors = [name for name in names if name.endswith("pose_error")]
+    classes, rows = grouped(scores, lambda score: score.overlap), []
+    for kind in (*(name for name in (*CLASSES, "not classed") if name in classes), "all pairs"):
+        own = classes.get(kind, scores)
+        done = [score.figures for score in own if not score.failure]
+        cells = [f"{fmean(f[n] for f in done):.{2 if 'psnr' in n else 3}f}" if done else "-" for n in means]
+        for name in errors:
+            degrees = [score.figures.get(name, math.inf) for score in own]
+            cells.append(" / ".join(f"{auc(degrees, limit):.2f}" for limit in AUC_DEGREES))
+        rows.append([kind, str(len(own)), str(len(own) - len(done)), *cells])
+    heads = [name.replace("_", " ") for name in means]
+    heads += [f"AUC of {name.replace('_', ' ')} at {'/'.join(map(str, AUC_DEGREES))}°" for name in errors]
+    return _with_failures(markdown_table(["overlap", "pairs", "failed", *heads], rows), scores)
+
+
+TABLES = {"novel view": novel_view_table, "edit": edit_table, "protocol": protocol_table}

@@ -68,17 +68,20 @@ def psnr(image: np.ndarray, target: np.ndarray, covered: Bool[np.ndarray, "heigh
         return float(peak_signal_noise_ratio(target, np.clip(image, 0, 1), data_range=1.0))
 
 
-def ssim(image: Image, target: Image, covered: Bool[np.ndarray, "height width"] | None = None) -> float:
-    """Return the mean structural similarity in [-1, 1] (Wang et al. 2004, 7x7 window, mean over channels).
+def ssim(
+    image: Image, target: Image, covered: Bool[np.ndarray, "height width"] | None = None, gaussian: bool = False
+) -> float:
+    """Return the mean structural similarity in [-1, 1] (Wang et al. 2004, mean over channels).
 
-    Over the windows whose middle is a `covered` pixel if given, NaN when none is. Raises ValueError below 3x3 pixels.
+    In windows of 7x7 pixels, or as much as fits, or weighted by a Gaussian of 1.5 pixels in 11x11. Over the windows
+    whose middle is a `covered` pixel if given, NaN when none is. Raises ValueError where no window fits.
     """
-    window = min(7, *target.shape[:2])
-    if window < 3:
-        raise ValueError(f"ssim: expected pictures of at least 3x3 pixels, got {target.shape[:2]}")
+    window = 11 if gaussian else min(7, *target.shape[:2])
+    if not 3 <= window <= min(target.shape[:2]):
+        raise ValueError(f"ssim: expected pictures of at least {max(3, window)} pixels a side, got {target.shape[:2]}")
     clipped = np.clip(image, 0, 1).astype(target.dtype)
-    odd = window - 1 + window % 2
-    mean, values = structural_similarity(clipped, target, win_size=odd, channel_axis=-1, data_range=1.0, full=True)
+    weights = {"gaussian_weights": True} if gaussian else {"win_size": window - 1 + window % 2}
+    mean, values = structural_similarity(clipped, target, **weights, channel_axis=-1, data_range=1.0, full=True)
     if covered is None:
         return float(mean)
     return float(values[covered].mean()) if covered.any() else float("nan")

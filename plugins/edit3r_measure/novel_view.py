@@ -54,6 +54,18 @@ FIGURES = {
         "edited_psnr": "novel view of the edited scene against its truth [dB], first photo edited alone",
         "unedited_psnr": "the same without an edit [dB]",
     },
+    "protocol": {
+        "psnr": "mean over the targets, from their true places [dB]",
+        "ssim": "of the same, in Gaussian windows of 11 pixels",
+        "lpips": "of the same",
+        "perceptual": "of the same, by features of EfficientNet-lite0; not LPIPS",
+        "aligned_psnr": "from where the targets look most like their photos, the scene frozen [dB]",
+        "aligned_ssim": "of the same",
+        "aligned_lpips": "of the same",
+        "aligned_perceptual": "of the same",
+        "pose_error": "larger of the errors of rotation and of baseline direction between the inputs [degrees]",
+        "refined_pose_error": "after the last input camera was aligned with its photo",
+    },
 }
 """What can be measured on a scene, and the figures of each, in the order of reports."""
 
@@ -70,6 +82,7 @@ class SceneScore:
     degrees: float  # angle between the input cameras
     failure: str = ""  # why nothing could be measured; "" when it could
     figures: Mapping[str, float] = field(default_factory=dict)  # as FIGURES names them; none after a failure
+    overlap: str = ""  # class of the inputs' overlap, where an index file tells it
 
 
 @dataclass(frozen=True)
@@ -97,12 +110,13 @@ def predict(
     reconstruction: Reconstruction, rasterizer: Rasterizer, first: Photo, second: Photo, target: Photo
 ) -> RenderedView:
     """Render the target, at its own size, from the scene that was made of `first` and `second`."""
-    return _render(reconstruction.gaussians, rasterizer, _target_camera(reconstruction, first, second, target))
+    return _render(reconstruction.gaussians, rasterizer, target_camera(reconstruction, first, second, target))
 
 
-def _target_camera(reconstruction: Reconstruction, first: Photo, second: Photo, target: Photo) -> Cameras:
+def target_camera(reconstruction: Reconstruction, first: Photo, second: Photo, target: Photo) -> Cameras:
+    """Return the true camera of `target`, in the unit that makes the predicted distance of the inputs the true one."""
     pose = relative_pose(target, first)
-    predicted, true = _predicted_pose(reconstruction), relative_pose(second, first)
+    predicted, true = predicted_pose(reconstruction), relative_pose(second, first)
     pose[:3, 3] *= np.linalg.norm(predicted[:3, 3]) / np.linalg.norm(true[:3, 3])
     return _camera(pose, target, reconstruction.gaussians)
 
@@ -113,11 +127,11 @@ def _camera(c2w: Float[np.ndarray, "4 4"], photo: Photo, gaussians: Gaussians) -
     return Cameras(pose, intrinsics, photo.image.shape[:2])
 
 
-def _predicted_pose(reconstruction: Reconstruction) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of the second input photo in the frame of the first."""
+def predicted_pose(reconstruction: Reconstruction) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of the last input photo in the frame of the first."""
     if reconstruction.cameras is None:
         raise PluginError("evaluation needs a reconstructor that predicts its photos' cameras; this one does not.")
-    return reconstruction.cameras.c2w[0, 1].double().cpu().numpy()
+    return reconstruction.cameras.c2w[0, -1].double().cpu().numpy()
 
 
 def _render(gaussians: Gaussians, rasterizer: Rasterizer, camera: Cameras) -> RenderedView:
@@ -155,7 +169,7 @@ def _novel_view(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasteriz
     shown = predict(reconstruction, rasterizer, first, second, target)
     photos = (first.image, second.image)
     blurred = best_blurred_copy(photos, target.image)
-    rotation_error, direction_error = _pose_errors(reconstruction, first, second)
+    rotation_error, direction_error = pose_errors(predicted_pose(reconstruction), relative_pose(second, first))
     return {
         "psnr": psnr(shown.image, target.image),
         "blurred_psnr": blurred.psnr,
@@ -170,9 +184,8 @@ def _novel_view(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasteriz
     }
 
 
-def _pose_errors(reconstruction: Reconstruction, first: Photo, second: Photo) -> tuple[float, float]:
+def pose_errors(predicted: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]) -> tuple[float, float]:
     """Return the errors of rotation and of baseline direction [degrees]."""
-    predicted, true = _predicted_pose(reconstruction), relative_pose(second, first)
     lengths = np.linalg.norm(predicted[:3, 3]) * np.linalg.norm(true[:3, 3])
     cosine = predicted[:3, 3] @ true[:3, 3] / max(lengths, 1e-12)
     direction = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
@@ -212,7 +225,7 @@ def _carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Raster
     alone, both = views_of([edited_first, second]), views_of([edited_first, _opposite(second, edited_second)])
     plain, carried, fused = (reconstructor(views, source) for views in (source, alone, both))
     own = plain.cameras.select([1])
-    between = _target_camera(plain, first, second, target)
+    between = target_camera(plain, first, second, target)
 
     def shown(reconstruction: Reconstruction, camera: Cameras, view: int | None = None) -> RenderedView:
         """Render all Gaussians, or those of one view."""

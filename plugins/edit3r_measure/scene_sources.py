@@ -94,23 +94,21 @@ def choose_triples(
     for first, second in combinations(range(len(poses)), 2):
         angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
         if degrees[0] <= angle <= degrees[1]:
-            target = _photo_between(poses, first, second, angle)
-            if target is not None:
-                triples.append(Triple(first, second, target, angle))
+            triples += [Triple(first, second, target, angle) for target in photos_between(poses, first, second)[:1]]
     return evenly(triples, count)
 
 
-def _photo_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int, angle: float) -> int | None:
-    """Return the photo nearest to the middle of the baseline that looks the same way; None when there is none."""
+def photos_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> list[int]:
+    """Return the photos near the middle of the baseline that look the same way, nearest to it first."""
+    angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
     start, end = poses[first][:3, 3], poses[second][:3, 3]
-    baseline = max(np.linalg.norm(end - start), 1e-12)
+    near = FARTHEST_BETWEEN * max(np.linalg.norm(end - start), 1e-12)
     distances = {
-        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2) / baseline
+        index: np.linalg.norm(poses[index][:3, 3] - (start + end) / 2)
         for index, turn in _turns(poses, first, second).items()
         if turn <= angle
     }
-    best = min(distances, key=distances.__getitem__, default=None)
-    return None if best is None or distances[best] >= FARTHEST_BETWEEN else best
+    return sorted((index for index in distances if distances[index] < near), key=distances.__getitem__)
 
 
 def _turns(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> dict[int, float]:

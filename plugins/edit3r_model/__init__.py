@@ -1,7 +1,8 @@
 """The networks of the paper: photos without poses to 3D Gaussians in one pass, any number of views.
 
 The small network, reconstructor `edit3r`, carries edits between views over matched geometry; its weights ship:
-`small_reconstructor` runs `small_network`, which is made of `small_encoder` and works on `edit_colour`.
+`small_reconstructor` runs `small_backbone` and `small_head`, whose networks are in `edit_fusion` and whose rules are in
+`edit_colour`.
 
 The full network, reconstructor `noposplat`, finds geometry by itself and needs weights: `full_reconstructor` brings
 images to its size (`view_fitting`) and runs `full_network`, that is `backbone` (of blocks in `transformer`) and
@@ -44,18 +45,28 @@ _CITATION = (
 
 @hookimpl
 def register_backbones():
-    return Component(
+    about = "small U-Net over photos and matched geometry"
+    small = Component("matched-unet", "edit3r_model.small_backbone:MatchedUNet", about, min_views=2)
+    full = Component(
         "asymmetric-vit",
         "edit3r_model.backbone:AsymmetricViT",
         "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other views",
         min_views=2,
         citation=_CITATION,
     )
+    return (small, full)
 
 
 @hookimpl
 def register_heads():
-    return Component(
+    small = Component(
+        "edit-fusion",
+        "edit3r_model.small_head:EditFusionHead",
+        "carries and fuses the edits over matched geometry; goes with any backbone",
+        parts=("backbone",),
+        min_views=2,
+    )
+    full = Component(
         "dpt-gaussian",
         "edit3r_model.dpt_head:DptGaussianHead",
         "dense heads: centres from transformer features alone, attributes with an RGB shortcut",
@@ -63,6 +74,7 @@ def register_heads():
         min_views=2,
         citation=_CITATION,
     )
+    return (small, full)
 
 
 @hookimpl
@@ -71,7 +83,7 @@ def register_reconstructors():
         name="edit3r",
         target="edit3r_model.small_reconstructor:Edit3rReconstructor",
         summary="matched geometry, and a small network that carries and fuses the edits (weights ship)",
-        parts=("matcher",),
+        parts=("matcher", "backbone", "head"),
         min_views=2,
         weights=(OFFICIAL,),
         citation="Edit3r: Instant 3D Scene Editing from Sparse Unposed Images",

@@ -4,7 +4,6 @@ Our format is a folder with `model.safetensors` (our parameter names) and `confi
 `edit3r train` wrote holds the configuration itself.
 """
 
-import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from torch import Tensor, nn
 
 from edit3r.errors import InputError, MissingDependencyError
 from edit3r.io.atomic import atomic_write
+from edit3r.io.fetching import sha256_of
 from edit3r.training.checkpoint import WEIGHTS as TRAINED
 from edit3r.weights import find
 from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
@@ -86,7 +86,7 @@ def load_weights(source: str | Path) -> LoadedWeights:
         config, licence = _parse_config(bytes(embedded.tolist()), path)
     else:
         return _official(tensors, path, str(source))
-    return LoadedWeights(config, tensors, str(source), "edit3r", _sha256(path), licence)
+    return LoadedWeights(config, tensors, str(source), "edit3r", sha256_of(path), licence)
 
 
 def are_of_the_full_network(source: str) -> bool:
@@ -96,7 +96,7 @@ def are_of_the_full_network(source: str) -> bool:
         return True
     if path.is_dir():
         path = next((path / name for name in (WEIGHTS, TRAINED) if (path / name).is_file()), path)
-    return path.is_file() and any(name.startswith("backbone.") for name in _read_safetensors(path))
+    return path.is_file() and ((path.parent / CONFIG).is_file() or EXTRA_STATE in _read_safetensors(path))
 
 
 def save_weights(
@@ -170,7 +170,7 @@ def is_hub_id(source: str) -> bool:
 def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedWeights:
     kind, config, state = read_official(content, path, source)
     return LoadedWeights(
-        config, state, source, kind, _sha256(path), LICENCES[kind], drawn=state.drawn, unexpected=state.unexpected()
+        config, state, source, kind, sha256_of(path), LICENCES[kind], drawn=state.drawn, unexpected=state.unexpected()
     )
 
 
@@ -250,14 +250,6 @@ def _fill_leaf(name: str, leaf: nn.Module, loaded: LoadedWeights) -> None:
             count = int((~value.isfinite()).sum())
             raise InputError(f"{loaded.source}: {name}.{key} holds {count} values that are not finite.")
         setattr(leaf, key, nn.Parameter(value, requires_grad=old.requires_grad))
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 22):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _download(source: str) -> Path:

@@ -10,12 +10,13 @@ from torch import nn
 from edit3r.config import PartChoice, Settings, make_settings
 from edit3r.errors import MissingDependencyError, RunError, SettingsError
 from edit3r.interfaces import Backbone, GaussianHead, Reconstructor
+from edit3r.io.pretrained import out_of_memory_told, pick_device
 from edit3r.reporting import note, progress, warn
 from edit3r.types import EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_model.engine import EnginePlan, Precision, make_plan, prepare_leaf
 from edit3r_model.full_network import GaussianNetwork, NetworkConfig, PartConfig
-from edit3r_model.memory import check_fits, draw_leaf, estimate_bytes, explaining_exhaustion, leaf_names
+from edit3r_model.memory import ADVICE, check_fits, draw_leaf, estimate_bytes, leaf_names
 from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
 
 EMPTY = {"seed": None}  # sizes come with the weights; nothing is drawn before
@@ -108,7 +109,7 @@ class NoPoSplatReconstructor(Reconstructor):
         what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
         check_fits(estimate_bytes(backbone, len(views.images), views.count, size), self.device, what)
         note("reconstructor.network_input_size", list(size))
-        with explaining_exhaustion(what), torch.set_grad_enabled(differentiable):
+        with out_of_memory_told(what, ADVICE), torch.set_grad_enabled(differentiable):
             inputs = fitted.views.to(self.device, torch.float32)
             gaussians = self._network(inputs.images, inputs.intrinsics).to(views.images.device)
         _require_finite(gaussians)
@@ -124,7 +125,8 @@ def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> 
 
     The network comes back in evaluation mode on its device.
     """
-    device = choose_device(settings.device)
+    best = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = pick_device(settings.device, best, "reconstructor.device")
     plan = make_plan(settings.precision, settings.head_precision, device)
     if settings.weights == RANDOM:
         if any(value.is_meta for value in backbone.parameters()):  # empty: its own sizes are now those that count
@@ -140,19 +142,6 @@ def load_network(settings: Settings, backbone: Backbone, head: GaussianHead) -> 
         leaves = fill(network, loaded, settings.seed)
     _prepare(network, leaves, plan, device)
     return network.eval()
-
-
-def choose_device(name: str) -> torch.device:
-    """Return the device called `name`, or for `auto` the best one; raises MissingDependencyError without CUDA."""
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise SettingsError(f"reconstructor.device: expected auto, cpu, cuda or cuda:N, got {name!r}.") from None
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise MissingDependencyError(f"reconstructor.device: {name} asked for, but this torch sees no CUDA device.")
-    return device
 
 
 def _network_of(backbone: Backbone, head: GaussianHead, resolution: int) -> GaussianNetwork:

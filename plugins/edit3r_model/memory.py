@@ -4,14 +4,13 @@ import ctypes
 import mmap
 import sys
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from edit3r.errors import RunError, is_out_of_memory
+from edit3r.errors import RunError
 from edit3r.interfaces import Backbone
 
 ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
@@ -97,14 +96,3 @@ def check_fits(needed: int, device: torch.device, what: str) -> None:
             f"{what} needs about {needed / 2**30:.1f} GiB of memory on {device}, {free / 2**30:.1f} GiB are free; "
             f"{ADVICE}."
         )
-
-
-@contextmanager
-def explaining_exhaustion(what: str) -> Iterator[None]:
-    """Turn running out of memory inside the block into a RunError that says what to lower."""
-    try:
-        yield
-    except Exception as error:
-        if is_out_of_memory(error) or "not enough memory" in str(error):
-            raise RunError(f"{what} ran out of memory; {ADVICE}.") from error
-        raise

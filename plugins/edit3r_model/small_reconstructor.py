@@ -3,7 +3,11 @@
 Every image pixel becomes one Gaussian, at the image's own resolution and sharpness.
 """
 
+import hashlib
+import json
 from dataclasses import replace
+from math import lcm
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,24 +18,19 @@ from torch import Tensor, nn
 from edit3r import config, reporting
 from edit3r.config import PartChoice
 from edit3r.errors import SettingsError
-from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians, scale_poses
+from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.maps import guided_upsample, resize
+from edit3r.geometry.maps import resize
 from edit3r.geometry.surroundings import apron, backdrop
-from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, warp
-from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry, Matcher, Reconstructor
 from edit3r.registry import build
+from edit3r.training.checkpoint import WEIGHTS, load_weights
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, near_an_edit
-from edit3r_model.small_network import NetworkInputs, NetworkOutputs, load_network, network_grid
-from edit3r_model.surface import discs
+from edit3r_model.small_backbone import averaged
 
-VISIBLE_CHANGE = 0.05
-"""A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
-MEASURED = 0.5
-"""Confidence below which a depth was filled in."""
-FLOATING_OPACITY = 0.02
-"""Before correction, of points that other photos contradict."""
+SHIPPED = Path(__file__).parent / "weights" / "edit3r-small.safetensors"
+GRID = 8
+"""The network's images have sides that are multiples of this [pixels]."""
 
 
 class Edit3rReconstructor(Reconstructor):
@@ -39,6 +38,9 @@ class Edit3rReconstructor(Reconstructor):
 
     View 0 is the reference: its edit is kept as it is. Where another view's edit is the same function of colour, that
     view keeps its own edited colours exactly, as it does without any edit.
+
+    It is made of its parts: the matcher reads geometry from the unedited images, the backbone turns both into
+    features, the head makes the Gaussians. Parts that take no geometry are the paper's form: no matcher then.
     """
 
     takes_geometry = True
@@ -50,54 +52,35 @@ class Edit3rReconstructor(Reconstructor):
             ),
             description="reads pose and depth from the photos; coarser and quicker than on its own",
         )
+        backbone: PartChoice = Field(PartChoice(name="matched-unet"), description="images and geometry to features")
+        head: PartChoice = Field(PartChoice(name="edit-fusion"), description="features to Gaussians")
         weights: str = Field(
             "shipped",
             description="'shipped', 'untrained', a file or the folder best of `edit3r train`; 'official' or other "
-            "weights of the full network take its place: geometry and edit from that network alone",
+            "weights of the full network take the parts' place: geometry and edit from that network alone",
         )
         full: dict[str, Any] = Field(
             default_factory=dict, description="settings of `noposplat` that count with weights of the full network"
         )
         network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
-        fuse_edits: bool = Field(
-            True, description="false: each view keeps its own edited colours (plain reconstruction)"
-        )
-        depth_repair: float = Field(
-            0.0,
-            ge=0,
-            le=1,
-            description="share of the network's depth correction that counts; pictures are better without, training "
-            "sets 1, so that losses on the centres move something",
-        )
-        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
-        opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
-        conflict_opacity: float = Field(
-            0.45,
-            gt=0,
-            le=1,
-            description="share of its opacity that a view keeps where its edit contradicts the reference's; 1: all",
-        )
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
+        apron_opacity: float = Field(0.6, gt=0, lt=1, description="opacity of that rim")
         backdrop: float = Field(
             0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
         )
-        thickness: float = Field(
-            0.3, gt=0, le=1, description="of a Gaussian across the surface, over its size along it; 1: round"
-        )
-        footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
 
-    def __init__(self, settings: Settings, matcher: Matcher) -> None:
+    def __init__(self, settings: Settings, matcher: Matcher, backbone: Backbone, head: GaussianHead) -> None:
         self.settings = settings
-        self.matcher = matcher
-        self.full = _full_form(settings)  # None: the small form
+        self.matcher, self.backbone, self.head = matcher, backbone, head
+        self.full = _full_form(settings, backbone, head)  # None: the small form
         self.takes_geometry = self.full is None
-        self._network = load_network(settings.weights) if self.full is None else self.full.network
+        self._network = self.full.network if self.full else load_parts(settings.weights, backbone, head)
 
     @property
     def network(self) -> nn.Module:
-        """The trainable part."""
+        """The trainable part: backbone and head together."""
         return self._network
 
     def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
@@ -122,33 +105,22 @@ class Edit3rReconstructor(Reconstructor):
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
         """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""
         unit = geometry.depths[:, 0].flatten(1).median(1).values
-        unit_geometry = _in_unit(geometry, unit)
-        outputs = self._network(self._network_inputs(views, source, unit_geometry))
-        reconstruction = assemble(views, source, unit_geometry, self._with_share(outputs), self.settings)
+        prior = _in_unit(geometry, unit)
+        cameras = Cameras(prior.c2w, source.intrinsics, source.image_size)
+        reconstruction = Reconstruction(self._gaussians(views, source, prior), cameras)
         return _hide_unplaced(_back_from_unit(reconstruction, unit), geometry)
 
-    def _network_inputs(self, views: Views, source: Views, geometry: MatchedGeometry) -> NetworkInputs:
-        """Everything on the network's grid; depths are averaged as inverse depths."""
-        size = network_grid(source.image_size, self.settings.network_size)
-        return NetworkInputs(
-            source=resize(source.images, size),
-            edited=resize(views.images, size),
-            depths=1 / resize(1 / geometry.depths[:, :, None], size)[:, :, 0],
-            confidence=resize(geometry.confidence[:, :, None], size)[:, :, 0],
-            c2w=geometry.c2w,
-            intrinsics=source.intrinsics,
-        )
+    def _gaussians(self, views: Views, source: Views, prior: MatchedGeometry) -> Gaussians:
+        """Backbone, then head; only parts that take geometry are given it."""
+        size = network_grid(source.image_size, self.settings.network_size, self.backbone.patch_size)
+        given = (averaged(prior, size),) if self.backbone.takes_geometry else ()
+        features = self.backbone(resize(source.images, size), source.intrinsics, *given)
+        if self.head.takes_geometry:
+            return self.head(features, views.images, source, prior)
+        from edit3r_model import view_fitting
 
-    def _with_share(self, outputs: NetworkOutputs) -> NetworkOutputs:
-        """The share of the network's corrections of geometry that the settings let count."""
-        depth, opacity = self.settings.depth_repair, self.settings.opacity_repair
-        return replace(
-            outputs,
-            depth_correction=depth * outputs.depth_correction,
-            opacity_correction=opacity * outputs.opacity_correction,
-            scale_correction=opacity * outputs.scale_correction,
-            disagreement=opacity * outputs.disagreement,
-        )
+        gaussians = self.head(features, view_fitting.resize(views.images, size))
+        return view_fitting.regrid(gaussians, size, views.image_size, views.images)
 
     def _with_surroundings(
         self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry
@@ -161,12 +133,21 @@ class Edit3rReconstructor(Reconstructor):
         if self.settings.backdrop > 0:
             parts.append(backdrop(fused, geometry, self.settings.backdrop))
         if self.settings.apron > 0:
-            parts.append(apron(fused, geometry, self.settings.apron, self.settings.opacity))
+            parts.append(apron(fused, geometry, self.settings.apron, self.settings.apron_opacity))
         return replace(reconstruction, gaussians=Gaussians.cat(parts))
 
 
-def _full_form(settings: Edit3rReconstructor.Settings) -> Reconstructor | None:
-    """The paper's own network where the weights are its weights, else None; raises SettingsError for misfits."""
+def _full_form(settings: Edit3rReconstructor.Settings, backbone: Backbone, head: GaussianHead) -> Reconstructor | None:
+    """The paper's form where parts or weights ask for it, else None; raises SettingsError for misfits."""
+    if not (backbone.takes_geometry or head.takes_geometry):
+        if settings.weights == "shipped":
+            raise SettingsError(
+                "reconstructor.weights: those that ship are of backbone matched-unet and head edit-fusion; give "
+                "weights of the chosen parts, or untrained."
+            )
+        weights = "random" if settings.weights == "untrained" else settings.weights
+        parts = {"backbone": backbone, "head": head}
+        return build("reconstructor", "noposplat", parts, **{**settings.full, "weights": weights})
     if settings.weights not in ("shipped", "untrained"):  # the small form loads nothing of the full one
         from edit3r_model.checkpoints import are_of_the_full_network
 
@@ -177,65 +158,28 @@ def _full_form(settings: Edit3rReconstructor.Settings) -> Reconstructor | None:
     return None
 
 
-def assemble(
-    edited: Views,
-    source: Views,
-    geometry: MatchedGeometry,
-    outputs: NetworkOutputs,
-    settings: Edit3rReconstructor.Settings,
-) -> Reconstruction:
-    """Turn geometry, images and the network's decisions into one Gaussian per pixel, in the frame of view 0."""
-    images = source.images
-    fine = _at_image_size(outputs, images)
-    depths = geometry.depths * fine.depth_correction.exp()
-    matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-    floating = contradicted(geometry, source.intrinsics)
-    logits = torch.logit(torch.where(floating, FLOATING_OPACITY, settings.opacity)) + fine.opacity_correction
-    colours, yielding = edited.images, 1.0
-    if settings.fuse_edits:
-        near = near_an_edit(edited.images, images, matches, geometry.confidence >= MEASURED)
-        near = near * edits_disagree(edited.images, images, matches)
-        colours = fuse_colours(edited.images, images, fine, matches, near)
-        logits = logits + near * fine.disagreement
-        conflict = edits_conflict(edited.images, images, matches, near)
-        yielding = 1 - (1 - settings.conflict_opacity) * conflict
-    opacities = torch.sigmoid(logits) * yielding
-    scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
-    cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
-    gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacities)
-    return Reconstruction(discs(gaussians, tuple(depths.shape[1:]), settings.thickness), cameras)
+def load_parts(weights: str, backbone: Backbone, head: GaussianHead) -> nn.Module:
+    """Give the parts the 'shipped' weights or those of a file; 'untrained' ones keep their own, which is announced."""
+    network = nn.ModuleDict({"backbone": backbone, "head": head})
+    network.to(memory_format=torch.channels_last)  # a quarter quicker on a CPU
+    if weights == "untrained":
+        reporting.warn("edit3r: the network is untrained; repairs and fused edits are those of a random start.")
+        return network.eval()
+    path = SHIPPED if weights == "shipped" else Path(weights)
+    path = path / WEIGHTS if path.is_dir() else path
+    load_weights(network, path)
+    card = path.with_suffix(".json")  # data, steps, licence
+    licence = json.loads(card.read_text(encoding="utf-8")).get("licence") if card.is_file() else None
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    reporting.note("weights.edit3r", {"file": path.name, "sha256": digest, "licence": licence or "not stated"})
+    return network.eval()
 
 
-def fuse_colours(
-    edited: Float[Tensor, "batch view 3 height width"],
-    source: Float[Tensor, "batch view 3 height width"],
-    outputs: NetworkOutputs,
-    matches: Correspondences,
-    near: Float[Tensor, "batch view height width"],
-) -> Float[Tensor, "batch view 3 height width"]:
-    """Mix the candidates for each pixel's colour; exactly `edited` where it is not `near` a change."""
-    shape = source.shape[:2]
-    carried = (source + change_of(outputs.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
-    reference = torch.cat((edited[:, :1], (edited - source)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
-    warped, change = warp(reference, matches.coordinates).split(3, 2)
-    presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
-    presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
-    choice = outputs.choice * near[:, :, None]
-    taken = choice[:, :, 2:] * presence
-    # Where the reference shows no edit, the share of its colour goes to the source under the carried colour map.
-    mapped = choice[:, :, 1:2] + choice[:, :, 2:] - taken
-    return edited + mapped * (carried - edited) + taken * (warped - edited)
-
-
-def _at_image_size(outputs: NetworkOutputs, images: Float[Tensor, "batch view 3 height width"]) -> NetworkOutputs:
-    """The network's maps at the images' size, along the images' edges."""
-    single = (outputs.depth_correction, outputs.opacity_correction, outputs.scale_correction, outputs.disagreement)
-    stacked = torch.cat((torch.stack(single, 2), outputs.maps, outputs.choice), 2)
-    fine = guided_upsample(stacked.flatten(0, 1), images.flatten(0, 1)).unflatten(0, images.shape[:2])
-    depth, opacity, scale, disagreement = fine[:, :, :4].unbind(2)
-    choice = fine[:, :, -outputs.choice.shape[2] :]
-    choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
-    return NetworkOutputs(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
+def network_grid(image_size: tuple[int, int], longest: int, patch_size: int) -> tuple[int, int]:
+    """Return (height, width) near the image's shape with the longer side `longest`, in multiples of GRID and patch."""
+    height, width = image_size
+    scale, unit = longest / max(height, width), lcm(GRID, patch_size)
+    return tuple(max(2, round(side * scale / unit)) * unit for side in (height, width))
 
 
 def _in_unit(geometry: MatchedGeometry, unit: Float[Tensor, "batch"]) -> MatchedGeometry:

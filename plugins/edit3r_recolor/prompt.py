@@ -1,13 +1,15 @@
 """Read a prompt into requests: a closed grammar that says so when a sentence is outside it.
 
 A prompt is a row of clauses ("paint the door green and the wall white"). In each, the last group of change words is
-what to do and the words before it (or after it, for "darken the wall") are the thing. "Everything except the bear"
-turns the place around; "from grey to brown" changes only pixels near the first colour. Whatever is neither a change, a
+what to do and the words before it (or after it, for "darken the wall") are the thing; things in a row share a change
+("the door and the wall white"). "Everything except the bear" turns the place around; "from grey to brown" changes only
+pixels near the first colour. Whatever is neither a change, a
 thing in its place nor a filler word is an error, so that no part of an instruction is silently dropped.
 """
 
 import difflib
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -69,12 +71,42 @@ def parse_prompt(prompt: str) -> tuple[Instruction, ...]:
         raise PromptError(f"{prompt!r} asks for no change of colour. {ABILITIES}")
     found: dict[tuple, list[Instruction]] = {}  # by place
     place: tuple = ()
-    for tokens in clauses:
-        read = _parse_clause(tokens, prompt)
+    for read in _reads(clauses, prompt):
         if not (place and read.near is None and set(read.subject) <= words.PRONOUNS):  # else: it is what was named last
             place = (*_place(read), read.near)
         found.setdefault(place, []).append(read)
     return tuple(_together(place, reads, prompt) for place, reads in found.items())
+
+
+def _reads(clauses: list[list[str]], prompt: str) -> Iterator[Instruction]:
+    """Read each clause; those that only name things get what the next one asks for, at the end what the last one did.
+
+    That needs the change to be said first there, as in "darken the door and the wall".
+    """
+    names = [_content(tokens) if _only_names(tokens) else () for tokens in clauses]
+    last = max((i for i, named in enumerate(names) if not named), default=0)
+    if clauses[last][0] in words.IMPERATIVES | words.RECOLOUR:
+        clauses, names = ([*row[:last], *row[last + 1 :], row[last]] for row in (clauses, names))
+    names[-1] = ()  # where nothing follows, a thing alone is refused below
+    waiting: list[tuple[str, ...]] = []
+    for tokens, named in zip(clauses, names):
+        if named:
+            waiting.append(named)
+            continue
+        read = _parse_clause(tokens, prompt)
+        said = tuple(word for word in read.words if word not in read.subject)
+        yield from (replace(read, subject=own, scope="object", words=(*own, *said)) for own in waiting)
+        if read.subject or not waiting:  # else: "paint the bear, please, red"
+            yield read
+        waiting = []
+
+
+def _only_names(tokens: list[str]) -> bool:
+    """Tell whether a clause only names a thing: "paint the old door", and after other verbs a single word."""
+    says_more = set(tokens) & (words.UNSUPPORTED | words.NEGATIONS | words.MORE | words.LESS | {"from"})
+    if says_more or _changes(tokens) or words.EXCEPTION.search(" ".join(tokens)):
+        return False
+    return len(_content(tokens)) == 1 or (tokens[0] in words.PAINTING and bool(_content(tokens)))
 
 
 def _together(place: tuple, reads: list[Instruction], prompt: str) -> Instruction:
@@ -91,6 +123,10 @@ def _clauses(prompt: str) -> list[list[str]]:
     text = prompt.lower().replace("’", "'")
     text = re.sub(r"\bblack\s*(?:and|&|-and-|/)\s*white\b|\bb\s*&\s*w\b|\bgr[ea]y[\s-]scale\b", " greyscale ", text)
     text = re.sub(r"\bdo not\b", "don't", text)
+    text = words.REPLACED.sub(lambda m: f"from {m[1]} to" if read_colour([m[1]]) else m[0], text)
+    if kept := words.KEPT_THING.search(text):  # satisfied by itself where another thing is painted
+        text, whole = words.ALL_AROUND.subn("everything", text[: kept.start()], count=1)
+        text += f" except the {kept[1]}" if whole else ""
     parts = re.split(r"[,.;!?:]+|\band\b|\bthen\b|&", text)
     return [tokens for part in parts if (tokens := re.findall(r"#[0-9a-z]+|[^\W_]+(?:'[a-z]+)?", part))]
 
@@ -132,11 +168,13 @@ def _parse_clause(tokens: list[str], prompt: str) -> Instruction:
 
 
 def _without_origin(tokens: list[str]) -> tuple[list[str], Paint | None]:
-    """Take "from COLOUR" out of a clause."""
-    for start in (i for i, token in enumerate(tokens) if token == "from"):
-        colour = read_colour(tokens[start + 1 :])
-        if colour is not None:
-            return [*tokens[:start], *tokens[start + 1 + colour[2] :]], Paint(*colour[:2])
+    """Take "from COLOUR", or "instead of COLOUR", out of a clause."""
+    for start, token in enumerate(tokens):
+        after = start + (1 if token == "from" else 2)
+        if token == "from" or tokens[start:after] == ["instead", "of"]:
+            colour = read_colour(tokens[after:])
+            if colour is not None:
+                return [*tokens[:start], *tokens[after + colour[2] :]], Paint(*colour[:2])
     return tokens, None
 
 
@@ -220,8 +258,9 @@ def _last_group(changes: list[_Change], tokens: list[str]) -> list[_Change]:
 
 
 def _content(tokens: list[str]) -> tuple[str, ...]:
-    """Return the words that are neither fillers nor degrees."""
-    return tuple(t for t in tokens if t not in words.FILLERS | words.WEAK | words.STRONG)
+    """Return the words that are neither fillers nor degrees; "the bear's" colour is the bear's."""
+    found = [t for t in tokens if t not in words.FILLERS | words.WEAK | words.STRONG | words.RECOLOUR]
+    return tuple((*found[:-1], found[-1].removesuffix("'s"))) if found else ()
 
 
 def _may_stand_before(change: _Change, tokens: list[str]) -> bool:

@@ -30,6 +30,8 @@ _EVERYDAY_COLOURS = {
     "lilac": "#c8a2c8",
     "mint": "#98ff98",
     "mustard": "#e1ad01",
+    "navyblue": "#000080",
+    "babyblue": "#a0cfec",
     "ochre": "#cc7722",
     "rose": "#ff007f",
     "ruby": "#9b111e",
@@ -87,6 +89,9 @@ RECOLOUR = _words("recolor recolour recolored recoloured random randomly")
 IMPERATIVES = _words("brighten lighten darken dim saturate desaturate invert cool warm recolor recolour")
 """Changes that may stand before what they change: "darken the wall"."""
 
+PAINTING = _words("paint colour color dye spray")
+"""Verbs after which only things can follow."""
+
 WEAK = _words("slightly somewhat bit little")
 STRONG = _words("much very lot far strongly extremely really super")
 
@@ -100,13 +105,14 @@ FILLERS = _words(
     "a an the of to in into with please now make turn paint colour color change give be become look appear let have "
     "get set render dye tint shade tone tones hue i we you want would like should can could my our so that up down as "
     "coloured colored painted colours colors at them these those some kind sort also just but is are in made convert "
-    "transform"
+    "transform spray both"
 )
 """Words that carry neither change nor object in the sentences we read."""
 
 UNSUPPORTED = _words(
     "remove delete erase replace swap insert put place move wear wearing hold holding style styled stylize stylise "
-    "cartoon painting drawing sketch watercolor watercolour blur sharpen rotate resize"
+    "cartoon painting drawing sketch watercolor watercolour blur sharpen rotate resize "
+    "metallic matte"
 )
 """Words that ask for what colours alone cannot do."""
 
@@ -115,6 +121,15 @@ NEGATIONS = _words("not no don't dont never without except neither nor isn't ins
 _ALL = "|".join((*sorted(EVERYTHING), "rest"))
 EXCEPTION = re.compile(rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b")
 """What stands before the thing that is left as it is; its group may hold more words for everything."""
+
+REPLACED = re.compile(r"\breplace(?: the)? (\w+) (?:with|by)\b")
+ALL_AROUND = re.compile(rf"\b(?:the )?(?:{_ALL}|background)\b")
+KEPT_THING = re.compile(
+    r"[,;]?(?: (?:and|but|while))? (?:keep|keeping|leave|leaving) (?:only )?(?:the|this|my|our) (?!rest|background|"
+    r"surroundings|original|picture|image)([\w' -]+?) (?:in (?:full )?colou?r|as (?:it|they) (?:is|are)|alone|unchanged"
+    r"|untouched|colou?red)[ .!]*$"
+)
+"""What is to stay as it is, at the end of a sentence: "make all black and white but keep the bear in colour"."""
 
 POLITENESS = _words("please thanks thank you ok okay")
 

@@ -25,7 +25,7 @@ from edit3r.io.pretrained import (
     ChosenWeights,
     foreign,
     identity,
-    load_pretrained,
+    load_whole_network,
     out_of_memory_told,
     pick_device,
     require_at_hand,
@@ -181,7 +181,7 @@ class SamSegmenter(Segmenter):
     def _model(self, name: str, photos_on: torch.device) -> Any:
         """Load one of the classes when it is first needed; all read the same weights."""
         if name not in self._models:
-            model = _whole_network(foreign("transformers", name), self.weights, dtype=torch.float32)
+            model = load_whole_network(foreign("transformers", name), self.weights, dtype=torch.float32)
             with self._memory("loading " + name):
                 device = pick_device(self.settings.device, photos_on, "segmenter.device")
                 self._models[name] = model.to(device).eval()
@@ -219,18 +219,6 @@ class SamSegmenter(Segmenter):
             present.append(is_present(logits[-1], output.object_score_logits))
             progress("tracking objects", len(logits), views)
         return Tracks(torch.stack(logits), torch.stack(present))
-
-
-def _whole_network(cls: type, weights: ChosenWeights, **given: Any) -> Any:
-    """A network of transformers by `load_pretrained`, refused where weights that it needs are not in the files."""
-    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
-    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
-    if lacking:
-        raise InputError(
-            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, such as {lacking[0]}; "
-            "with random ones in their place its answers would mean nothing."
-        )
-    return network
 
 
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:

@@ -5,6 +5,7 @@ fx, fy, cx, cy, two unused numbers and a row-major 3x4 world-to-camera matrix. C
 """
 
 import io
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.io.decode import FORMATS
 from edit3r.io.framing import frame_for
+from edit3r.io.posed_folder import Photo
 from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_gap
 
 
@@ -42,6 +44,23 @@ class Re10kDataset(PhotoDataset):
         if not found:
             raise InputError(f"{self.settings.root}: no readable .torch chunk with scenes in it.")
         return found
+
+    @cached_property
+    def places(self) -> dict[str, tuple[Path, int]]:
+        """Chunk and index in it of every scene, by key."""
+        return {str(_read_chunk(chunk)[place].get("key")): (chunk, place) for chunk, place in self.scenes}
+
+    def photos(self, key: str, indices: Sequence[int]) -> list[Photo]:
+        """Return frames of one scene, which an evaluation index file names. Raises InputError for what is not there."""
+        if key not in self.places:
+            raise InputError(f"{self.settings.root}: no chunk has the scene {key!r}.")
+        chunk, place = self.places[key]
+        cameras, files, _ = _checked(_read_chunk(chunk)[place])
+        if max(indices) >= len(files):
+            raise InputError(f"scene {key}: frame {max(indices)} is asked for, it has {len(files)}.")
+        squares = [_square(files[index], cameras[index], self.settings.image_size, key) for index in indices]
+        poses = _c2w(cameras[list(indices)]).numpy()
+        return [Photo(i.permute(1, 2, 0).numpy(), k.double().numpy(), c2w) for (i, k), c2w in zip(squares, poses)]
 
     def _label(self, scene: tuple[Path, int]) -> str:
         return f"{scene[0].name}[{scene[1]}]"

@@ -16,85 +16,12 @@ from edit3r_measure.scene_sources import (
     rotation_degrees,
     write_scenes,
 )
-from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.errors import InputError, MatchingError
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.errors import InputError
 from edit3r.interfaces import Reconstructor
-from edit3r.io.cameras import PosedCamera
 from edit3r.io.posed_folder import read_posed_folder
 from edit3r.registry import build, default_registry
-from edit3r.types import Cameras, Gaussians, Reconstruction
-
-DEPTH = 4.0  # of the wall that all photos show
-
-
-def camera(x, degrees, file="a.png", width=96, height=64):
-    c2w = np.eye(4)
-    c2w[:3, :3] = cv2.Rodrigues(np.array([0, np.radians(degrees), 0]))[0]
-    c2w[0, 3] = x
-    return PosedCamera(file, width, height, np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]]), c2w)
-
-
-def photo_of_wall(camera):
-    """A textured wall at z = DEPTH, seen by `camera`."""
-    grain = cv2.resize(np.random.default_rng(0).random((24, 48, 3)), (960, 480), interpolation=cv2.INTER_CUBIC)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
-    wall = rays / rays[..., 2:] * DEPTH + camera.c2w[:3, 3]
-    u, v = (wall[..., 0] + 6) / 12 * 959, (wall[..., 1] + 3) / 6 * 479
-    seen = cv2.remap(grain, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
-    return (np.clip(seen, 0, 1) * 255).astype(np.uint8)
-
-
-def written(folder, cameras):
-    """Save what the cameras see and give their entries for a camera file."""
-    for camera in cameras:
-        Image.fromarray(photo_of_wall(camera)).save(folder / camera.file)
-    sizes = [{"file": c.file, "width": c.width, "height": c.height} for c in cameras]
-    return [{**size, "K": c.K.tolist(), "c2w": c.c2w.tolist()} for size, c in zip(sizes, cameras)]
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scenes") / "wall"
-    path.mkdir()
-    cameras = [camera(x, turn, f"{i}.png") for i, (x, turn) in enumerate(((-0.4, 4), (0, 0), (0.4, -4)))]
-    entries = written(path, cameras)
-    entries.append({"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None})
-    (path / "cameras.json").write_text(json.dumps(entries))
-    return read_posed_folder(path)
-
-
-class WallKnown(Reconstructor):
-    """Puts the pixels of view 0 on the true wall, in a unit of length of its own."""
-
-    unit = 2.5
-
-    def __init__(self, folder, fails=False):
-        self.folder, self.fails = folder, fails
-
-    def __call__(self, views, source=None, request=None):
-        if self.fails:
-            raise MatchingError("nothing in common.")
-        first, second = (self.folder.cameras[i].c2w for i in (0, 2))
-        size = views.image_size
-        x, y = np.meshgrid((np.arange(size[1]) + 0.5) / size[1], (np.arange(size[0]) + 0.5) / size[0])
-        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(views.intrinsics[0, 0].double().numpy()).T
-        depth = DEPTH / (rays @ first[:3, :3].T)[..., 2:]
-        points = torch.from_numpy(self.unit * rays * depth).float().reshape(1, -1, 3)
-        c2w = np.stack([np.eye(4), np.linalg.inv(first) @ second])
-        c2w[:, :3, 3] *= self.unit
-        count = points.shape[1]
-        gaussians = Gaussians(
-            points,
-            torch.full((1, count, 3), 0.4 * self.unit * DEPTH / 80),
-            torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
-            torch.full((1, count), 0.8),
-            colour_to_dc(views.images[0, 0].permute(1, 2, 0)).reshape(1, count, 1, 3),
-        )
-        return Reconstruction(gaussians, Cameras(torch.from_numpy(c2w).float()[None], views.intrinsics, size))
 
 
 def test_photos_without_a_pose_are_left_out(folder):
@@ -120,14 +47,14 @@ def test_transforms_json_is_read_with_opencv_axes(tmp_path):
     assert np.allclose(read_posed_folder(tmp_path).cameras[0].c2w, np.eye(4))
 
 
-def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between():
-    cameras = [camera(x, -10 * x) for x in (0, 0.25, 0.5, 1, 5)]
+def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between(wall):
+    cameras = [wall.camera(x, -10 * x) for x in (0, 0.25, 0.5, 1, 5)]
     assert choose_triples(cameras, 9, (8, 30)) == [Triple(0, 3, 2, pytest.approx(10))]
     assert choose_triples(cameras[:2], 9) == []
 
 
-def test_triples_are_spread_over_all_pairs():
-    cameras = [camera(0.1 * i, -2.5 * i) for i in range(12)]
+def test_triples_are_spread_over_all_pairs(wall):
+    cameras = [wall.camera(0.1 * i, -2.5 * i) for i in range(12)]
     every = choose_triples(cameras, 999)
     few = choose_triples(cameras, 3)
     assert few == [every[0], few[1], every[-1]]
@@ -138,8 +65,8 @@ def test_rotation_degrees_is_exact_for_small_angles():
     assert rotation_degrees(turn, np.eye(3)) == pytest.approx(1e-4, rel=1e-6)
 
 
-def test_true_geometry_in_another_unit_scores_well(folder):
-    score = score_scene(photo_scene(folder, (0, 2, 1), 48), WallKnown(folder), build("rasterizer", "torch"))
+def test_true_geometry_in_another_unit_scores_well(folder, wall):
+    score = score_scene(photo_scene(folder, (0, 2, 1), 48), wall.Known(folder), build("rasterizer", "torch"))
     figures = score.figures
     assert score.degrees == pytest.approx(8)
     assert figures["rotation_error"] < 0.01 and figures["direction_error"] < 0.05
@@ -148,9 +75,9 @@ def test_true_geometry_in_another_unit_scores_well(folder):
     assert not score.failure
 
 
-def test_a_failure_is_a_row_not_a_stop(folder):
+def test_a_failure_is_a_row_not_a_stop(folder, wall):
     scene = photo_scene(folder, (0, 2, 1), 48)
-    score = score_scene(scene, WallKnown(folder, fails=True), build("rasterizer", "torch"))
+    score = score_scene(scene, wall.Known(folder, fails=True), build("rasterizer", "torch"))
     assert score.failure == "nothing in common."
     table = novel_view_table([score])
     assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
@@ -174,8 +101,8 @@ def test_a_pair_of_a_folder_is_written_as_a_users_photos_are_with_its_truth_besi
     assert np.allclose(relative_pose(second, first), relative_pose(folder.load(2, 64), folder.load(0, 64)))
 
 
-def test_a_folder_without_pairs_cannot_be_written(tmp_path):
-    (tmp_path / "cameras.json").write_text(json.dumps(written(tmp_path, [camera(0, 0)])))
+def test_a_folder_without_pairs_cannot_be_written(tmp_path, wall):
+    (tmp_path / "cameras.json").write_text(json.dumps(wall.written(tmp_path, [wall.camera(0, 0)])))
     with pytest.raises(InputError, match="no two photos are 5 to 30 degrees apart"):
         write_scenes([str(tmp_path)], SceneOptions(1, 32), tmp_path / "out", default_registry())
 

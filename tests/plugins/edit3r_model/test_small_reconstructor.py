@@ -1,24 +1,31 @@
 import hashlib
+import json
 import math
 
 import pytest
 import skimage.data
 import torch
 import torch.nn.functional as F
+from edit3r_model.backbone import AsymmetricViT
 from edit3r_model.conflict_figure import save_conflict_figure
-from edit3r_model.small_network import SHIPPED, NetworkOutputs, SmallNetwork, load_network, network_grid, read_card
-from edit3r_model.small_reconstructor import Edit3rReconstructor, assemble
+from edit3r_model.small_backbone import MatchedUNet
+from edit3r_model.small_head import Decisions, EditFusionHead, assemble
+from edit3r_model.small_reconstructor import SHIPPED, network_grid
 from PIL import Image
 from safetensors.torch import save_file
 
+from edit3r.cli.main import main
+from edit3r.config import parse_assignments
 from edit3r.earlier_run import EarlierRun
-from edit3r.errors import InputError
+from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.io.run_folder import WeightsRecord
-from edit3r.registry import build
+from edit3r.plugins import load_plugins
+from edit3r.registry import Registry, build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import photograph
+from edit3r.training.checkpoint import WEIGHTS
 from edit3r.types import Views
 
 SIZE = (64, 80)
@@ -127,7 +134,9 @@ def test_one_colour_map_in_every_view_gives_the_edited_photos_own_colours_exactl
     result = build("reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64)(edited, views)
     colours = _colours(result, 3)
     assert torch.allclose(colours, edited.images[0], atol=1e-6)
-    unfused = build("reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64, fuse_edits=False)
+    unfused = build(
+        "reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64, head={"fuse_edits": False}
+    )
     pixels = 3 * SIZE[0] * SIZE[1]
     same = unfused(edited, views).gaussians.opacities[:, :pixels]
     assert torch.equal(result.gaussians.opacities[:, :pixels], same)
@@ -159,10 +168,9 @@ def _opacities(edited: Views, less: float) -> torch.Tensor:
     views, zero = _views(), torch.zeros(1, 2, *SIZE)
     disagreement, choice = zero.clone(), torch.zeros(1, 2, 3, *SIZE)
     disagreement[:, 1], choice[:, :, 0] = less, 1
-    outputs = NetworkOutputs(zero, zero, zero, disagreement, torch.zeros(1, 2, 12, *SIZE), choice)
-    settings = Edit3rReconstructor.Settings()
-    made = assemble(edited, views, _TrueGeometry().match(views), outputs, settings)
-    return made.gaussians.opacities.reshape(2, *SIZE)
+    decisions = Decisions(zero, zero, zero, disagreement, torch.zeros(1, 2, 12, *SIZE), choice)
+    made = assemble(edited.images, views, _TrueGeometry().match(views), decisions, EditFusionHead.Settings())
+    return made.opacities.reshape(2, *SIZE)
 
 
 def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
@@ -225,7 +233,7 @@ def test_what_lies_away_from_an_edit_stays_bit_for_bit():
 
 def test_switching_fusion_off_shows_every_view_s_own_edit():
     edited = _recoloured(_views(), (0,))
-    colours = _colours(_reconstructor(fuse_edits=False)(edited, _views()))
+    colours = _colours(_reconstructor(head={"fuse_edits": False})(edited, _views()))
     assert torch.allclose(colours, edited.images[0], atol=1e-6)
 
 
@@ -279,44 +287,135 @@ def test_a_view_that_could_not_be_placed_is_not_shown():
 
 
 def test_untrained_weights_are_announced():
-    report = Report()
-    with collecting(report):
-        load_network("untrained")
+    with collecting(Report()) as report:
+        _reconstructor(weights="untrained")
     assert any("untrained" in warning for warning in report.warnings)
     assert "weights.edit3r" not in report.notes
 
 
 def test_shipped_weights_are_recorded_with_hash_and_licence():
     with collecting(Report()) as report:
-        load_network("shipped")
+        _reconstructor()
     record = WeightsRecord(**report.notes["weights.edit3r"])
     assert record.file == SHIPPED.name and record.licence == "Apache-2.0"
     assert record.sha256 == hashlib.sha256(SHIPPED.read_bytes()).hexdigest()
 
 
-def test_weights_in_half_precision_are_read_at_the_width_on_their_card(tmp_path):
-    network = SmallNetwork(width=16)
-    state = {name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}
-    save_file(state, tmp_path / "own.safetensors")
-    (tmp_path / "own.json").write_text('{"width": 16}')
-    loaded = load_network(str(tmp_path / "own.safetensors"))
-    for name, tensor in network.state_dict().items():
-        assert torch.allclose(loaded.state_dict()[name], tensor, rtol=1e-3, atol=1e-6)
+def test_weights_in_half_precision_are_read_at_the_width_that_the_parts_are_given(tmp_path):
+    narrow = {"backbone": {"width": 16}, "head": {"width": 16}}
+    state = _reconstructor(weights="untrained", **narrow).network.state_dict()
+    save_file({name: tensor.half().contiguous() for name, tensor in state.items()}, tmp_path / WEIGHTS)
+    loaded = _reconstructor(weights=str(tmp_path), **narrow).network.state_dict()
+    for name, tensor in state.items():
+        assert torch.allclose(loaded[name], tensor, rtol=1e-3, atol=1e-6)
 
 
 def test_shipped_weights_are_small_enough():
     assert SHIPPED.stat().st_size < 16e6
-    assert {"data", "steps", "licence"} <= set(read_card(SHIPPED))
+    assert {"data", "steps", "licence"} <= set(json.loads(SHIPPED.with_suffix(".json").read_text()))
 
 
 @pytest.mark.parametrize("name", ["missing.safetensors", "broken.safetensors"])
 def test_weights_that_cannot_be_read_are_an_error_that_names_the_file(tmp_path, name):
     (tmp_path / "broken.safetensors").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=name):
-        load_network(str(tmp_path / name))
+        _reconstructor(weights=str(tmp_path / name))
+
+
+# ---- the parts ----
+
+VIT = {"name": "asymmetric-vit", "width": 32, "depth": 1, "heads": 2, "decoder_width": 24, "decoder_depth": 4}
+VIT |= {"decoder_heads": 2}
+DPT = {"name": "dpt-gaussian", "feature_width": 8, "point_width": 8, "layer_widths": [4, 4, 8, 8]}
+
+
+def test_describe_shows_the_parts(capsys):
+    assert main(["describe", "reconstructor", "edit3r"]) == 0
+    shown = capsys.readouterr().out
+    assert all(part in shown for part in ("backbone = matched-unet", "head = edit-fusion", "matcher = "))
+
+
+def test_another_backbone_carries_the_edit_with_the_same_head():
+    """The vision transformer in the place of the U-Net: untrained features, but colours stay the photos' own."""
+    reconstructor = _reconstructor(backbone=VIT, weights="untrained")
+    assert type(reconstructor.backbone) is AsymmetricViT and reconstructor.takes_geometry
+    colours = _colours(reconstructor(_views(), _views()))
+    assert torch.allclose(colours, _views().images[0], atol=1e-6)
+    assert (_colours(reconstructor(_recoloured(_views(), (0,)), _views()))[1] - colours[1]).abs().max() > 0.02
+
+
+HEAD = """
+import torch
+from edit3r import Component, hookimpl
+from edit3r.config import Settings
+from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.interfaces import GaussianHead
+from edit3r.types import Gaussians
+
+EDIT3R_API = 1
+
+
+class Flat(GaussianHead):
+    class Settings(Settings):
+        pass
+
+    def __init__(self, settings, backbone):
+        super().__init__()
+        self.scale = torch.nn.Linear(backbone.feature_widths[-1], 1)
+
+    def forward(self, features, images):
+        (batch, views, _, height, width), pixels = images.shape, images.movedim(2, -1).reshape(len(images), -1, 3)
+        size = self.scale(features.levels[-1]).mean((1, 2, 3)).sigmoid()[:, None, None].expand_as(pixels)
+        means = torch.cat((pixels[..., :2] - 0.5, 2 + pixels[..., 2:]), -1)
+        quats = torch.tensor([1.0, 0, 0, 0]).expand(batch, means.shape[1], 4)
+        index = torch.arange(views).repeat_interleave(height * width)
+        return Gaussians(means, size, quats, size[..., 0], colour_to_dc(pixels)[:, :, None], index)
+
+
+@hookimpl
+def register_heads():
+    return Component("flat", "edit3r_flat:Flat", "a stranger's head", parts=("backbone",))
+"""
+
+
+def test_a_stranger_s_head_takes_the_place_of_ours_by_its_name(tmp_path, monkeypatch):
+    (tmp_path / "edit3r_flat.py").write_text(HEAD)
+    monkeypatch.syspath_prepend(tmp_path)
+    registry = Registry(load_plugins((tmp_path / "edit3r_flat.py",)))
+    settings = parse_assignments(["head=flat", "weights=untrained", "network_size=64"])
+    made = registry.build("reconstructor", "edit3r", {"matcher": _TrueGeometry()}, **settings)
+    result = made(_recoloured(_views(), (0,)), _views())
+    assert type(made.head).__name__ == "Flat" and type(made.backbone) is MatchedUNet
+    assert torch.allclose(_colours(result), _recoloured(_views(), (0,)).images[0], atol=0.01)  # one for each pixel
+    assert torch.equal(result.cameras.c2w, SCENE.cameras.c2w[:, :2])
+
+
+def test_parts_that_take_no_geometry_are_the_paper_s_form():
+    made = _reconstructor(backbone=VIT, head=DPT, weights="untrained", full={"resolution": 64})
+    assert made.full is not None and not made.takes_geometry
+    result = made(_views(), _views())
+    assert result.cameras is None and torch.equal(result.gaussians.means, made.full(_views()).gaussians.means)
+    with pytest.raises(SettingsError, match="matched-unet and head edit-fusion"):
+        _reconstructor(backbone=VIT, head=DPT)
+
+
+def test_weights_of_other_parts_are_an_error():
+    with pytest.raises(InputError, match="not weights of this network"):
+        _reconstructor(backbone=VIT)
+
+
+@pytest.mark.parametrize("kind, settings", [("backbone", {"width": 8}), ("head", {})])
+def test_parts_that_need_geometry_say_so_where_there_is_none(kind, settings):
+    if kind == "backbone":
+        with pytest.raises(InputError, match="needs matched geometry"):
+            build("backbone", "matched-unet", **settings)(_views().images, _views().intrinsics)
+    else:
+        plain = {"backbone": {"name": "asymmetric-vit", **VIT}, "head": "edit-fusion", "weights": "random"}
+        with pytest.raises(InputError, match="needs matched geometry"):
+            build("reconstructor", "noposplat", **plain)(_views())
 
 
 @pytest.mark.parametrize("size", [(1, 1), (64, 64), (3000, 4000), (10, 1000)])
 def test_the_network_s_grid_is_a_multiple_of_8_and_near_the_longer_side(size):
-    height, width = network_grid(size, 96)
+    height, width = network_grid(size, 96, 2)
     assert height % 8 == width % 8 == 0 and max(height, width) == 96 and min(height, width) >= 16

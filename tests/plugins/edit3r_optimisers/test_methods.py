@@ -91,6 +91,23 @@ def test_editsplat_edits_itself_when_it_is_given_nothing_edited(build, editor, p
     assert [views.count for views, _ in editor.calls] == [3, 1, 1, 1]
 
 
+def test_editsplat_edits_each_view_again_from_its_neighbours_edits_too(build, editor, posed, monkeypatch):
+    """View 0 is edited to black, the others to white: what view 0 begins from is neither."""
+    starts = []
+
+    def edit_from(views, start, request, strength):
+        starts.append(start)
+        return edit3r.Views(start, views.intrinsics)
+
+    monkeypatch.setattr(editor, "starts_from_images", True)
+    monkeypatch.setattr(editor, "edit_from", edit_from)
+    edits = torch.ones_like(posed.images)
+    edits[:, 0] = 0
+    build("editsplat")(edit3r.Views(edits, posed.intrinsics), posed, ASK)
+    assert [start.shape[1] for start in starts] == [1, 1, 1]
+    assert 0.3 < starts[0].mean() < 1 and starts[1].min() < 0.7
+
+
 def test_refit_of_nothing_edited_is_the_first_fit_alone(build, posed):
     report = Report()
     with collecting(report):

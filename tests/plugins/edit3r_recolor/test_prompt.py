@@ -26,6 +26,12 @@ def one(prompt: str) -> Instruction:
         ("make the motorcycle look like it is made of gold", "gold", ("motorcycle",)),
         ("paint the bike red, keep everything else unchanged", "red", ("bike",)),
         ("red", "red", ()),
+        ("paint the bear navy blue", "navy blue", ("bear",)),
+        ("change the bear's colour to gold", "gold", ("bear",)),
+        ("recolor the chair in teal", "teal", ("chair",)),
+        ("paint the bear, please, blue", "blue", ("bear",)),
+        ("spray paint both doors green", "green", ("doors",)),
+        ("paint the wall red and leave the bear untouched", "red", ("wall",)),
     ],
 )
 def test_paints(prompt, colour, subject):
@@ -85,6 +91,14 @@ def test_steps_of_several_clauses_are_taken_together_paint_first():
         ("turn the car blue and the background grey", "car: blue; background: grey"),
         ("make everything warmer and the car red", "all: warmth +1; car: red"),
         ("make the car bluer and recolor the sofa", "car: blue +0.35; sofa: colours drawn by the seed"),
+        ("paint the door and the wall white", "door: white; wall: white"),
+        ("make the wall and door white and the roof red", "wall: white; door: white; roof: red"),
+        ("paint the old door, the wall and the roof white", "old door: white; wall: white; roof: white"),
+        ("darken the door and the wall", "wall: brightness -1; door: brightness -1"),
+        (
+            "turn the door and the wall from grey to blue",
+            "door where it is near grey: blue; wall where it is near grey: blue",
+        ),
     ],
 )
 def test_two_colours_go_on_two_things_in_the_order_of_the_sentence(prompt, read):
@@ -98,6 +112,8 @@ def test_two_colours_go_on_two_things_in_the_order_of_the_sentence(prompt, read)
         ("change the colour from light blue to gold", "everything", (), "light blue", "gold"),
         ("from grey to brown", "everything", (), "grey", "brown"),
         ("turn red into blue", "everything", (), "red", "blue"),
+        ("replace the red with green", "everything", (), "red", "green"),
+        ("make the wall white instead of grey", "object", ("wall",), "grey", "white"),
     ],
 )
 def test_from_one_colour_to_another(prompt, scope, subject, near, colour):
@@ -114,6 +130,8 @@ def test_from_one_colour_to_another(prompt, scope, subject, near, colour):
         "make everything but the bear red",
         "all the picture except for the bear red",
         "paint the rest of the picture apart from the bear red",
+        "paint everything red but keep the bear as it is",
+        "make the background red, and leave the bear in colour",
     ],
 )
 def test_everything_except_one_thing(prompt):
@@ -157,6 +175,11 @@ def test_no_prompt_is_an_error_that_says_what_to_do(prompt):
         "make everything but the bear and the tree darker",
         "remove the bike",
         "paint the bike",
+        "paint the door and the wall",
+        "paint the door red and the wall",
+        "make the bear happy and the wall white",
+        "make the car metallic blue",
+        "replace the bike with a car",
         "rends le vélo rouge",
         "把自行车涂成红色",
         "???",

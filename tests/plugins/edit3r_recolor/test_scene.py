@@ -3,6 +3,7 @@ from typing import ClassVar
 import pytest
 import torch
 from edit3r_recolor.recoloring import recolor, renormalize
+from edit3r_recolor.regions import processed_views
 from edit3r_recolor.scene import (
     RecoloringSettings,
     SceneRecipe,
@@ -148,3 +149,9 @@ def test_a_misspelt_key_in_a_recipe_is_named(tmp_path):
     path.write_text(path.read_text().replace('"hue"', '"hew"', 1))
     with pytest.raises(InputError, match=r"not a recipe .*regions\.0\.parameters\.hew"):
         SceneRecipe.load(path)
+
+
+@pytest.mark.parametrize("shared, used", [(1, [0]), (2, [0, 1])])
+def test_by_default_a_view_that_shares_less_than_half_of_the_objects_is_left_out(shared, used):
+    active = torch.tensor([[True, True, True], [number < shared for number in range(3)]])
+    assert processed_views(active, RecoloringSettings().least_overlap) == used

@@ -198,3 +198,16 @@ class TestSettings:
     def test_out_of_range_is_refused(self, tmp_path, wrong):
         with pytest.raises(ValueError):
             _transforms(tmp_path, **wrong)
+
+
+def test_frames_of_a_chunk_are_found_by_the_scenes_key(tmp_path):
+    torch.save([_chunk_scene("other"), _chunk_scene("wanted")], tmp_path / "000000.torch")
+    data = _re10k(tmp_path)
+    first, second = data.photos("wanted", (1, 4))
+    assert np.abs(second.image - PICTURES[4] / 255).mean() < 0.02  # JPEG
+    assert np.allclose(first.intrinsics, SCENE.context_cameras.intrinsics[0, 1], atol=1e-5)
+    assert np.allclose(second.c2w, SCENE.context_cameras.c2w[0, 4], atol=1e-5)
+    with pytest.raises(InputError, match="frame 9 is asked for, it has 5"):
+        data.photos("wanted", (0, 9))
+    with pytest.raises(InputError, match="no chunk has the scene 'lost'"):
+        data.photos("lost", (0,))

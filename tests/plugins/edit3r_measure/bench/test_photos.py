@@ -1,5 +1,7 @@
 """From folders of photos to a manifest: labels, proposals, a person's verdicts, masks."""
 
+import base64
+import io
 import json
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -198,13 +200,52 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
     asked = [edit for edit in edits if edit.source == "tiny"]
     assert [(e.type, e.prompt, e.description) for e in asked] == [("Modify", "turn the cup into gold", "a golden cup")]
     path, request = FakeModel.requests[0]
-    assert path == "/v1/chat/completions" and "cup" in request["messages"][1]["content"]
+    text, *pictures = request["messages"][1]["content"]
+    assert path == "/v1/chat/completions" and "cup" in text["text"]
+    shown = [Image.open(io.BytesIO(base64.b64decode(p["image_url"]["url"].partition(",")[2]))) for p in pictures]
+    photos = [Image.open(folder / "garden" / f"{index}.png").convert("RGB") for index in range(3)]
+    assert [image.size for image in shown] == [photo.size for photo in photos]
+    for mine, photo in zip(shown, photos):  # noise, of which JPEG keeps the coarse part
+        coarse = [np.asarray(image.resize((8, 6), Image.Resampling.BOX), int) for image in (mine, photo)]
+        assert np.abs(coarse[0] - coarse[1]).max() < 12
 
 
 def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, capsys):
     FakeModel.answer = "I would rather not."
     assert main(["bench", "build", str(folder), "--out", str(folder.parent / "b.json"), *server, "--quiet"]) == 1
     assert "no usable edit in its answer" in capsys.readouterr().err
+
+
+def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(folder, tmp_path):
+    seen = tmp_path / "seen.txt"
+    plugin = tmp_path / "counting.py"
+    look = f"        open({str(seen)!r}, 'a').write(f'{{text}} {{float(image.mean()):.7f}}\\n')\n"
+    plugin.write_text(DETECTOR.replace("        height, width", look + "        height, width", 1))
+    options = ["--detector", "middle", "--plugin", str(plugin), "--labels", "cup", "--no-vetting"]
+    manifest = read_bench_manifest(build(folder, *options))
+    assert len(set(seen.read_text().split("\n"))) - 1 == 6  # three photos of two scenes
+    local = next(item for item in manifest.items if item.type == "Modify")
+    assert len(local.masks) == len(local.inputs) == 2
+
+
+def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
+    out = folder.parent / "bench.json"
+    assert (
+        main(["bench", "build", str(folder), "--out", str(out), "--size", "64", "--labels", "cup", "--no-vetting"]) == 0
+    )
+    said = capsys.readouterr().out
+    for words in (
+        "2 scenes, the paper has 20",
+        "not found by a detector",
+        "templates",
+        "10 edits are kept by no person",
+    ):
+        assert f"not as the paper: {words}" in said.replace("edits come from ", "").replace(
+            "objects are named by hand, ", ""
+        )
+    assert len(read_bench_manifest(build(folder, "--labels", "cup", "--no-vetting", "--scenes", "1")).scenes) == 1
+    assert main(["bench", "build", str(folder), "--out", str(out), "--scenes", "20"]) == 2
+    assert "holds 2 scenes, --scenes asks for 20" in capsys.readouterr().err
 
 
 # ---- vetting ----

@@ -1,6 +1,6 @@
 import torch
-from edit3r_model.small_encoder import convex_upsample
-from edit3r_model.small_network import EditTransport
+from edit3r_model.edit_fusion import EditTransport
+from edit3r_model.small_backbone import convex_upsample
 
 from edit3r.geometry.cameras import pixel_grid
 

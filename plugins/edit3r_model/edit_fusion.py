@@ -1,143 +1,29 @@
-"""The small network of `edit3r`: repairs matched geometry, carries the reference's edit to the views, fuses the edits.
+"""The two trained parts of head `edit-fusion`: one carries the reference's edit to a view, one weighs it there."""
 
-source images, matched depth --> SourceEncoder --> tokens, corrections of depth, opacity, scale
-                                              |
-edited, source images --> local colour maps --> EditTransport (reference -> view) --> EditFusion --> choice of colours
-
-Its weights are fp16 safetensors with a JSON card beside them.
-"""
-
-import hashlib
-import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r import reporting
 from edit3r.geometry.cameras import pixel_grid
-from edit3r.geometry.warping import Correspondences, find_correspondences, warp
 from edit3r.layers import Conv2d
-from edit3r.training.checkpoint import WEIGHTS, load_weights
-from edit3r_model.edit_colour import CHANNELS, change_of, fit_colour_maps
-from edit3r_model.small_encoder import (
+from edit3r_model.edit_colour import CHANNELS, change_of
+from edit3r_model.small_backbone import (
     STRIDE,
     GlobalBlock,
     ResidualBlock,
-    SourceEncoder,
-    SourceFeatures,
     convex_upsample,
     convex_upsample_start,
     upsample_to,
     zero_conv,
 )
 
-SHIPPED = Path(__file__).parent / "weights" / "edit3r-small.safetensors"
-KEY_STRIDE = 4
-"""Network pixels per side of what the reference offers to attention."""
-GRID = 8
-"""The network's images have sides that are multiples of this [pixels]."""
 HEADS = 2
 """Attention heads of the transport."""
 CANDIDATES = 3
 """Own edited colour; the source image under the carried colour map; the reference's edited colour, warped."""
-
-
-@dataclass(frozen=True)
-class NetworkInputs:
-    """B scenes of V views on the network's grid; view 0 is the reference."""
-
-    source: Float[Tensor, "batch view 3 height width"]  # unedited images, in [0, 1]
-    edited: Float[Tensor, "batch view 3 height width"]  # in [0, 1]
-    depths: Float[Tensor, "batch view height width"]  # matched; median of view 0 about 1
-    confidence: Float[Tensor, "batch view height width"]  # in [0, 1]
-    c2w: Float[Tensor, "batch view 4 4"]  # same unit as depths
-    intrinsics: Float[Tensor, "batch view 3 3"]  # normalised
-
-
-@dataclass(frozen=True)
-class NetworkOutputs:
-    """Corrections and colour decisions per view on the network's grid."""
-
-    depth_correction: Float[Tensor, "batch view height width"]  # added to log depth
-    opacity_correction: Float[Tensor, "batch view height width"]  # added to the logit
-    scale_correction: Float[Tensor, "batch view height width"]  # added to the log scale
-    disagreement: Float[Tensor, "batch view height width"]  # added to the logit near an edit, <= 0; 0 for the reference
-    maps: Float[Tensor, "batch view 12 height width"]  # carried affine colour maps; 0 for the reference
-    choice: Float[Tensor, "batch view 3 height width"]  # convex weights of the colour candidates
-
-
-class SmallNetwork(nn.Module):
-    """Encoder, transport and fusion; about a million parameters at the default width."""
-
-    def __init__(self, width: int = 32) -> None:
-        super().__init__()
-        self.width = width
-        self.encoder = SourceEncoder(width)
-        self.transport = EditTransport(width)
-        self.fusion = EditFusion(width)
-        self.to(memory_format=torch.channels_last)  # a quarter quicker on a CPU
-
-    def forward(self, inputs: NetworkInputs) -> NetworkOutputs:
-        matches = find_correspondences(inputs.depths, inputs.intrinsics, inputs.c2w)
-        features = self.encoder(inputs.source, inputs.depths, inputs.confidence, matches)
-        depths = inputs.depths * features.depth_correction.detach().exp()
-        matches = find_correspondences(depths, inputs.intrinsics, inputs.c2w)
-        fused = [self._fuse(inputs, features, matches, view) for view in range(1, inputs.source.shape[1])]
-        return _outputs(features, fused)
-
-    def _fuse(
-        self, inputs: NetworkInputs, features: SourceFeatures, matches: Correspondences, view: int
-    ) -> "FusedEdit":
-        """Carry the reference's edit to one view and weigh it against the view's own."""
-        source, edited, coordinates = inputs.source, inputs.edited, matches.coordinates[:, view]
-        colours = torch.cat((source[:, 0], edited[:, 0], edited[:, 0] - source[:, 0]), 1)
-        carried = self.transport(
-            features.tokens[:, view],
-            F.avg_pool2d(features.tokens[:, 0], KEY_STRIDE // STRIDE),
-            _token_coordinates(coordinates, STRIDE),
-            fit_colour_maps(source[:, 0], edited[:, 0], KEY_STRIDE, sigma=0.7),
-            F.avg_pool2d(colours, KEY_STRIDE),
-        )
-        inside = matches.inside[:, view, None]
-        warped = warp(colours[:, None, 3:], coordinates[:, None])[:, 0] * inside
-        return self.fusion(
-            features.tokens[:, view],
-            source[:, view],
-            edited[:, view],
-            fit_colour_maps(source[:, view], edited[:, view], STRIDE, sigma=1.0),
-            carried,
-            torch.cat((warped, inside), 1),
-        )
-
-
-def _outputs(features: SourceFeatures, fused: list["FusedEdit"]) -> NetworkOutputs:
-    """Join the answers for the views; the reference keeps its own colours."""
-    first = fused[0]
-    own = torch.zeros_like(first.choice)
-    own[:, 0] = 1
-    maps = torch.stack([torch.zeros_like(first.maps), *(f.maps for f in fused)], 1)
-    choice = torch.stack([own, *(f.choice for f in fused)], 1)
-    less = torch.stack([torch.zeros_like(first.opacity_correction), *(f.opacity_correction for f in fused)], 1)
-    corrections = features.depth_correction, features.opacity_correction, features.scale_correction
-    return NetworkOutputs(*corrections, less[:, :, 0], maps, choice)
-
-
-def _token_coordinates(
-    coordinates: Float[Tensor, "batch height width 2"], stride: int
-) -> Float[Tensor, "batch height2 width2 2"]:
-    """Coordinates of the tokens: the mean over each `stride` x `stride` cell."""
-    return F.avg_pool2d(coordinates.permute(0, 3, 1, 2), stride).permute(0, 2, 3, 1)
-
-
-def network_grid(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """Return (height, width) near the image's shape with the longer side `longest`, in multiples of GRID."""
-    height, width = image_size
-    scale = longest / max(height, width)
-    return tuple(max(GRID * 2, GRID * round(side * scale / GRID)) for side in (height, width))
 
 
 @dataclass(frozen=True)
@@ -272,26 +158,3 @@ class EditFusion(nn.Module):
         heads = self.heads(x)
         logits, opacity = F.pixel_shuffle(heads[:, 36:], STRIDE).split((CANDIDATES, 1), 1)
         return FusedEdit(convex_upsample(carried.maps, heads[:, :36]), logits.softmax(1), -F.softplus(opacity - 4))
-
-
-def load_network(weights: str) -> SmallNetwork:
-    """Return the network with the 'shipped' weights, those of a file, or 'untrained', which is announced."""
-    if weights == "untrained":
-        reporting.warn("edit3r: the network is untrained; repairs and fused edits are those of a random start.")
-        return SmallNetwork().eval()
-    path = SHIPPED if weights == "shipped" else Path(weights)
-    path = path / WEIGHTS if path.is_dir() else path
-    card = read_card(path)
-    network = SmallNetwork(width=int(card.get("width", 32)))
-    load_weights(network, path)
-    reporting.note("edit3r.weights", path.name)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    licence = card.get("licence", "not stated")
-    reporting.note("weights.edit3r", {"file": path.name, "sha256": digest, "licence": licence})
-    return network.eval()
-
-
-def read_card(path: Path) -> dict:
-    """Read the JSON card beside a weight file (data, steps, licence); {} when there is none."""
-    card = path.with_suffix(".json")
-    return json.loads(card.read_text(encoding="utf-8")) if card.is_file() else {}

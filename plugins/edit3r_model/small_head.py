@@ -1,0 +1,244 @@
+"""Head `edit-fusion`: the edit carried from the reference to the other views, and one Gaussian per image pixel.
+
+features --> corrections of depth, opacity and scale
+features, colour maps of both images --> EditTransport (reference -> view) --> EditFusion --> choice of colours
+
+It decides on the backbone's grid and makes the Gaussians at the images' own resolution and sharpness.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor, nn
+
+from edit3r.config import Settings
+from edit3r.errors import InputError, SettingsError
+from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.geometry.maps import guided_upsample, resize
+from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, warp
+from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry
+from edit3r.types import Cameras, Features, Gaussians, Views
+from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, fit_colour_maps, near_an_edit
+from edit3r_model.edit_fusion import EditFusion, EditTransport, FusedEdit
+from edit3r_model.small_backbone import STRIDE, averaged, upsample_to, zero_conv
+from edit3r_model.surface import discs
+
+KEY_STRIDE = 4
+"""Pixels of the backbone's images per side of what the reference offers to attention."""
+VISIBLE_CHANGE = 0.05
+"""A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken from there."""
+MEASURED = 0.5
+"""Confidence below which a depth was filled in."""
+FLOATING_OPACITY = 0.02
+"""Before correction, of points that other photos contradict."""
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Corrections and choices of colour for every view, on the backbone's grid."""
+
+    depth_correction: Float[Tensor, "batch view height width"]  # added to log depth, in (-0.7, 0.7)
+    opacity_correction: Float[Tensor, "batch view height width"]  # added to the logit
+    scale_correction: Float[Tensor, "batch view height width"]  # added to the log scale, in (-0.5, 0.5)
+    disagreement: Float[Tensor, "batch view height width"]  # added to the logit near an edit, <= 0; 0 for the reference
+    maps: Float[Tensor, "batch view 12 height width"]  # carried affine colour maps; 0 for the reference
+    choice: Float[Tensor, "batch view 3 height width"]  # weights of the candidates, together 1; 0 for the reference
+
+
+class EditFusionHead(GaussianHead):
+    """Corrects matched geometry, and draws edits that disagree to the reference's; starts as no correction.
+
+    It reads the last level of any backbone. Images, unedited images and geometry have one size, whatever the grid.
+    """
+
+    takes_geometry = True
+
+    class Settings(Settings):
+        width: int = Field(32, ge=8, le=512, multiple_of=8, description="channels; features of others are projected")
+        fuse_edits: bool = Field(
+            True, description="false: each view keeps its own edited colours (plain reconstruction)"
+        )
+        depth_repair: float = Field(
+            0.0,
+            ge=0,
+            le=1,
+            description="share of the network's depth correction that counts; pictures are better without, training "
+            "sets 1, so that losses on the centres move something",
+        )
+        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
+        opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
+        conflict_opacity: float = Field(
+            0.45,
+            gt=0,
+            le=1,
+            description="share of its opacity that a view keeps where its edit contradicts the reference's; 1: all",
+        )
+        thickness: float = Field(
+            0.3, gt=0, le=1, description="of a Gaussian across the surface, over its size along it; 1: round"
+        )
+        footprint: float = Field(0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]")
+        seed: int = Field(0, ge=0, description="of the initial weights")
+
+    def __init__(self, settings: Settings, backbone: Backbone) -> None:
+        super().__init__()
+        self.settings, self.patch_size = settings, backbone.patch_size
+        if self.patch_size % STRIDE:
+            raise SettingsError(f"head: edit-fusion needs patches of even size, the backbone has {self.patch_size}.")
+        given, width = backbone.feature_widths[-1], settings.width
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            self.project = nn.Identity() if given == width else nn.Conv2d(given, width, 1)
+            self.corrections = zero_conv(width, 3 * STRIDE**2)
+            self.transport = EditTransport(width)
+            self.fusion = EditFusion(width)
+
+    def forward(
+        self,
+        features: Features,
+        images: Float[Tensor, "batch view 3 height width"],
+        source: Views | None = None,
+        geometry: MatchedGeometry | None = None,
+    ) -> Gaussians:
+        if source is None or geometry is None:
+            raise InputError("edit-fusion needs matched geometry: give the reconstructor a matcher, as edit3r has.")
+        decisions = self._decide(features, images, source, geometry)
+        depth, opacity = self.settings.depth_repair, self.settings.opacity_repair
+        counted = replace(
+            decisions,
+            depth_correction=depth * decisions.depth_correction,
+            opacity_correction=opacity * decisions.opacity_correction,
+            scale_correction=opacity * decisions.scale_correction,
+            disagreement=opacity * decisions.disagreement,
+        )
+        return assemble(images, source, geometry, counted, self.settings)
+
+    def _decide(
+        self,
+        features: Features,
+        images: Float[Tensor, "batch view 3 height width"],
+        source: Views,
+        geometry: MatchedGeometry,
+    ) -> Decisions:
+        """Everything learned, on the grid of the backbone's images."""
+        size = tuple(self.patch_size * side for side in features.grid)
+        before, after = resize(source.images, size), resize(images, size)
+        tokens = self._tokens(features, size)
+        raw = F.pixel_shuffle(self.corrections(tokens.flatten(0, 1)), STRIDE).unflatten(0, before.shape[:2])
+        depth, opacity, scale = raw.unbind(2)
+        depth, scale = 0.7 * torch.tanh(depth), 0.5 * torch.tanh(scale)
+        depths = averaged(geometry, size).depths * depth.detach().exp()
+        matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
+        fused = [self._fuse(before, after, tokens, matches, view) for view in range(1, before.shape[1])]
+        return Decisions(depth, opacity, scale, *_with_reference(fused))
+
+    def _tokens(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "batch view channel rows columns"]:
+        """The last level as maps, one token for STRIDE x STRIDE pixels."""
+        maps = features.levels[-1].transpose(-1, -2).unflatten(-1, features.grid)
+        flat = self.project(maps.flatten(0, 1))
+        if self.patch_size != STRIDE:
+            flat = upsample_to(flat, flat.new_empty(1, 1, size[0] // STRIDE, size[1] // STRIDE))
+        return flat.unflatten(0, maps.shape[:2])
+
+    def _fuse(
+        self,
+        source: Float[Tensor, "batch view 3 height width"],
+        edited: Float[Tensor, "batch view 3 height width"],
+        tokens: Float[Tensor, "batch view channel rows columns"],
+        matches: Correspondences,
+        view: int,
+    ) -> FusedEdit:
+        """Carry the reference's edit to one view and weigh it against the view's own."""
+        coordinates = matches.coordinates[:, view]
+        colours = torch.cat((source[:, 0], edited[:, 0], edited[:, 0] - source[:, 0]), 1)
+        carried = self.transport(
+            tokens[:, view],
+            F.avg_pool2d(tokens[:, 0], KEY_STRIDE // STRIDE),
+            F.avg_pool2d(coordinates.permute(0, 3, 1, 2), STRIDE).permute(0, 2, 3, 1),
+            fit_colour_maps(source[:, 0], edited[:, 0], KEY_STRIDE, sigma=0.7),
+            F.avg_pool2d(colours, KEY_STRIDE),
+        )
+        inside = matches.inside[:, view, None]
+        warped = warp(colours[:, None, 3:], coordinates[:, None])[:, 0] * inside
+        return self.fusion(
+            tokens[:, view],
+            source[:, view],
+            edited[:, view],
+            fit_colour_maps(source[:, view], edited[:, view], STRIDE, sigma=1.0),
+            carried,
+            torch.cat((warped, inside), 1),
+        )
+
+
+def _with_reference(fused: list[FusedEdit]) -> tuple[Tensor, Tensor, Tensor]:
+    """(disagreement, maps, choice) of all views: 0 for the reference, which takes nothing from another."""
+    found = zip(*((f.opacity_correction[:, 0], f.maps, f.choice) for f in fused))
+    return tuple(torch.stack([torch.zeros_like(maps[0]), *maps], 1) for maps in found)
+
+
+def assemble(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Views,
+    geometry: MatchedGeometry,
+    decisions: Decisions,
+    settings: EditFusionHead.Settings,
+) -> Gaussians:
+    """Turn geometry, images and decisions into one Gaussian per pixel, in the frame of view 0."""
+    images = source.images
+    fine = _at_image_size(decisions, images)
+    depths = geometry.depths * fine.depth_correction.exp()
+    matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
+    floating = contradicted(geometry, source.intrinsics)
+    logits = torch.logit(torch.where(floating, FLOATING_OPACITY, settings.opacity)) + fine.opacity_correction
+    colours, yielding = edited, 1.0
+    if settings.fuse_edits:
+        near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
+        near = near * edits_disagree(edited, images, matches)
+        colours = fuse_colours(edited, images, fine, matches, near)
+        logits = logits + near * fine.disagreement
+        conflict = edits_conflict(edited, images, matches, near)
+        yielding = 1 - (1 - settings.conflict_opacity) * conflict
+    opacities = torch.sigmoid(logits) * yielding
+    scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
+    cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
+    gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacities)
+    return discs(gaussians, tuple(depths.shape[1:]), settings.thickness)
+
+
+def fuse_colours(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    decisions: Decisions,
+    matches: Correspondences,
+    near: Float[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view 3 height width"]:
+    """Mix the candidates for each pixel's colour; exactly `edited` where it is not `near` a change."""
+    shape = source.shape[:2]
+    carried = (source + change_of(decisions.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
+    reference = torch.cat((edited[:, :1], (edited - source)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
+    warped, change = warp(reference, matches.coordinates).split(3, 2)
+    presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
+    presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
+    choice = decisions.choice * near[:, :, None]
+    taken = choice[:, :, 2:] * presence
+    # Where the reference shows no edit, the share of its colour goes to the source under the carried colour map.
+    mapped = choice[:, :, 1:2] + choice[:, :, 2:] - taken
+    return edited + mapped * (carried - edited) + taken * (warped - edited)
+
+
+def _at_image_size(decisions: Decisions, images: Float[Tensor, "batch view 3 height width"]) -> Decisions:
+    """The decisions at the images' size, along the images' edges."""
+    single = (
+        decisions.depth_correction,
+        decisions.opacity_correction,
+        decisions.scale_correction,
+        decisions.disagreement,
+    )
+    stacked = torch.cat((torch.stack(single, 2), decisions.maps, decisions.choice), 2)
+    fine = guided_upsample(stacked.flatten(0, 1), images.flatten(0, 1)).unflatten(0, images.shape[:2])
+    depth, opacity, scale, disagreement = fine[:, :, :4].unbind(2)
+    choice = fine[:, :, -decisions.choice.shape[2] :]
+    choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
+    return Decisions(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
