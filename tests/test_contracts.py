@@ -31,7 +31,6 @@ ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("backbone", "matched-unet"): {"patches": (8, 12)},
-    ("reconstructor", "edit3r"): {"trained_with": {"weights": "shipped"}},  # untrained corrections are 0: no gradient
 }
 """What its contract needs to know."""
 
