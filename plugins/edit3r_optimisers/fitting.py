@@ -6,7 +6,7 @@ the same result: everything random is drawn from the seed and the step.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import torch
 from jaxtyping import Float
@@ -58,7 +58,7 @@ def fit(
     """
     scene, extent, losses = TrainableGaussians(start), scene_extent(start, cameras), []
     for step in range(steps):
-        targets.before_step(step, scene.so_far)
+        targets.before_step(step, partial(scene.gaussians, detached=True))
         view = view_at(step, cameras.count, seed)
         with torch.enable_grad():
             image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[0, 0]
@@ -66,7 +66,7 @@ def fit(
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
         progress(text, step + 1, steps)
-    return Fitted(scene.so_far(), tuple(losses))
+    return Fitted(scene.gaussians(detached=True), tuple(losses))
 
 
 class TrainableGaussians:
@@ -89,9 +89,9 @@ class TrainableGaussians:
         groups = [{"params": [value], "name": name} for name, value in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
 
-    def gaussians(self) -> Gaussians:
-        """Return a batch of one; differentiable in the parameters."""
-        values = self.parameters
+    def gaussians(self, detached: bool = False) -> Gaussians:
+        """Return a batch of one; differentiable in the parameters unless `detached`."""
+        values = {name: value.detach() if detached else value for name, value in self.parameters.items()}
         return Gaussians(
             values["means"][None],
             values["scales"].exp()[None],
@@ -100,11 +100,6 @@ class TrainableGaussians:
             values["colour"][None],
             self.view_index,
         )
-
-    @torch.no_grad()
-    def so_far(self) -> Gaussians:
-        """Return the Gaussians without gradient history."""
-        return self.gaussians()
 
     def step(self, loss: Float[Tensor, ""], sizes: Mapping[str, float]) -> None:
         """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the parameter."""
