@@ -29,6 +29,7 @@ from edit3r.workers import run_resumable
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
+FLAT = str(Path(__file__).parents[1] / "plugins" / "flat_scene.py")
 STEPS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233)  # of the changes that a command makes on the disk
 
 
@@ -68,7 +69,7 @@ def contents(folder):
 
 def run_command(out):
     options = ["--size", "64", "--editor", "none", "--rasterizer", "torch", "--quiet", "--overwrite"]
-    options += ["--refine", "0", "--frames", "2"]
+    options += ["--refine", "0", "--frames", "2", "--plugin", FLAT, "--recon", "flat"]
     assert main(["run", *map(str, packaged_pair()[0]), "--out", str(out), *options]) == 0
 
 
