@@ -1,11 +1,14 @@
 """Is the verdict of a run right? Sets of real photos with known cameras: input views against views between them.
 
     python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
+    python benchmarks/verdict.py FOLDER --photos 0,2,4,6,8,10 --pairs
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
 reconstructed without their poses. Views between two placed neighbours, which the run has not seen, are then rendered
-from their true poses (scaled as the found ones are) and compared with their photos. One JSON line a set, and a table:
-for each label, how many sets it was given and their held-out PSNR.
+from their true poses (relative to the nearer neighbour, in the unit that the neighbours are apart) and compared with
+their photos. With `--pairs` each two neighbours are also reconstructed alone and compared in the same view: do more
+photos make it worse? One JSON line a set, and a table: for each label, how many sets it was given and their held-out
+PSNR; with `--pairs` a line a set.
 """
 
 import argparse
@@ -14,61 +17,89 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import torch
 
 import edit3r
 from edit3r.errors import Edit3rError
-from edit3r.geometry.cameras import median_scale, scale_poses
 from edit3r.io.posed_folder import read_posed_folder
 
 SETS = ((2, 2), (2, 4), (2, 8), (3, 2), (3, 4), (4, 2), (4, 5), (6, 2), (6, 3), (6, 7))  # photos, distance
 
 
-def sets_of(count: int) -> list[tuple[list[int], list[int]]]:
-    """Indices of the photos of each set, and of the photos half-way between neighbours."""
-    found = []
-    for photos, gap in SETS:
-        for start in (0, count // 2):
-            chosen = [start + gap * k for k in range(photos)]
-            if chosen[-1] < count:
-                found.append((chosen, [(a + b) // 2 for a, b in pairwise(chosen)]))
+def sets_of(count: int) -> list[list[int]]:
+    """Indices of the photos of each set."""
+    found = [[start + gap * k for k in range(photos)] for photos, gap in SETS for start in (0, count // 2)]
+    return [chosen for chosen in found if chosen[-1] < count]
+
+
+def between(centres: np.ndarray, chosen: list[int]) -> list[int | None]:
+    """For each two neighbours of a set the other photo most nearly half-way between them; None: none lies between."""
+    free, found = [i for i in range(len(centres)) if i not in chosen], []
+    for a, b in pairwise(chosen):
+        distance = np.linalg.norm(centres[free, None] - centres[[a, b]], axis=-1).max(1)
+        nearest = int(distance.argmin())
+        found.append(free[nearest] if distance[nearest] <= np.linalg.norm(centres[a] - centres[b]) else None)
     return found
 
 
-def measure(folder: Path, chosen: list[int], between: list[int], size: int) -> dict:
+def measure(folder: Path, chosen: list[int], size: int, pairs: bool) -> dict:
     """Reconstruct one set; the verdict, and the PSNR [dB] of the held-out views whose two neighbours were placed."""
     cameras = read_posed_folder(folder).cameras
-    views = edit3r.load_views([folder / cameras[i].file for i in (*chosen, *between)], size=size)
-    own = views.select(range(len(chosen)))
-    row = {"scene": folder.name, "photos": chosen}
+    targets = between(np.stack([camera.c2w[:3, 3] for camera in cameras]), chosen)
+    files = [folder / cameras[i].file for i in (*chosen, *(t for t in targets if t is not None))]
+    views, count = edit3r.load_views(files, size=size), len(chosen)
+    numbers = iter(range(count, views.count))
+    asked = [(k, next(numbers)) for k, target in enumerate(targets) if target is not None]
+    row = {"scene": folder.name, "photos": chosen, "between": targets}
     try:
-        result = edit3r.run(replace(own, c2w=None), editor="none", size=size)
+        result = edit3r.run(replace(views.select(range(count)), c2w=None), editor="none", size=size)
     except Edit3rError as error:
         return {**row, "label": "refused", "reason": str(error)[:200], "held_out": []}
     placed = [i for i, there in enumerate(result.verdict.placed) if there]
-    usable = [
-        k for k in range(len(between)) if {k, k + 1} <= set(placed) and _lies_between(views.c2w[0], k, len(chosen))
-    ]
-    verdict = {name: getattr(result.verdict, name) for name in ("label", "input_psnr", "agreement", "placed", "filled")}
-    return {**row, **verdict, "held_out": _held_out(result, views, placed, [len(chosen) + k for k in usable])}
+    asked = [(k, target) for k, target in asked if {k, k + 1} <= set(placed)]
+    for name in ("label", "input_psnr", "agreement", "placed", "filled"):
+        row[name] = getattr(result.verdict, name)
+    row["held_out"] = [_held_out(result, views, (k, k + 1), placed.index(k), target) for k, target in asked]
+    row["cpu_s"] = sum(stage.cpu_seconds for stage in result.report.stages)
+    if pairs:
+        row["pairs"] = [_of_pair(views, k, target, size) for k, target in asked]
+    return row
 
 
-def _lies_between(c2w: torch.Tensor, k: int, photos: int) -> bool:
-    """Whether held-out view `k` is no farther from either neighbour than they are apart; c2w [view 4 4]."""
-    a, b, target = (c2w[i, :3, 3] for i in (k, k + 1, photos + k))
-    return bool(max((target - a).norm(), (target - b).norm()) <= (a - b).norm())
+def _of_pair(views: edit3r.Views, k: int, target: int, size: int) -> float | None:
+    """PSNR [dB] of view `target` from views `k` and `k` + 1 alone; None where they are refused."""
+    try:
+        result = edit3r.run(replace(views.select([k, k + 1]), c2w=None), editor="none", size=size)
+    except Edit3rError:
+        return None
+    return _held_out(result, views, (k, k + 1), 0, target)
 
 
-def _held_out(result: edit3r.RunResult, views: edit3r.Views, placed: list[int], targets: list[int]) -> list[float]:
-    if not targets:
-        return []
-    true = torch.linalg.inv(views.c2w[:, :1].double()) @ views.c2w.double()
-    found = result.cameras.c2w[0, 1:, :3, 3].double()
-    poses = scale_poses(true[:, targets], median_scale(true[0, placed[1:], :3, 3], found)).float()
-    cameras = edit3r.Cameras(poses, views.intrinsics[:, targets], views.image_size)
-    images = result.rasterizer.render(result.gaussians, cameras).images.clamp(0, 1)
-    error = (images - views.images[:, targets]).square().mean((0, 2, 3, 4))
-    return (-10 * torch.log10(error)).tolist()
+def _held_out(result: edit3r.RunResult, views: edit3r.Views, pair: tuple[int, int], first: int, target: int) -> float:
+    """PSNR [dB] of view `target`; the `pair` of its neighbours are cameras `first` and `first` + 1 of the result."""
+    true, found = views.c2w[0].double(), result.cameras.c2w[0].double()
+    length = float((found[first, :3, 3] - found[first + 1, :3, 3]).norm())
+    unit = length / float((true[pair[0], :3, 3] - true[pair[1], :3, 3]).norm())
+    nearer = min((0, 1), key=lambda side: float((true[pair[side], :3, 3] - true[target, :3, 3]).norm()))
+    step = torch.linalg.inv(true[pair[nearer]]) @ true[target]
+    step[:3, 3] *= unit
+    pose = (found[first + nearer] @ step).float()
+    cameras = edit3r.Cameras(pose[None, None], views.intrinsics[:, [target]], views.image_size)
+    image = result.rasterizer.render(result.gaussians, cameras).images[0, 0].clamp(0, 1)
+    return float(-10 * torch.log10((image - views.images[0, target]).square().mean()))
+
+
+def pairs_table(rows: list[dict]) -> str:
+    """Markdown: a line a set, the mean held-out PSNR of all its photos and of the two neighbours alone."""
+    lines = ["| photos | all, dB | two alone, dB | difference |", "| --- | --: | --: | --: |"]
+    for row in rows:
+        both = [(own, pair) for own, pair in zip(row["held_out"], row.get("pairs", [])) if pair is not None]
+        if both:
+            own, pair = (sum(values) / len(both) for values in zip(*both))
+            photos = f"{row['scene']} {', '.join(map(str, row['photos']))}"
+            lines.append(f"| {photos} | {own:.1f} | {pair:.1f} | {own - pair:+.1f} |")
+    return "\n".join(lines)
 
 
 def table(rows: list[dict]) -> str:
@@ -90,6 +121,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--size", type=int, default=384)
+    parser.add_argument("--photos", action="append", help="a set, such as 0,2,4, instead of the sets above; repeatable")
+    parser.add_argument("--pairs", action="store_true", help="reconstruct each two neighbours of a set alone as well")
     parser.add_argument(
         "--write", type=Path, help="append one JSON line a set to this file; sets in it are not repeated"
     )
@@ -101,13 +134,14 @@ def main() -> None:
     )
     done = {(row["scene"], tuple(row["photos"])) for row in rows}
     for folder in args.folders:
-        for chosen, between in sets_of(len(read_posed_folder(folder).cameras)):
+        asked = [[int(number) for number in text.split(",")] for text in args.photos or []]
+        for chosen in asked or sets_of(len(read_posed_folder(folder).cameras)):
             if (folder.name, tuple(chosen)) not in done:
-                rows.append(measure(folder, chosen, between, args.size))
+                rows.append(measure(folder, chosen, args.size, args.pairs))
                 if args.write:
                     with args.write.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
-    print(table(rows))
+    print(pairs_table(rows) if args.pairs else table(rows))
 
 
 if __name__ == "__main__":

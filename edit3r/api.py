@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,9 @@ from torch import Tensor
 
 from edit3r.cache import Cache
 from edit3r.config import PartChoice
-from edit3r.pipeline import RunResult
+from edit3r.pipeline import RunResult, lens_of
 from edit3r.pipeline import run as run_pipeline
-from edit3r.registry import Registry
+from edit3r.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import PART_KEYS, make_run_config
 from edit3r.selection import Selection
@@ -52,7 +53,8 @@ def run(
     with collecting(own):
         if not isinstance(views, Views):
             asked = make_run_config(named)
-            loaded = load_photos(views, fov=asked.fov, size=asked.size, most=asked.views)
+            read_lens = partial(lens_of, asked, registry or default_registry())
+            loaded = load_photos(views, fov=asked.fov, size=asked.size, most=asked.views, read_lens=read_lens)
             views, records = loaded.views, loaded.photos
         config = make_run_config({"prompt": prompt, **named}, photos=views.count)
         result = run_pipeline(

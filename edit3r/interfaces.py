@@ -23,6 +23,7 @@ from edit3r.reporting import warn
 from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
 
 if TYPE_CHECKING:
+    from edit3r.io.framing import Lens
     from edit3r.plugins import Offer
 
 # The first logarithm that MKL computes on several threads of a process is sometimes less accurate in one of them, and
@@ -279,6 +280,10 @@ class Matcher(Configured, ABC):
     @abstractmethod
     def match(self, views: Views) -> MatchedGeometry:
         """Geometry at the views' own resolution. Raises MatchingError when view 0 matches no other view."""
+
+    def lens(self, views: Views) -> "Lens | None":
+        """What bends straight lines in all views, where nobody knows the lens and the photos tell beyond doubt."""
+        return None
 
 
 class Rasterizer(Configured, ABC):

@@ -21,6 +21,7 @@ from edit3r.config import PartChoice
 from edit3r.earlier_run import EarlierRun
 from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
+from edit3r.io.framing import Lens
 from edit3r.io.images import Photo
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
@@ -192,6 +193,12 @@ class _Components:
             return self._given[kind]
         choice: PartChoice = getattr(self._config, kind)
         return self._registry.build_choice(kind, choice, parts)
+
+
+def lens_of(config: RunConfig, registry: Registry, views: Views) -> Lens | None:
+    """What bends straight lines in the photos, as the matcher of the chosen reconstructor reads it from them."""
+    matcher = getattr(registry.check("reconstructor", config.reconstructor), "matcher", None)
+    return registry.build_choice("matcher", matcher).lens(views) if isinstance(matcher, PartChoice) else None
 
 
 def _masks_of(selection: Selection, parts: _Components, views: Views) -> Float[Tensor, "1 view height width"]:

@@ -118,9 +118,9 @@ class Registry:
         """Build the component that a configuration chose; its settings may have any names."""
         return self._build(kind, choice.name, dict(choice.settings), dict(parts or {}), built={}, where=kind)
 
-    def check(self, kind: str, choice: PartChoice) -> None:
-        """Raise what building the component would raise about its name, its packages and its own settings."""
-        self._settings(self.find(kind, choice.name), choice.settings, kind)
+    def check(self, kind: str, choice: PartChoice) -> Settings:
+        """The settings; raises what building the component would raise about its name, its packages and them."""
+        return self._settings(self.find(kind, choice.name), choice.settings, kind)
 
     def _settings(self, offer: Offer, values: Mapping[str, Any], where: str) -> Settings:
         cls = self.settings_class(offer)
@@ -195,9 +195,13 @@ def _installed(module: str) -> bool:
         return False
 
 
+def default_registry(local_files: Iterable[str | Path] = ()) -> Registry:
+    """The registry of everything installed and of local files, loaded once per process."""
+    return _loaded(tuple(local_files))
+
+
 @cache
-def default_registry(local_files: tuple[str | Path, ...] = ()) -> Registry:
-    """The registry of everything installed, loaded once per process."""
+def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
     return Registry(load_plugins(local_files))
 
 

@@ -1,11 +1,13 @@
 """`edit3r run`: photos in, an edited 3D scene out."""
 
 import argparse
+import gc
 import hashlib
 import types
 import typing
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +64,7 @@ class RunCommand(Command):
         from edit3r.console import StageConsole, print_json
         from edit3r.reporting import Report
 
+        gc.set_threshold(100_000, 50, 100)  # as usual, half a second goes into looking through what modules made
         with nullcontext(print_json) if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             result = self._run(args, Report(on_event=console))
         if not args.quiet:
@@ -125,7 +128,9 @@ def read_photos(
     """
     from edit3r.io.coverage import choose_photos
     from edit3r.io.images import LoadedPhotos, load_photos
+    from edit3r.pipeline import lens_of
     from edit3r.quality import note_quality
+    from edit3r.registry import default_registry
 
     used = paths if continued else choose_photos(paths, config.views)
     given = args.mask
@@ -134,7 +139,8 @@ def read_photos(
     if continued:
         photos = LoadedPhotos(continued.edited, continued.records)
     else:
-        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras)
+        read_lens = partial(lens_of, config, default_registry(tuple(getattr(args, "plugin", ()))))
+        photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras, read_lens=read_lens)
     masks = _masks_or_marks(args, given, photos, config)
     hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
     note_quality(config.model_dump(), len(paths))

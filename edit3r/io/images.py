@@ -8,7 +8,7 @@ import hashlib
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -24,9 +24,9 @@ from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
 from edit3r.io.coverage import USUAL_FRAMES, VIDEO_SUFFIXES, choose_photos, frame_origins, take_frames
 from edit3r.io.decode import decode, image_size, read_image
-from edit3r.io.framing import Frame, common_size, frame_for
+from edit3r.io.framing import Frame, Lens, common_size, frame_for
 from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder, known_poses
-from edit3r.reporting import track, warn
+from edit3r.reporting import say, track, warn
 from edit3r.types import Views
 
 __all__ = [
@@ -104,12 +104,14 @@ def load_photos(
     size: int | None = 512,
     names: Sequence[str] | None = None,
     most: int | None = None,
+    read_lens: Callable[[Views], Lens | None] | None = None,
 ) -> LoadedPhotos:
     """Read photos, given as files and folders (a folder's images come in natural order).
 
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov` (horizontal [degrees]),
     else EXIF, else a stated default. Poses come along where one camera file has them for all photos. `size` bounds the
-    longer side [pixels]; None keeps the photos' own. At most `most` are used, those that cover the scene. Raises
+    longer side [pixels]; None keeps the photos' own. At most `most` are used, those that cover the scene. Photos of one
+    size whose lens nobody knows are straightened where `read_lens` tells from them that it bends straight lines. Raises
     InputError for anything that cannot be used, in one sentence that names the file.
     """
     _check_arguments(fov, size)
@@ -133,7 +135,19 @@ def load_photos(
     intrinsics = torch.stack([frame.follow(i.normalised) for frame, i in zip(frames, found)])
     poses = known_poses(found)
     c2w = None if poses is None else poses[None].float()
-    return LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed), photos)
+    loaded = LoadedPhotos(Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed), photos)
+    one_lens = len(set(sizes)) == 1 and all(assumed) and read_lens is not None
+    return _straightened(loaded, files, read_lens(loaded.views)) if one_lens else loaded
+
+
+def _straightened(loaded: LoadedPhotos, files: Sequence[Path], lens: Lens | None) -> LoadedPhotos:
+    """The photos as a plain pinhole would have taken them; as they are where `lens` is None."""
+    if lens is None:
+        return loaded
+    say("lens.straightened", f"it bends straight lines (k1 {lens.distortion[0]:.3f}); the photos are straightened")
+    photos = tuple(replace(photo, frame=replace(photo.frame, lens=lens)) for photo in loaded.photos)
+    images = [_to_tensor(photo.frame.cut(decode(file).pixels)) for photo, file in zip(photos, files)]
+    return LoadedPhotos(replace(loaded.views, images=torch.stack(images)[None]), photos)
 
 
 def find_photos(paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES) -> list[Path]:

@@ -10,12 +10,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy.optimize import minimize_scalar
-
 from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.relative_pose import Matches, refine, rough_pose, signed_support
+from edit3r_matching.relative_pose import Matches, refine, rough_pose, sharp_support
 
-__all__ = ["PointPairs", "calibrate"]
+__all__ = ["PointPairs", "calibrate", "contradiction"]
 
 FIELDS_OF_VIEW = (28.0, 36.0, 46.0, 57.0, 68.0, 80.0, 94.0)
 """Across the longer side [degrees], from a short telephoto lens to an action camera."""
@@ -27,9 +25,11 @@ _MOST_PAIRS = 2
 _FEWEST_MATCHES = 40
 _PREFERENCE = 0.01
 """Share of the matches that a focal length e times larger or smaller has to win over before it is believed."""
+_SURE = 80.0  # score below which the matches never contradict what the user says of the lens
+_CLEAR = 0.08  # share of the best score by which what the user says must be worse to be contradicted
+_FAR = 0.3  # smallest error that is told of [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
-_HALF_STEP = 0.15  # between two fields of view of the scan [log focal length]
-_LOG_FOCAL_TOLERANCE = 0.01
+_STEPS = (0.08, 0.04, 0.02, 0.01)  # between two fields of view of the scan, shorter and shorter [log focal length]
 
 
 def calibrate(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> float | None:
@@ -37,27 +37,41 @@ def calibrate(images: Sequence[CalibratedImage], found: PointPairs, threshold: f
 
     It is measured across the longer side [degrees]. `threshold` is in pixels at a long side of 256.
     """
-    richest = sorted(found.items(), key=lambda item: -len(item[1]))[:_MOST_PAIRS]
-    pairs = [matches for _, matches in richest if len(matches) >= _FEWEST_MATCHES]
-    if not pairs:
+    search = _search(images, found, threshold, seed)
+    if search is None:
         return None
-    longest = max(max(image.size) for image in images)
-    search = _FocalSearch(pairs, longest, threshold * longest / 256, seed)
-    tried = [search.assumed, *(search.log_focal(fov) for fov in FIELDS_OF_VIEW)]
-    scanned = [search.with_new_poses(log_focal) for log_focal in tried]
-    best = max(scanned, key=lambda trial: trial.score)
-    # A robust estimate may miss the motion at one focal length and find it at the next: all are tried with the best.
-    again = [search.with_poses_near(trial.log_focal, best.poses) for trial in scanned]
-    best = max(best, *again, key=lambda trial: trial.score)
+    best = max(search.scan(), key=lambda trial: trial.score)
     if best.score < _LEAST_SUPPORT:
         return None
-    narrowed = minimize_scalar(
-        lambda log_focal: -search.with_poses_near(log_focal, best.poses).score,
-        bounds=(best.log_focal - _HALF_STEP, best.log_focal + _HALF_STEP),
-        method="bounded",
-        options={"xatol": _LOG_FOCAL_TOLERANCE},
-    )
-    return search.fov(float(narrowed.x) if -narrowed.fun > best.score else best.log_focal)
+    for step in _STEPS:
+        near = [search.with_poses_near(best.log_focal + sign * step, best.poses) for sign in (-1, 1)]
+        best = max(best, *near, key=lambda trial: trial.score)
+    return search.fov(best.log_focal)
+
+
+def contradiction(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> float | None:
+    """The field of view that photos tell [degrees] where the one they came with is surely wrong; else None.
+
+    Sure: many matches agree clearly better with one far from it, and less again with the narrowest and the widest, so
+    that the scene does tell. Photos of several lenses are taken to be wrong by one factor; it is that of the first.
+    """
+    search = _search(images, found, threshold, seed)
+    if search is None:
+        return None
+    given, *others = search.scan()
+    best = max(others, key=lambda trial: trial.score)
+    beyond = max(others[0].score, others[-1].score)
+    clear = given.score < (1 - _CLEAR) * best.score and beyond < (1 - _CLEAR / 2) * best.score
+    sure = clear and best.score >= _SURE and abs(best.log_focal - search.assumed) > _FAR
+    return search.fov(best.log_focal) if sure else None
+
+
+def _search(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> "_FocalSearch | None":
+    """A search on the pairs with most matches; None where no pair has enough."""
+    richest = sorted(found.items(), key=lambda item: -len(item[1]))[:_MOST_PAIRS]
+    pairs = [matches for _, matches in richest if len(matches) >= _FEWEST_MATCHES]
+    longest = max(max(image.size) for image in images)
+    return _FocalSearch(pairs, longest, threshold * longest / 256, seed) if pairs else None
 
 
 @dataclass(frozen=True)
@@ -89,6 +103,15 @@ class _FocalSearch:
     def fov(self, log_focal: float) -> float:
         return math.degrees(2 * math.atan(0.5 * self.longest / math.exp(log_focal)))
 
+    def scan(self) -> list[_Trial]:
+        """What was assumed, then all fields of view from narrow to wide."""
+        tried = [self.assumed, *(self.log_focal(fov) for fov in FIELDS_OF_VIEW)]
+        scanned = [self.with_new_poses(log_focal) for log_focal in tried]
+        best = max(scanned, key=lambda trial: trial.score)
+        # A robust estimate may miss the motion at one focal length and find it at the next: all try the best one's.
+        again = [self.with_poses_near(trial.log_focal, best.poses) for trial in scanned]
+        return [max(pair, key=lambda trial: trial.score) for pair in zip(scanned, again)]
+
     def with_new_poses(self, log_focal: float) -> _Trial:
         """The score with poses found anew."""
         found = (rough_pose(self._with_focal(pair, log_focal), self.threshold, self.seed) for pair in self.pairs)
@@ -104,7 +127,7 @@ class _FocalSearch:
 
     def _trial(self, log_focal: float, poses: tuple[Pose | None, ...]) -> _Trial:
         agreeing = sum(
-            signed_support(self._with_focal(pair, log_focal), pose, self.threshold)
+            sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
             for pair, pose in zip(self.pairs, poses)
             if pose is not None
         )
@@ -113,4 +136,4 @@ class _FocalSearch:
 
     def _with_focal(self, pair: Matches, log_focal: float) -> Matches:
         """The same points seen with another focal length."""
-        return pair.zoomed(math.exp(log_focal) / pair.focal)
+        return pair.zoomed(math.exp(log_focal - self.assumed))

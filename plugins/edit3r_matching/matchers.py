@@ -1,6 +1,8 @@
 """The matchers `classical` and `posed`, which need no weights, and `auto`, which picks."""
 
+import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -10,15 +12,16 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r import config, reporting
-from edit3r.cache import remembered
+from edit3r.cache import fingerprint, identity, remembered
 from edit3r.config import PartChoice
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import from_pixels, relative_to_first
 from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.io.framing import Lens
 from edit3r.registry import build, default_registry
 from edit3r.stage_checks import component_name, require_matchable
 from edit3r.types import Views
-from edit3r_matching.calibration import calibrate
+from edit3r_matching.calibration import calibrate, contradiction
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
@@ -28,6 +31,10 @@ __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
+LEAST_DISTORTION = 0.03
+"""Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight photos too."""
+LEAST_GAIN = 0.08
+"""Share of the points' distance from their pixels that a distortion must explain before it is believed."""
 LEAST_MATCHES = 8
 """Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
 
@@ -64,35 +71,95 @@ class ClassicalMatcher(Matcher):
         """Whether the field of view is to be read from the photos: where none of them knows its own."""
         return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
 
+    def lens(self, views: Views) -> Lens | None:
+        if views.count < 3 or len(views.images) > 1 or not self._reads_fov(views):
+            return None
+        from edit3r_matching.bundle_adjustment import fit_distortion
+
+        try:
+            found = _registered(_Asked.of(self, views, 0))
+        except MatchingError:  # told when the photos are matched
+            return None
+        views_placed = np.flatnonzero(found.registration.registered).tolist()
+        if len(views_placed) < 3:  # two see the same, whatever the lens
+            return None
+        poses = {view: found.registration.poses[view] for view in views_placed}
+        matches = {pair: view.indices for pair, view in found.registration.pairs.items()}
+        points = [keypoints.points for keypoints in found.features.keypoints]
+        threshold = 2 * self.settings.threshold * max(found.images[0].size) / 256
+        radial, gain = fit_distortion(found.images, points, matches, poses, threshold)
+        if abs(radial) < LEAST_DISTORTION or gain < LEAST_GAIN:
+            return None
+        (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()
+        return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
+
     def _match_scene(self, views: Views, scene: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags and intrinsics."""
-        chosen = self.settings
-        images = calibrated_images(views, scene)
-        names = views.names or tuple(f"view {index}" for index in range(views.count))
-        features = find_features(images, chosen)
         unknown = self._reads_fov(views)
-        if unknown:
-            images = self._calibrated(images, features)
-        registration = register(images, names, features, chosen.threshold, chosen.seed, free_focal=unknown)
-        images = [image.zoomed(registration.zoom) for image in images]
-        if registration.zoom != 1:
-            reporting.note("matcher.fov", round(images[0].fov, 1))
-        _report(registration, features, names)
+        found = _registered(_Asked.of(self, views, scene)) if unknown else self.register(views, scene)
+        registration = found.registration
+        if unknown and (found.told is not None or registration.zoom != 1):
+            reporting.note("matcher.fov", round(found.images[0].fov, 1))
+        _report(registration, found.features, _names(views))
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
-        maps = (c2w, *measure_depths(images, registration, chosen))
+        maps = (c2w, *measure_depths(found.images, registration, self.settings))
         c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
-        in_pixels = torch.from_numpy(np.stack([image.intrinsics for image in images]))
-        intrinsics = from_pixels(in_pixels, views.image_size).to(c2w)
+        intrinsics = found.normalised(views.image_size).to(c2w)
         return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered), intrinsics
 
-    def _calibrated(self, images: Sequence[CalibratedImage], features: FoundFeatures) -> Sequence[CalibratedImage]:
-        """The images with a field of view read from their matches, where they have enough."""
+    def register(self, views: Views, scene: int) -> "_Registered":
+        """Where the photos of one scene were taken, and the field of view they tell, or contradict with a warning."""
+        chosen, images, unknown = self.settings, calibrated_images(views, scene), self._reads_fov(views)
+        features = find_features(images, chosen)
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
-        fov = calibrate(images, pairs, self.settings.threshold, self.settings.seed)
-        if fov is None:
-            return images
-        reporting.note("matcher.fov", round(fov, 1))
-        return [image.with_fov(fov) for image in images]
+        told = (calibrate if unknown else contradiction)(images, pairs, chosen.threshold, chosen.seed)
+        if unknown and told is not None:
+            images = [image.with_fov(told) for image in images]
+        elif told is not None:
+            reporting.warn(
+                f"The photos tell a field of view of about {told:.0f} degrees across the longer side, not the "
+                f"{images[0].fov:.0f} that were given by --fov, EXIF or a camera file: with a wrong one the scene is "
+                "bent. Leave --fov out, or give the right one."
+            )
+        registration = register(images, _names(views), features, chosen.threshold, chosen.seed, free_focal=unknown)
+        return _Registered(tuple(i.zoomed(registration.zoom) for i in images), features, registration, told)
+
+
+@dataclass(frozen=True)
+class _Registered:
+    """Photos with the intrinsics that they were registered with."""
+
+    images: tuple[CalibratedImage, ...]
+    features: FoundFeatures
+    registration: Registration
+    told: float | None  # field of view that the matches tell [degrees]
+
+    def normalised(self, size: tuple[int, int]) -> Float[Tensor, "view 3 3"]:
+        """The intrinsics as shares of the photos' (height, width)."""
+        return from_pixels(torch.from_numpy(np.stack([image.intrinsics for image in self.images])), size)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A scene to register; equal to another one of the same photos and settings."""
+
+    key: str
+    matcher: ClassicalMatcher = field(compare=False)
+    views: Views = field(compare=False)
+    scene: int = field(compare=False)
+
+    @staticmethod
+    def of(matcher: ClassicalMatcher, views: Views, scene: int) -> "_Asked":
+        return _Asked(fingerprint(identity(matcher), views, scene), matcher, views, scene)
+
+
+@functools.lru_cache(maxsize=1)  # who reads the lens of photos matches them next
+def _registered(asked: _Asked) -> _Registered:
+    return asked.matcher.register(asked.views, asked.scene)
+
+
+def _names(views: Views) -> tuple[str, ...]:
+    return views.names or tuple(f"view {index}" for index in range(views.count))
 
 
 class PosedMatcher(Matcher):
@@ -164,6 +231,9 @@ class AutoMatcher(Matcher):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher if settings.pick == "part" else build("matcher", "da3", model=settings.pick)
+
+    def lens(self, views: Views) -> Lens | None:
+        return self.matcher.lens(views)
 
     def match(self, views: Views) -> MatchedGeometry:
         pick, name = self.settings.pick, component_name(self.matcher)

@@ -36,12 +36,8 @@ EditType = Literal["Add", "Remove", "Modify", "Global"]
 EDIT_TYPES: tuple[EditType, ...] = get_args(EditType)
 EDITS_PER_SCENE = 5
 VERSION = 1
-
-VISIBLE = 1.5 / 255
-"""A generated scene's edit is where truth and photo differ by more than this."""
-
-MARGIN = 0.025
-"""A generated edit's mask reaches this much further than the change [image widths]."""
+VISIBLE = 1.5 / 255  # a generated scene's edit is where truth and photo differ by more than this
+MARGIN = 0.025  # a generated edit's mask reaches this much further than the change [image widths]
 
 
 class FrameRecord(Settings):

@@ -24,6 +24,8 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Views
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.8, 0.99), 1e-8  # of Adam: few steps must do
+CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
+MORE_STEPS = 0.25  # steps for each photo beyond two, in shares of those for two
 SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
 
 
@@ -86,7 +88,9 @@ def refine(
             shown = rasterizer.render(variables.gaussians(), cameras.select(view)).images
             loss = (smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(2) * ~out).mean()
         errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
-        variables.step(loss)
+        # Each view pulls the others' surfaces to itself: shorter steps in the end settle between them.
+        past = (step / steps - CALM) / (1 - CALM)
+        variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
         if len(errors) % cameras.count == 0 or step == steps - 1:
             rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
@@ -117,7 +121,12 @@ class RefineRefiner(Refiner):
     """Sharpens the Gaussians by photometric steps on the views that show the edit."""
 
     class Settings(RefineSettings):
-        steps: int = Field(40, ge=0, le=10000, description="most photometric steps, each towards one view")
+        steps: int = Field(
+            40,
+            ge=0,
+            le=10000,
+            description="most photometric steps for two views, each towards one; a further view adds a quarter",
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -127,7 +136,8 @@ class RefineRefiner(Refiner):
     ) -> Gaussians:
         """Follow `views` alone: photos that were not edited would pull the edit back out."""
         shown = cameras.select(range(views.count)).at(views.image_size)
-        refined = refine(gaussians, shown, views.images, rasterizer, self.settings.steps, self.settings)
+        steps = round(self.settings.steps * (1 + MORE_STEPS * max(0, views.count - 2)))
+        refined = refine(gaussians, shown, views.images, rasterizer, steps, self.settings)
         note("refine", refined.facts)
         return refined.gaussians
 
@@ -144,8 +154,8 @@ class Adam:
         self.first, self.second = ([torch.zeros_like(value) for value in self.values] for _ in range(2))
 
     @torch.no_grad()
-    def step(self, gradients: Sequence[Tensor]) -> None:
-        """One step against the gradients, in the order of the values."""
+    def step(self, gradients: Sequence[Tensor], length: float = 1.0) -> None:
+        """One step against the gradients, in the order of the values; `length` is a share of the step sizes."""
         self.steps += 1
         unbiased = [1 - beta**self.steps for beta in BETAS]
         for value, rate, gradient, first, second in zip(self.values, self.rates, gradients, self.first, self.second):
@@ -153,7 +163,7 @@ class Adam:
             second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
             spread = second.sqrt().div_(math.sqrt(unbiased[1])).add_(EPSILON)
             # What this view does not show stays: else momentum alone would carry it on through all other views' steps.
-            value.addcdiv_(first * (gradient != 0), spread, value=-rate / unbiased[0])
+            value.addcdiv_(first * (gradient != 0), spread, value=-length * rate / unbiased[0])
 
 
 class _Variables:
@@ -180,8 +190,8 @@ class _Variables:
             harmonics=self.values["colour"],
         )
 
-    def step(self, loss: Float[Tensor, ""]) -> None:
-        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())))
+    def step(self, loss: Float[Tensor, ""], length: float) -> None:
+        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())), length)
 
 
 def _held_back(
