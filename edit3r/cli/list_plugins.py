@@ -31,18 +31,11 @@ class ListPluginsCommand(Command):
         problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
         rows = [_row(registry, offer, problems[offer]) for offer in offers]
         failures = [vars(failure) for failure in registry.failures]
-        clashes = [
-            f"{group[0].kind} {group[0].component.name!r} is offered by {' and '.join(o.plugin for o in group)}; "
-            f"ask for {' or '.join(o.qualified_name for o in group)}"
-            for group in registry.clashes()
-        ]
-        slow = _slow_imports(registry) if args.check else []
+        clashes = registry.clashes()
         if args.json:
-            remarks = {"clashes": clashes, "slow": slow, "deprecations": list(registry.plugins.deprecations)}
-            content = {"components": rows, "failures": failures, **remarks}
-            print(json.dumps(content, indent=2))
+            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes}, indent=2))
         else:
-            _print_table(rows, failures, [*clashes, *slow, *registry.plugins.deprecations])
+            _print_table(rows, failures, clashes)
         broken = failures or clashes or any(problems.values())
         return 1 if args.strict and broken else 0
 
@@ -60,24 +53,9 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "summary": offer.component.summary,
         "licence": offer.component.licence,
         "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
-        "weights": [_fetching(weights) for weights in offer.component.weights if at_hand(weights) is None],
+        "weights": [f"{w.get} ({w.terms})" for w in offer.component.weights if at_hand(w) is None],
         "problem": problem,
     }
-
-
-def _fetching(weights) -> str:
-    return f"{weights.get} ({weights.terms})"
-
-
-def _slow_imports(registry) -> list[str]:
-    """A plugin's declaration module should import nothing heavy; every command waits for it."""
-    limit = 0.3
-    local = {offer.plugin for offer in registry.offers() if not offer.version}  # one file holds all of those
-    return [
-        f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
-        for name, seconds in registry.plugins.import_seconds.items()
-        if seconds > limit and name not in local
-    ]
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()) -> None:
@@ -94,7 +72,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence
     console.print(shown, markup=False)
 
 
-def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
+def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], clashes: list[str]) -> None:
     """The table, then one line for everything that is wrong, so that grep finds it whole."""
     marked = [{**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows]
     table(COLUMNS, [[row[column] for column in COLUMNS] for row in marked], ("kind", "name", "plugin", "version"))
@@ -104,4 +82,4 @@ def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], rem
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
         lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")
-    print("\n".join([*lines, *(f"note: {remark}" for remark in remarks)]))
+    print("\n".join([*lines, *(f"note: {clash}" for clash in clashes)]))

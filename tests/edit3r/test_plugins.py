@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from edit3r import hookspecs, plugins
+from edit3r import plugins
 from edit3r.errors import InputError
 from edit3r.plugins import load_plugins
 
@@ -116,16 +116,6 @@ def test_two_packages_with_one_entry_point_name_both_load_under_names_that_diffe
     assert {offer.qualified_name for offer in offers} == {"sepia:one", "edit3r-two:two"}
 
 
-def test_an_older_api_that_is_still_served_loads_with_a_note(installed, monkeypatch):
-    monkeypatch.setattr(hookspecs, "API_VERSION", 2)
-    installed(old=DECLARATION)
-    loaded = load_plugins()
-    assert [offer.component.name for offer in loaded.offers] == ["old"]
-    assert loaded.deprecations == (
-        "plugin 'old': written for edit3r API 1, which will be dropped; the current one is 2",
-    )
-
-
 def test_a_plugin_that_states_no_api_is_taken_for_the_current_one(installed):
     installed(silent=DECLARATION.replace("EDIT3R_API = 1", ""))
     assert not load_plugins().failures
@@ -134,13 +124,6 @@ def test_a_plugin_that_states_no_api_is_taken_for_the_current_one(installed):
 def test_a_helper_that_only_looks_like_a_hook_is_left_alone(installed):
     installed(helpful=DECLARATION + "\n\ndef register_with_the_tax_office():\n    pass\n")
     assert not load_plugins().failures
-
-
-def test_the_time_of_a_slow_declaration_is_measured(installed):
-    installed(slow="import time; time.sleep(0.05)\n" + DECLARATION, quick=DECLARATION)
-    seconds = load_plugins().import_seconds
-    assert seconds["slow"] >= 0.05
-    assert set(seconds) == {"slow", "quick"}
 
 
 def test_a_local_file_loads_only_when_named(installed, tmp_path):
