@@ -10,6 +10,7 @@ from edit3r.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
+SLOW = 0.3  # seconds after which a declaration is told of
 
 
 class ListPluginsCommand(Command):
@@ -32,10 +33,11 @@ class ListPluginsCommand(Command):
         rows = [_row(registry, offer, problems[offer]) for offer in offers]
         failures = [vars(failure) for failure in registry.failures]
         clashes = registry.clashes()
+        slow = _slow_imports(registry) if args.check else []
         if args.json:
-            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes}, indent=2))
+            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes, "slow": slow}, indent=2))
         else:
-            _print_table(rows, failures, clashes)
+            _print_table(rows, failures, [*clashes, *slow])
         broken = failures or clashes or any(problems.values())
         return 1 if args.strict and broken else 0
 
@@ -58,6 +60,16 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
     }
 
 
+def _slow_imports(registry) -> list[str]:
+    """A plugin's declaration module should import nothing heavy; every command waits for it."""
+    local = {offer.plugin for offer in registry.offers() if not offer.version}  # one file holds all of those
+    return [
+        f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
+        for name, seconds in registry.plugins.import_seconds.items()
+        if seconds > SLOW and name not in local
+    ]
+
+
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()) -> None:
     """Print a table; columns in `whole` are not wrapped, and nothing is where the output is piped."""
     from rich.console import Console
@@ -72,7 +84,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence
     console.print(shown, markup=False)
 
 
-def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], clashes: list[str]) -> None:
+def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
     """The table, then one line for everything that is wrong, so that grep finds it whole."""
     marked = [{**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows]
     table(COLUMNS, [[row[column] for column in COLUMNS] for row in marked], ("kind", "name", "plugin", "version"))
@@ -82,4 +94,4 @@ def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], cla
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
         lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")
-    print("\n".join([*lines, *(f"note: {clash}" for clash in clashes)]))
+    print("\n".join([*lines, *(f"note: {remark}" for remark in remarks)]))
