@@ -407,7 +407,7 @@ def test_parts_that_take_no_geometry_are_the_paper_s_form():
     assert made.full is not None and not made.takes_geometry
     result = made(_views(), _views())
     assert result.cameras is None and torch.equal(result.gaussians.means, made.full(_views()).gaussians.means)
-    with pytest.raises(SettingsError, match="matched-unet and head edit-fusion"):
+    with pytest.raises(SettingsError, match="none ship for these parts"):
         _reconstructor(backbone=VIT, head=DPT)
 
 
