@@ -168,9 +168,10 @@ def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> 
     known = [hook_name(kind) for kind in KINDS]
     for attribute in dir(module):
         marked = manager.parse_hookimpl_opts(module, attribute) is not None
-        meant = suggest(attribute, known)
-        if attribute not in known and (marked or (attribute.startswith("register_") and meant)):
-            raise ValueError(f"{attribute!r} is not an edit3r hook.{meant}")
+        if attribute not in known and (marked or attribute.startswith("register_")):
+            meant = suggest(attribute, known)
+            if marked or meant:
+                raise ValueError(f"{attribute!r} is not an edit3r hook.{meant}")
         if attribute in known and not marked:
             raise ValueError(f"{attribute} is not marked; put @edit3r.hookimpl above it")
 

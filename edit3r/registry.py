@@ -190,9 +190,13 @@ def _installed(module: str) -> bool:
         return False
 
 
+def default_registry(local_files: Iterable[str | Path] = ()) -> Registry:
+    """The registry of everything installed and of local files, loaded once per process."""
+    return _loaded(tuple(local_files))
+
+
 @cache
-def default_registry(local_files: tuple[str | Path, ...] = ()) -> Registry:
-    """The registry of everything installed, loaded once per process."""
+def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
     return Registry(load_plugins(local_files))
 
 

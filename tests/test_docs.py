@@ -116,6 +116,22 @@ def test_every_table_of_figures_names_the_command_that_makes_it(page):
         assert what in generate.commands() if program == "edit3r" else (ROOT / what).is_file(), f"{page}: {what}"
 
 
+NOT_MEASURED = r"`[^`]*`|<!--.*?-->|\(#?[\w./-]+\)|(Apache-|BY-NC-SA |section |torch |at least |above |\^)[\d.]+\S*"
+"""Decimals that nobody measured: settings and paths, licences, versions, limits."""
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/model-card.md", "docs/network.md"])
+def test_every_figure_in_a_sentence_stands_in_a_table_or_beside_its_command(page):
+    text = re.sub(r"```.*?```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+    tables = "".join(table[0] for table in re.finditer(r"(?m)(?:^\|.*\n)+", text))
+    known = set(re.findall(r"\d+\.\d+", tables))
+    for paragraph in re.split(r"\n\s*\n", re.sub(r"(?m)^\|.*\n", "", text)):
+        if re.search(r"`(edit3r|python) [^`]+`|\[figures\]\(", paragraph):
+            continue
+        found = set(re.findall(r"\d+\.\d+", re.sub(NOT_MEASURED, "", paragraph)))
+        assert found <= known, f"{page}: no command makes {sorted(found - known)} in: {paragraph.strip()[:100]}"
+
+
 def test_links_between_pages_lead_somewhere():
     for page, text in {**PAGES, **REFERENCE}.items():
         for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", _without_code(text)):

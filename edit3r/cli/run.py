@@ -1,6 +1,7 @@
 """`edit3r run`: photos in, an edited 3D scene out."""
 
 import argparse
+import gc
 import hashlib
 import types
 import typing
@@ -63,6 +64,7 @@ class RunCommand(Command):
         from edit3r.console import JsonLines, StageConsole
         from edit3r.reporting import Report
 
+        gc.set_threshold(100_000, 50, 100)  # as usual, half a second goes into looking through what modules made
         with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             result = self._run(args, Report(on_event=console))
         if not args.quiet:
@@ -156,9 +158,7 @@ def with_known_poses(config: RunConfig, views: "Views", registry: "Registry", re
     has_matcher = "matcher" in registry.find("reconstructor", chosen.name).component.parts
     usable = views.c2w is not None and has_matcher and "matcher" not in chosen.settings
     if refine and not usable:
-        raise InputError(
-            "--refine-poses: needs --cameras with the poses of all photos, and no other matcher."
-        )
+        raise InputError("--refine-poses: needs --cameras with the poses of all photos, and no other matcher.")
     if not usable:
         return config
     say("poses.source", "those that were given" + (", as they are" if not refine else ""))

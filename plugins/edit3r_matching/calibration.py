@@ -10,8 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy.optimize import minimize_scalar
-
 from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.relative_pose import Matches, refine, rough_pose, sharp_support
 
@@ -31,8 +29,7 @@ _SURE = 80.0  # score below which the matches never contradict what the user say
 _CLEAR = 0.08  # share of the best score by which what the user says must be worse to be contradicted
 _FAR = 0.3  # smallest error that is told of [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
-_HALF_STEP = 0.15  # between two fields of view of the scan [log focal length]
-_LOG_FOCAL_TOLERANCE = 0.01
+_STEPS = (0.08, 0.04, 0.02, 0.01)  # between two fields of view of the scan, shorter and shorter [log focal length]
 
 
 def calibrate(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> float | None:
@@ -46,13 +43,10 @@ def calibrate(images: Sequence[CalibratedImage], found: PointPairs, threshold: f
     best = max(search.scan(), key=lambda trial: trial.score)
     if best.score < _LEAST_SUPPORT:
         return None
-    narrowed = minimize_scalar(
-        lambda log_focal: -search.with_poses_near(log_focal, best.poses).score,
-        bounds=(best.log_focal - _HALF_STEP, best.log_focal + _HALF_STEP),
-        method="bounded",
-        options={"xatol": _LOG_FOCAL_TOLERANCE},
-    )
-    return search.fov(float(narrowed.x) if -narrowed.fun > best.score else best.log_focal)
+    for step in _STEPS:
+        near = [search.with_poses_near(best.log_focal + sign * step, best.poses) for sign in (-1, 1)]
+        best = max(best, *near, key=lambda trial: trial.score)
+    return search.fov(best.log_focal)
 
 
 def contradiction(images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int) -> float | None:

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from scipy.ndimage import binary_opening
 
 from edit3r.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
@@ -40,7 +39,9 @@ def confirmed(
 def without_speckles(agrees: Bool[np.ndarray, "height width"], raw: RawDepth) -> Bool[np.ndarray, "height width"]:
     """`agrees` without lone pixels and small islands of one depth, which agree by chance."""
     height, width = agrees.shape
-    kept = binary_opening(agrees, np.ones((2, 2)))
+    square = np.ones((2, 2), np.uint8)  # the two anchors are opposite corners, or what is kept would move by a pixel
+    eroded = cv2.erode(agrees.astype(np.uint8), square, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    kept = cv2.dilate(eroded, square, anchor=(0, 0)) > 0
     quarter_planes = np.clip((raw.inverse - raw.inverse.min()) / raw.step * 4 + 16, 1, 32000).astype(np.int16)
     quarter_planes[~kept] = 0
     cv2.filterSpeckles(quarter_planes, 0, max(12, height * width // 1200), 6)

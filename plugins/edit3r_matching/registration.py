@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
-from scipy.spatial import cKDTree
 
 from edit3r import config, weights
 from edit3r.errors import MatchingError
@@ -322,6 +321,8 @@ def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
     places, log_depth = kept.rays_a[readable], np.log(depth[readable])
     if len(places) < LEARNED_INLIERS:
         return False
+    from scipy.spatial import cKDTree  # learned features only
+
     _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)  # itself and four neighbours
     step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
     return bool(step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a))

@@ -5,6 +5,7 @@ pycolmap's robust estimate is refined on the Sampson error. Whether its support 
 """
 
 import ctypes
+import math
 import os
 import signal
 from collections.abc import Callable
@@ -13,8 +14,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import least_squares
-from scipy.special import gammaln
 
 from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 
@@ -44,6 +43,7 @@ MIN_INLIERS = 12
 LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not show."""
 _REFINEMENT_ROUNDS = 3
+_MOST_STEPS = 30
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
 _SHARP = 0.15  # times the threshold: what a good match is off, where it is asked how exactly they agree
 _NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
@@ -166,15 +166,26 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
         near = np.abs(sampson_errors(matches, pose)) < _NEAR * threshold
         if near.sum() < MIN_INLIERS:
             return pose
-        kept, moved = matches.select(near), _tangent_step(pose)
-        noise = 1.0 if kept.noise is None else kept.noise
-        solution = least_squares(
-            lambda step, kept=kept, moved=moved, noise=noise: sampson_errors(kept, moved(step)) / noise,
-            np.zeros(5),
-            loss="cauchy",
-            f_scale=_NOISE * threshold,
-        )
-        pose = moved(solution.x)
+        pose = _settled(matches.select(near), pose, _NOISE * threshold)
+    return pose
+
+
+def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
+    """The pose near `pose` with the least Cauchy loss of the errors over `scale` [pixels] (Levenberg-Marquardt)."""
+    scales = scale if matches.noise is None else scale * matches.noise
+    errors, damping = sampson_errors(matches, pose) / scales, 1e-3
+    for _ in range(_MOST_STEPS):
+        moved, weights = _tangent_step(pose), 1 / (1 + errors**2)
+        slopes = np.stack([sampson_errors(matches, moved(1e-6 * axis)) / scales - errors for axis in np.eye(5)]) / 1e-6
+        normal, slope = (slopes * weights) @ slopes.T, slopes @ (weights * errors)
+        tried = moved(-np.linalg.solve(normal + np.diag(damping * normal.diagonal() + 1e-9), slope))
+        after = sampson_errors(matches, tried) / scales
+        gain = 1 - np.log1p(after**2).sum() / np.log1p(errors**2).sum()
+        damping = 0.1 * damping if gain > 0 else 10 * damping
+        if gain > 0:
+            pose, errors = tried, after
+        if 0 <= gain < 1e-9 or damping > 1e9:
+            break
     return pose
 
 
@@ -200,4 +211,4 @@ def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
 
 def _log_binomial(n: int, k: int) -> float:
     """Natural logarithm of the binomial coefficient."""
-    return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))
+    return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)

@@ -41,9 +41,6 @@ class BenchCommand(Command):
         return args.step_main(args)
 
 
-# ---- build ----
-
-
 def _declare_build(parser: argparse.ArgumentParser) -> None:
     """Make a benchmark from folders of photos, or from generated scenes."""
     add = parser.add_argument
@@ -90,7 +87,8 @@ def _from_generator(args: argparse.Namespace) -> "Manifest":
     from edit3r_measure.bench_build import GeneratedSettings, build_generated
 
     check_least(args, procedural=1)
-    values = {"seed": args.seed, **_image_size(args), **_component_settings(args, {"generator"}).get("generator", {})}
+    own = {"seed": args.seed, **({"image_size": args.size} if args.size else {})}
+    values = merge({"generator": own}, _component_settings(args, {"generator"}))["generator"]
     settings = make_settings(GeneratedSettings, values, where="generator")
     return build_generated(args.procedural, settings, default_registry(tuple(args.plugin)))
 
@@ -103,30 +101,18 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
 
     if (args.llm is None) != (args.llm_model is None):
         raise SettingsError("--llm and --llm-model go together: an address and the model's name there.")
-    registry, settings = (
-        default_registry(tuple(args.plugin)),
-        _component_settings(args, {"detector", "segmenter", "truth"}),
-    )
-    named = {"detector": args.detector, "segmenter": args.segmenter, "truth": args.truth}
+    registry = default_registry(tuple(args.plugin))
+    settings = _component_settings(args, {"detector", "segmenter", "truth"})
     out = Path(args.out)
     vetting = Path(args.vetting) if args.vetting else out.with_name(f"{out.stem}.vetting.yaml")
-    given = {
-        "folder": Path(args.folder),
-        "out": out,
-        "vetting": vetting,
-        "seed": args.seed,
-        "views": args.views,
-        "count": args.scenes,
-        "photos_shown": args.llm_photos,
-        "labels": tuple(label.strip().lower() for label in args.labels.split(",") if label.strip()),
-        "model": LanguageModel(args.llm, args.llm_model) if args.llm else None,
-    }
-    tools = {
-        kind: registry.build("editor" if kind == "truth" else kind, name, **settings.get(kind, {}))
-        for kind, name in named.items()
-        if name
-    }
-    build = make_settings(PhotoBuild, {**given, **tools, **_image_size(args)}, where="build")
+    given = {"folder": Path(args.folder), "out": out, "vetting": vetting, "seed": args.seed, "views": args.views}
+    given |= {"count": args.scenes, "photos_shown": args.llm_photos} | ({"image_size": args.size} if args.size else {})
+    given["labels"] = tuple(label.strip().lower() for label in args.labels.split(",") if label.strip())
+    given["model"] = LanguageModel(args.llm, args.llm_model) if args.llm else None
+    for field, kind in (("detector", "detector"), ("segmenter", "segmenter"), ("truth", "editor")):
+        if name := getattr(args, field):
+            given[field] = registry.build(kind, name, **settings.get(field, {}))
+    build = make_settings(PhotoBuild, given, where="build")
     if args.no_vetting:
         return build.manifest(build.propose())
     if vetting.is_file():
@@ -136,18 +122,11 @@ def _from_photos(args: argparse.Namespace) -> "Manifest | None":
     return None
 
 
-def _image_size(args: argparse.Namespace) -> dict[str, int]:
-    return {} if args.size is None else {"image_size": args.size}
-
-
 def _component_settings(args: argparse.Namespace, known: set[str]) -> dict[str, Any]:
     values = parse_assignments(args.set)
     if set(values) - known:
         raise SettingsError(f"--set {min(set(values) - known)}: expected settings of {' or '.join(sorted(known))}.")
     return values
-
-
-# ---- run ----
 
 
 def _declare_run(parser: argparse.ArgumentParser) -> None:
@@ -203,19 +182,10 @@ def _run_methods(
     workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads)
     out = Path(args.out)
     for position, method in methods:
-        run = BenchRun(
-            manifest_file=Path(args.manifest),
-            method=method,
-            out=out if whole_folder else out / method.label,
-            metrics=metrics,
-            scenes=args.scenes,
-            edits=args.edits,
-            types=types,
-            plugins=tuple(args.plugin),
-            verify=not args.no_verify,
-            every_error=every_error,
-            position=position,
-        )
+        part = {"scenes": args.scenes, "edits": args.edits, "types": types, "plugins": tuple(args.plugin)}
+        how = {"verify": not args.no_verify, "every_error": every_error, "position": position}
+        place = out if whole_folder else out / method.label
+        run = BenchRun(Path(args.manifest), method, place, metrics, **part, **how)
         results = run_bench(run, workers, (lambda _: None) if args.quiet else partial(_print_progress, method.label))
         if not args.quiet:
             failed = sum(bool(result.failure) for result in results.values())
@@ -279,9 +249,6 @@ def _print_progress(label: str, progress: "Progress") -> None:
     left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
     place = f"  [{progress.done}/{progress.total}] {label}, {progress.key}"
     print(f"{place}: {what}; about {left} left", file=sys.stderr, flush=True)
-
-
-# ---- report ----
 
 
 def _declare_report(parser: argparse.ArgumentParser) -> None:

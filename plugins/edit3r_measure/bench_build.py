@@ -49,18 +49,10 @@ GENERATED_EDITS = (
 )
 """Suffix of the item, type, settings of the dataset, prompt. The first one is the pickiest, so it is tried first."""
 
-MOST_TRIES = 40
-"""Generated scenes looked at for each that is taken, before giving up."""
-
+MOST_TRIES = 40  # generated scenes looked at for each that is taken, before giving up
 PAPER_SCENES = 20
-MOST_SHOWN_SIDE = 512
-"""Longer side of what the language model is shown [pixels]."""
-
-UNNAMED = "object in the middle"
-"""What templates speak of when nobody knows what a scene shows."""
-
-
-# ---- generated scenes ----
+MOST_SHOWN_SIDE = 512  # longer side of what the language model is shown [pixels]
+UNNAMED = "object in the middle"  # what templates speak of when nobody knows what a scene shows
 
 
 class GeneratedSettings(Settings):
@@ -136,9 +128,6 @@ def is_visible(sample: SceneSample, everywhere: bool, settings: GeneratedSetting
     return strong and (everywhere or bool(((share >= low) & (share <= high)).all()))
 
 
-# ---- folders of photos ----
-
-
 @dataclass(frozen=True)
 class PhotoFolder:
     """Photos of one scene: which of them a method is given, and which are held back."""
@@ -156,9 +145,9 @@ class PhotoFolder:
 
 
 def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
-    """Return every sub-folder with at least two photos, else the folder itself. Raises InputError without any.
+    """Return every sub-folder with two photos or more, else the folder itself; without poses `views` photos are inputs.
 
-    Scenes without poses give `views` evenly spaced photos as inputs.
+    Raises InputError without any.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of scenes.")
@@ -303,11 +292,7 @@ class PhotoBuild(Settings):
     def _masks(
         self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Sequence[Detection | None]
     ) -> tuple[FrameRecord, ...]:
-        """Return those a person named, else those around a removed or modified object that a detector found.
-
-        None are made when it did not find the object in every input: an edit confined to some of the views would be
-        another edit.
-        """
+        """Return masks a person named, else those around a removed or modified object that was found in every input."""
         if edit.masks and len(edit.masks) != len(scene.inputs):
             counts = f"{len(edit.masks)} masks for {len(scene.inputs)} inputs"
             raise InputError(f"{self.vetting}, scene {scene.id!r}, {edit.prompt!r}: {counts}.")

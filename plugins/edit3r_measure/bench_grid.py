@@ -16,8 +16,8 @@ from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_column
 from edit3r_measure.oracle import ORACLE
 from edit3r_measure.report import format_or_dash, markdown_table, write_text
 
+# Measures of the table; the folders of the pairs hold all
 SHOWN = ("score", "psnr-in-edit", "psnr-in-background", "edit-uptake-2d", "consistency-2d", "consistency-warped")
-"""Measures of the table; the folders of the pairs hold all."""
 
 REACHES_OUT = "reaches out to the network, to a service that costs money, say; name it to include it."
 
@@ -25,10 +25,9 @@ REACHES_OUT = "reaches out to the network, to a service that costs money, say; n
 def pairs_of(
     registry: Registry, asked: Mapping[str, Sequence[str]], common: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> dict[str, tuple[Method, str]]:
-    """Return pairs of the editors and reconstructors that are `asked` for, of all installed without names, by label.
+    """Return pairs of the editors and reconstructors `asked` for (none: all), by label, and why one is not tried.
 
-    With each comes why it is not even tried, or "". `common` are fields that all methods share; `settings` are those of
-    components, by kind and name.
+    `common` are fields that all methods share, `settings` those of components by kind and name.
     """
     kinds = ("editor", "reconstructor")
     offers = {kind: {offer.component.name: offer.component for offer in registry.offers(kind)} for kind in kinds}

@@ -49,8 +49,8 @@ LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
 
 ONE_WORKER = Workers(threads=1)
 
+# Errors that are a result of the method; any other ends the benchmark, since the wish itself was wrong
 FAILURES = (MatchingError, PromptError, RunError, PluginError)
-"""Errors that are a result of the method; any other ends the benchmark, since the wish itself was wrong."""
 
 
 class Method(Settings):
@@ -145,10 +145,7 @@ def _result_of_row(row: Mapping[str, Any]) -> ItemResult:
 
 @dataclass(frozen=True)
 class BenchRun:
-    """A method on its way through a manifest: turns an item into a row of results.
-
-    It is pickled to each worker, where what it has built stays for the next item.
-    """
+    """A method on its way through a manifest: turns an item into a row of results; pickled to each worker."""
 
     manifest_file: Path
     method: Method
@@ -274,10 +271,9 @@ class BenchRun:
 def run_bench(
     run: BenchRun, workers: Workers = ONE_WORKER, on_done: Callable[[Progress], None] = lambda progress: None
 ) -> dict[str, ItemResult]:
-    """Do the items that are not done yet, and return all results by item in the manifest's order.
+    """Do the items that are not done yet; return all results in the manifest's order, the same for any workers.
 
-    The results are also in `run.out`, and are the same for any number of workers. Raises InputError when that folder
-    holds results of another manifest or method.
+    Raises InputError when `run.out` holds results of another manifest or method.
     """
     if not run.manifest.items:
         raise InputError(f"{run.manifest_file}: no edit is left to do with these limits.")
@@ -313,12 +309,9 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
 
 
 def timing_of(stages: Sequence[StageRecord], cold: bool) -> dict[str, Any]:
-    """Return the wall and CPU seconds of one edit of one scene, by what they were spent on.
+    """Return wall and CPU seconds (`_cpu`) of one edit: `editor`, `network` (the reconstructor), `rendering`.
 
-    `editor`: the 2D editor on all views; `network`: the reconstructor, with an editor inside it that one's time too;
-    `rendering`: the measured images. The same with `_cpu` counts CPU seconds. Reading images, building components
-    (loading weights), measuring and writing files are in none. A cold edit is the first of its process, which also pays
-    for imports, compilation and first touches.
+    Reading, building (loading weights), measuring and writing are in none. A cold edit is the first of its process.
     """
     parts = {"editor": "edit (", "network": "reconstruct (", "rendering": "render"}
     wall, cpu = {}, {}
@@ -330,11 +323,9 @@ def timing_of(stages: Sequence[StageRecord], cold: bool) -> dict[str, Any]:
 
 
 def evaluation_cameras(item: LoadedItem, predicted: Cameras) -> Cameras:
-    """Return where the result is looked at from: the inputs' predicted cameras, then the held-back frames.
+    """Return the inputs' predicted cameras, then the held-back frames at their true places relative to the reference.
 
-    Those stand at their true places relative to the reference, in the unit of length that makes the inputs' mean
-    distance from it the true one. Without known poses there are none, and as many places between the inputs are
-    looked at instead.
+    In the unit that makes the inputs' mean distance from it the true one; between the inputs where no pose is known.
     """
     more, known = len(item.record.held_back), predicted.intrinsics
     if item.cameras is None:

@@ -70,20 +70,12 @@ BY_REGION: Mapping[str, tuple[str, str]] = {
 }
 """The measures against the truth by region: at held-back views, and at those that the method was given."""
 
-LEFT_ALONE = 0.005
-"""Change of the 2D edit below which the editor did nothing [sRGB, low-passed]."""
-
-NOT_CARRIED = 0.15
-"""Share of the 2D edit below which the scene counts as unchanged."""
-
+LEFT_ALONE = 0.005  # change of the 2D edit below which the editor did nothing [sRGB, low-passed]
+NOT_CARRIED = 0.15  # share of the 2D edit below which the scene counts as unchanged
+# Change of the 2D edit from which it counts as one, where no truth says how strong it should be [sRGB, low-passed]
 FULL_STRENGTH = 0.04
-"""Change of the 2D edit from which it counts as one, where no truth says how strong it should be [sRGB, low-passed]."""
-
-SPOILED = 0.1
-"""Disagreement between views, or change outside the masks, at which nothing is left of that share [sRGB]."""
-
-PHOTOS_KEPT = 8
-"""Scenes whose photos' features are kept for the scene's other edits."""
+SPOILED = 0.1  # disagreement between views, or change outside the masks, at which nothing is left of that share [sRGB]
+PHOTOS_KEPT = 8  # scenes whose photos' features are kept for the scene's other edits
 
 
 class MetricSettings(Settings):
@@ -281,9 +273,9 @@ def _distances(
     covered: Bool[np.ndarray, "view height width"] | None,
     distances: Mapping[str, Loss],
 ) -> dict[str, float]:
-    """Return means over the views, of the `covered` pixels alone if given; views where nothing is covered do not count.
+    """Return means over the views, of the `covered` pixels if given; views where nothing is covered do not count.
 
-    The distances of networks are those of the truth with only the covered pixels replaced, over the share of these.
+    Networks see the truth with only the covered pixels replaced; their distance is divided by the share of these.
     """
     areas = [None] * len(truth) if covered is None else list(covered)
     views = [view for view in zip(images, truth, areas) if view[2] is None or view[2].any()]

@@ -25,8 +25,7 @@ th { border-bottom: 2px solid #b9b5ad } td:first-child, th:first-child { text-al
 .strips span { font-size: 13px; color: #6a6762; align-self: center; max-width: 15rem }
 .strips img { max-width: 100%; display: block } .failed { color: #b8505c }
 """
-HEIGHT = 128
-"""Strips are reduced to this height [pixels]."""
+HEIGHT = 128  # strips are reduced to this height [pixels]
 
 
 def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) -> str:

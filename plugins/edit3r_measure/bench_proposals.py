@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Literal
 
@@ -29,28 +28,15 @@ from edit3r.interfaces import Detection, Detector, Segmenter
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 from edit3r_measure.report import write_text
 
-Boxes = tuple[Detection | None, ...]
-"""One object's box in each photo; None where a photo does not show it."""
+Boxes = tuple[Detection | None, ...]  # one object's box in each photo; None where a photo does not show it
 
 KEY_VARIABLE = "OPENAI_API_KEY"
-
-SHARE_OF_VIEWS = 0.5
-"""An object counts when at least this share of the photos shows it."""
-
-LARGEST_SHARE = 0.7
-"""Boxes over more of a photo than this name the place rather than a thing in it."""
-
-MOST_OBJECTS = 8
-"""Objects of a scene that edits are proposed for."""
-
-PROPOSALS = 4
-"""Edits of each type that a language model is asked for."""
-
-ALIKE = 0.82
-"""Likeness from which two prompts count as one."""
-
+SHARE_OF_VIEWS = 0.5  # an object counts when at least this share of the photos shows it
+LARGEST_SHARE = 0.7  # boxes over more of a photo than this name the place rather than a thing in it
+MOST_OBJECTS = 8  # objects of a scene that edits are proposed for
+PROPOSALS = 4  # edits of each type that a language model is asked for
+# Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file
 WORDS = read_yaml(Path(__file__).with_name("bench_words.yaml"))
-"""Vocabulary of detectors, templates of edits, requests to language models, the head of the vetting file."""
 
 
 class ProposedEdit(Settings):
@@ -65,16 +51,10 @@ class ProposedEdit(Settings):
     masks: tuple[str, ...] = Field((), description="mask files of the inputs, relative to the vetting file")
 
 
-# ---- what the photos show ----
-
-
 def find_objects(
     images: Iterable[Float[Tensor, "3 height width"]], detector: Detector, words: Sequence[str]
 ) -> dict[str, Boxes]:
-    """Return the objects among `words` that enough of the photos show, at most MOST_OBJECTS of the highest mean score.
-
-    They are in order of that score, each with its best box in every photo, None where a photo does not show it.
-    """
+    """Return at most MOST_OBJECTS of `words` that enough photos show, by mean score, with the best box in each."""
     boxes: dict[str, Boxes] = dict.fromkeys(words, ())
     for image in images:
         area = image.shape[-2] * image.shape[-1]
@@ -102,9 +82,6 @@ def masks_from_boxes(
             box = (max(0.0, x / width), max(0.0, y / height), min(1.0, w / width), min(1.0, h / height))
             mask[:] = segmenter.segment(image, box=box).soft_mask > 0.5
     return dilate_softly(masks)
-
-
-# ---- proposals ----
 
 
 @dataclass(frozen=True)
@@ -156,18 +133,15 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
         own = [(texts, label) for texts in WORDS["templates"][kind] for label in objects]
         for texts, label in (own[index] for index in rng.permutation(len(own))):
             prompt, description = (text.format(object=label) for text in texts)
-            found.append(_edit(kind, prompt, label, description, "template"))
+            named = {"prompt": prompt, "object": label, "description": description}
+            found.append(ProposedEdit(type=kind, **named, source="template"))
     return found
-
-
-def _edit(kind: str, prompt: str, thing: str, description: str, source: str) -> ProposedEdit:
-    return ProposedEdit(type=kind, prompt=prompt, object=thing, description=description, source=source)
 
 
 def edits_from_model(
     labels: Sequence[str], images: Float[Tensor, "frame 3 height width"], model: LanguageModel
 ) -> list[ProposedEdit]:
-    """Return what the model proposes for a scene of which it sees images, which may be none, and is told the objects.
+    """Return what the model proposes for a scene whose objects it is told and whose images, if any, it sees.
 
     Raises RunError when its answer holds no usable edit.
     """
@@ -178,7 +152,6 @@ def edits_from_model(
         entries = json.loads(answer[start : end + 1])
     except ValueError:
         entries = []
-    entries = entries if isinstance(entries, list) else []
     found = [edit for entry in entries if (edit := _usable_edit(entry, labels, model.name))]
     if not found:
         raise RunError(f"language model {model.name}: no usable edit in its answer: {answer[:200]!r}")
@@ -195,37 +168,22 @@ def _usable_edit(entry: object, labels: Sequence[str], source: str) -> ProposedE
     kind, thing = kind.capitalize(), thing.lower()
     if kind not in EDIT_TYPES or not prompt or (kind in ("Remove", "Modify") and thing not in labels):
         return None
-    return _edit(kind, prompt, "" if kind == "Global" else thing, description, source)
-
-
-def likeness(first: str, second: str) -> float:
-    """Return how alike two prompts are in [0, 1]: the larger of the shares of common words and of letters in order.
-
-    Case, punctuation, plural s and words that carry nothing are ignored. It knows no meaning: "red" and "crimson"
-    stay two prompts, which a person may drop in the vetting file.
-    """
-    a, b = _words(first), _words(second)
-    if not a or not b:
-        return float(a == b)
-    common = len(set(a) & set(b)) / len(set(a) | set(b))
-    return max(common, SequenceMatcher(None, " ".join(a), " ".join(b), autojunk=False).ratio())
-
-
-def _words(text: str) -> list[str]:
-    words = [word.removesuffix("s") if len(word) > 3 else word for word in re.findall(r"[^\W_]+", text.lower())]
-    return [word for word in words if word not in WORDS["fillers"]]
+    named = {"prompt": prompt, "object": "" if kind == "Global" else thing, "description": description}
+    return ProposedEdit(type=kind, **named, source=source)
 
 
 def without_near_duplicates(edits: Iterable[ProposedEdit]) -> list[ProposedEdit]:
-    """Return the edits in order, without those whose prompt is like that of one before."""
-    kept: list[ProposedEdit] = []
+    """Return the edits in order, without those whose prompt has the words of one before.
+
+    Order, case, plural s and words that carry nothing do not count. It knows no meaning: "red" and "crimson" stay two
+    prompts, of which a person may drop one in the vetting file.
+    """
+    kept: dict[frozenset[str], ProposedEdit] = {}
     for edit in edits:
-        if all(likeness(edit.prompt, other.prompt) < ALIKE for other in kept):
-            kept.append(edit)
-    return kept
-
-
-# ---- a person's verdicts ----
+        words = re.findall(r"[^\W_]+", edit.prompt.lower())
+        plain = (word.removesuffix("s") if len(word) > 3 else word for word in words)
+        kept.setdefault(frozenset(word for word in plain if word not in WORDS["fillers"]), edit)
+    return list(kept.values())
 
 
 def write_vetting(path: Path, proposed: Mapping[str, Sequence[ProposedEdit]]) -> None:
@@ -253,9 +211,9 @@ def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
 
 
 def choose_edits(scene: str, edits: Sequence[ProposedEdit]) -> list[ProposedEdit]:
-    """Return the five of a scene: those kept, then undecided ones, types in turn. Raises InputError for another count.
+    """Return the five of a scene, in the order of EDIT_TYPES: those kept, then undecided ones, types in turn.
 
-    They are in the order of EDIT_TYPES.
+    Raises InputError for another count.
     """
     kept = [edit for edit in edits if edit.verdict == "keep"]
     if len(kept) > EDITS_PER_SCENE:

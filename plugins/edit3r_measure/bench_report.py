@@ -15,8 +15,7 @@ from edit3r_measure.bench_metrics import BY_REGION, METRICS
 from edit3r_measure.metrics import Interval, bootstrap_mean
 from edit3r_measure.report import format_or_dash, grouped, markdown_table
 
-FORMS = {**METRICS, **BY_REGION}
-"""Better direction and number format of every measure."""
+FORMS = {**METRICS, **BY_REGION}  # better direction and number format of every measure
 
 WALL = ("editor", "network", "rendering")
 CPU = ("editor_cpu", "network_cpu", "rendering_cpu")
@@ -53,9 +52,9 @@ class Column:
 
 
 def read_columns(folders: Iterable[Path]) -> list[Column]:
-    """Read every run in the folders, or one level below them. Raises InputError unless all are of one benchmark.
+    """Read every run in the folders, or one level below them, cut to the edits that every method has a result of.
 
-    Kept are the edits that every method has a result of, failures included, so that means compare like with like.
+    Raises InputError unless all are of one benchmark.
     """
     columns = []
     for folder in map(Path, folders):
@@ -90,8 +89,7 @@ def metric_names(columns: Sequence[Column]) -> list[str]:
 def mean_of(column: Column, name: str, minus: Column | None = None) -> Interval | None:
     """Return the mean over scenes of a metric with its interval; None when the method has no value.
 
-    With `minus`, the mean of the difference to another method, edit by edit: surer than the two means, for scenes
-    differ more than methods do.
+    With `minus` of the difference to another method, edit by edit, which is surer than two means.
     """
 
     def value(result: ItemResult) -> float:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:  # the command line is parsed without torch
     from edit3r.registry import Registry
     from edit3r_measure.novel_view import SceneScore
 
+# Settings of data sets; the seeds of training are others
 UNSEEN = {"procedural": {"seed": 1000, "targets": 1, "angles": [5, 25]}}
-"""Settings of data sets; the seeds of training are others."""
 
 
 class EvaluateCommand(Command):
@@ -37,15 +37,10 @@ class EvaluateCommand(Command):
         edits = "on data sets that know a true edit: how it is carried and fused, instead of novel views"
         add("--edits", action="store_true", help=edits)
         add("--index", metavar="FILE", help="pairs of an evaluation index file, by NoPoSplat's protocol")
-        add("--make-index", metavar="FILE", help="write such a file for the folders, --pairs of each class of overlap")
         align = "steps that align a target with its photo (default 100, 0: none), input cameras twice as many"
         add("--align", type=int, default=100, metavar="N", help=align)
-        add(
-            "--lpips",
-            action="store_true",
-            help="with --index: LPIPS instead of the perceptual distance that is offline",
-        )
-        settings = "such as reconstructor.opacity=0.8 or dataset.seed=5"
+        add("--lpips", action="store_true", help="with --index: LPIPS, not the perceptual distance that is offline")
+        settings = "such as reconstructor.head.opacity=0.8 or dataset.seed=5"
         add("--set", action="append", default=[], metavar="KEY=VALUE", help=settings)
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="FILE", help="write the table (.md) or every pair's figures (.json)")
@@ -59,11 +54,6 @@ class EvaluateCommand(Command):
         registry = default_registry(tuple(args.plugin))
         measure = _scores if args.index is None else _scores_by_index
         with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
-            if args.make_index:
-                from edit3r_measure.overlap_index import make_index
-
-                write_json(args.make_index, make_index(args.folders, args.pairs, args.size, registry))
-                return 0
             scores = measure(args, settings, registry, report)
         text = as_markdown(scores)
         print(text, end="")
@@ -106,24 +96,21 @@ def _scores_by_index(
     args: argparse.Namespace, settings: Mapping[str, Any], registry: "Registry", report: Report
 ) -> "list[SceneScore]":
     from edit3r_measure.novel_view import SceneScore
-    from edit3r_measure.overlap_index import photos_of, read_index
-    from edit3r_measure.pose_alignment import measure_pair
+    from edit3r_measure.protocol import measure_pair, photos_of, read_index
     from edit3r_measure.scene_sources import rotation_degrees
 
     tools, distance = _built(settings, args, registry), "lpips" if args.lpips else "perceptual"
-    perceptual, own = (distance, registry.build("loss", distance)), settings.get("dataset", {})
-    places = [
-        p if Path(p).is_dir() else registry.build("dataset", p, image_size=args.size, **own) for p in args.folders
-    ]
+    tools.append((distance, registry.build("loss", distance)))
+    own = {"image_size": args.size, **settings.get("dataset", {})}
+    places = [place if Path(place).is_dir() else registry.build("dataset", place, **own) for place in args.folders]
     found = grouped(read_index(Path(args.index)), lambda pair: f"{pair[0]} {pair[1].overlap_class}")
-    pairs, scores = [pair for own in found.values() for pair in own[: args.pairs]], []
-    for scene, entry in track(pairs, args.index):
-        frames = (*entry.context, *entry.targets)
+    scores = []
+    for scene, entry in track([pair for pairs in found.values() for pair in pairs[: args.pairs]], args.index):
+        frames, count = (*entry.context, *entry.targets), len(entry.context)
         photos, failure, figures = photos_of(places, scene, frames, args.size), "", {}
-        count = len(entry.context)
         with report.stage(f"{scene} {frames}"):
             try:
-                figures = measure_pair(*tools, perceptual, photos[:count], photos[count:], args.align)
+                figures = measure_pair(*tools, photos[:count], photos[count:], args.align)
             except MatchingError as error:
                 failure = str(error)
         names = (scene, str(frames[0]), str(frames[count - 1]), " ".join(map(str, entry.targets)))
@@ -223,8 +210,7 @@ def edit_table(scores: Sequence["SceneScore"]) -> str:
 
 def protocol_table(scores: Sequence["SceneScore"]) -> str:
     """Return one row a class of overlap and one for all pairs; failures count as infinite errors of pose."""
-    from edit3r_measure.overlap_index import CLASSES
-    from edit3r_measure.pose_alignment import AUC_DEGREES, auc
+    from edit3r_measure.protocol import AUC_DEGREES, CLASSES, auc
 
     names = next((list(score.figures) for score in scores if score.figures), [])
     means = [name for name in names if not name.endswith("pose_error")]

@@ -18,14 +18,9 @@ from edit3r.errors import InputError
 from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
-CROPS = 5
-"""Pieces that an image is compared by: itself and its four corners."""
-
-CORNER = 0.6
-"""Side of a corner piece [image sides]."""
-
-EFFNET_SIZE = 128
-"""Side that images are resized to for EfficientNet [pixels]."""
+CROPS = 5  # pieces that an image is compared by: itself and its four corners
+CORNER = 0.6  # side of a corner piece [image sides]
+EFFNET_SIZE = 128  # side that images are resized to for EfficientNet [pixels]
 
 CLIP_MODEL = "openai/clip-vit-large-patch14"
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
@@ -69,8 +64,7 @@ class InceptionFeatures:
         return self.network(pixels, return_features=True).double().numpy()
 
 
-FeatureNetwork = EffnetFeatures | InceptionFeatures
-"""A frozen network from images to one vector each."""
+FeatureNetwork = EffnetFeatures | InceptionFeatures  # a frozen network from images to one vector each
 
 
 def crops(images: Float[Tensor, "n 3 height width"]) -> Float[Tensor, "n5 3 height width"]:
@@ -83,10 +77,7 @@ def crops(images: Float[Tensor, "n 3 height width"]) -> Float[Tensor, "n5 3 heig
 
 
 class ClipSimilarity:
-    """Cosines between images and texts by a frozen CLIP (the paper's CLIP t2i); differentiable in the images.
-
-    The raw cosine, about 0.2 to 0.3 for good pairs; some tools report it times 100.
-    """
+    """Cosines between images and texts by a frozen CLIP (the paper's CLIP t2i), about 0.2 to 0.3 for good pairs."""
 
     def __init__(self, model: str = CLIP_MODEL, local_files_only: bool = False) -> None:
         weights = ChosenWeights(model, "clip.model", local_files_only=local_files_only)
@@ -119,20 +110,14 @@ def direction_similarity(
     text_before: str,
     text_after: str,
 ) -> Float[Tensor, "n"]:
-    """Return the cosine between how each image moved and how the text did (Gal et al., StyleGAN-NADA, 2022).
-
-    Unlike t2i it is about the change: 0 for an image that was left alone, or that changed in another way.
-    """
+    """Return the cosine between how images moved and how the text did (StyleGAN-NADA, 2022); 0 for one left alone."""
     moved = clip.embed_images(after) - clip.embed_images(before)
     start, end = clip.embed_texts([text_before, text_after]).to(moved)
     return F.cosine_similarity(moved, (end - start)[None], dim=-1)
 
 
 def prompt_quality(clip: ClipSimilarity, images: Float[Tensor, "n 3 height width"], good: str, bad: str) -> float:
-    """Return how much more images look `good` than `bad` to CLIP, in [0, 1] (CLIP-IQA, Wang et al. 2023); no reference.
-
-    The mean probability of the first of two opposite texts at CLIP's own temperature of 0.01; 0.5 is undecided.
-    """
+    """Return the mean probability in [0, 1] that images look `good`, not `bad` (CLIP-IQA, Wang et al. 2023)."""
     cosines = clip(images, [good, bad])
     return float((100 * (cosines[:, 0] - cosines[:, 1])).sigmoid().mean())
 

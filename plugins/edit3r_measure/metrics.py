@@ -29,26 +29,22 @@ Images = Float[np.ndarray, "view height width 3"]
 Masks = Float[np.ndarray, "view height width"]
 Features = Float[np.ndarray, "n feature"]
 
+# Standard deviations tried for the best-blurred copy [pixels]
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
-"""Standard deviations tried for the best-blurred copy [pixels]."""
 
 LOW_PASS = 0.015
 """Standard deviation of the low-pass before changes are measured [image widths]: a rendering that is a little blurred
 or shifted has not been edited."""
 
+# A warped point whose depth differs from what the other view sees by more than this share is hidden there
 DEPTH_TOLERANCE = 0.03
-"""A warped point whose depth differs from what the other view sees by more than this share is hidden there."""
 
 REGIONS = ("edit", "band", "background")
 
-BAND = 0.05
-"""Width of the band around an edit [image widths]."""
-
-RATIO = 0.8
-"""A match counts when its descriptor is nearer than this share of the second nearest's distance (Lowe 2004)."""
+BAND = 0.05  # width of the band around an edit [image widths]
+RATIO = 0.8  # a match counts when its descriptor is nearer than this share of the second nearest's distance (Lowe 2004)
 
 KERNEL_DEGREE, KERNEL_OFFSET = 3, 1.0  # of KID's polynomial kernel
-
 DRAWS, CONFIDENCE = 2000, 0.95  # of the bootstrap
 
 
@@ -58,7 +54,7 @@ DRAWS, CONFIDENCE = 2000, 0.95  # of the bootstrap
 def psnr(image: np.ndarray, target: np.ndarray, covered: Bool[np.ndarray, "height width"] | None = None) -> float:
     """Return the peak signal-to-noise ratio [dB] of `image` clipped to [0, 1], over the `covered` pixels if given.
 
-    `image` and `target` may have any equal shapes; infinite if they are equal, NaN when nothing is covered.
+    Any equal shapes; infinite if they are equal, NaN when nothing is covered.
     """
     if covered is not None:
         if not covered.any():
@@ -106,10 +102,7 @@ def sharpness(image: Image, photo: Image) -> float:
 
 
 def blur(image: Image) -> float:
-    """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007), a no-reference quality that needs no weights.
-
-    It says how little one more blur changes the differences of neighbouring pixels; by scikit-image.
-    """
+    """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007, scikit-image): no reference, no weights."""
     return float(blur_effect(image, channel_axis=-1))
 
 
@@ -127,8 +120,7 @@ def best_blurred_copy(
 ) -> BlurredCopy:
     """Return the highest PSNR that any photo reaches under any Gaussian blur: what knowing no geometry gives.
 
-    A prediction that is not clearly above this has learnt to blur, not where things are. The PSNR counts the `covered`
-    pixels only, if given; the SSIM is always that of the whole image.
+    The PSNR counts the `covered` pixels only, if given; the SSIM is always that of the whole image.
     """
     copies = ((gaussian_filter(photo, (sigma, sigma, 0)), sigma) for photo in photos for sigma in BLURS)
     scored = ((psnr(copy, target, covered), copy, sigma) for copy, sigma in copies)
@@ -140,26 +132,22 @@ def best_blurred_copy(
 
 
 def edit_strength(shown: Images, photos: Images, masks: Masks | None = None) -> float:
-    """Return the mean absolute change from photo to `shown` inside the masks (everywhere without), low-passed [sRGB].
-
-    0 when nothing was done; NaN when the masks are empty.
-    """
+    """Return the mean absolute change from photo to `shown` inside the masks, low-passed [sRGB]; NaN for empty ones."""
     return _weighted_change(shown, photos, np.ones(photos.shape[:3]) if masks is None else masks)
 
 
 def change_outside(shown: Images, photos: Images, masks: Masks) -> float:
-    """Return the mean absolute change outside the masks, low-passed [sRGB]; NaN when they leave nothing outside.
+    """Return the mean absolute change outside the masks, low-passed [sRGB], errors of reconstruction included.
 
-    It holds the errors of the reconstruction as well as what the edit spilled: compare it with another method's.
+    NaN when they leave nothing outside.
     """
     return _weighted_change(shown, photos, (masks == 0).astype(np.float64))
 
 
 def edit_uptake(shown: Images, before: Images, wished: Images, masks: Masks | None = None) -> float:
-    """Return the share of the wished change (`wished` - `before`) that `shown` has, inside the masks.
+    """Return the share of the wished change that `shown` has inside the masks: the projection of its change on that.
 
-    It is the projection of the shown change on the wished one. 1: all of it; 0: none, or something unrelated; below 0:
-    the opposite; 0 when no change was wished. Blur and noise that have nothing to do with the wish count for nothing.
+    1: all of it; 0: none, something unrelated, or no change wished; below 0: the opposite. Blur counts for nothing.
     """
     return change_uptake(shown - before, wished - before, np.ones(1) if masks is None else masks[..., None])
 
@@ -185,9 +173,8 @@ def warped_difference(
 ) -> float:
     """Return the mean absolute difference [sRGB] of pixels that two frames both see, over `pairs` (from, to) of them.
 
-    `depths` are camera z, 0 unknown; `cameras` batch 1. With `masks` only pixels of the first frame inside them
-    count, weighted. 0 when all agree; never quite 0 in practice, since pixels are interpolated: compare it with the
-    same measure of the photos. NaN when no pixel is seen twice.
+    `depths` camera z, 0 unknown; `cameras` batch 1; `masks` weight the first frame's pixels. 0 when all agree, nearly:
+    pixels are interpolated. NaN when no pixel is seen twice.
     """
     difference, weight = 0.0, 0.0
     for a, b in pairs:
@@ -204,10 +191,7 @@ def warped_image(
     other_depth: Float[Tensor, "height width"],
     cameras: Cameras,
 ) -> tuple[Float[Tensor, "3 height width"], Bool[Tensor, "height width"]]:
-    """Return `image` of the second of two cameras as the first sees it, and where the second sees the same point.
-
-    `depth` is the first camera's, `other_depth` the second's.
-    """
+    """Return the second camera's `image` as the first sees it, and where both see one point; `depth` is the first's."""
     found = find_correspondences(torch.stack((depth, other_depth))[None], cameras.intrinsics, cameras.c2w)
     coordinates, same_depth = found.coordinates[0, 0], (found.depth_ratio[0, 0].exp() - 1).abs() <= DEPTH_TOLERANCE
     return warp(image, coordinates), (found.inside[0, 0] > 0) & (depth > 0) & same_depth
@@ -216,8 +200,7 @@ def warped_image(
 def matched_points(first: Image, second: Image) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
     """Return where the same SIFT features lie in two images [pixels, centre of the top-left pixel at (0.5, 0.5)].
 
-    A match is each other's nearest and passes the ratio test. OpenCV's places are a quarter of a pixel too far right
-    and down, in both images alike, which epipolar distances hardly feel.
+    A match is each other's nearest and passes the ratio test.
     """
     sift, matcher = cv2.SIFT_create(), cv2.BFMatcher()
     found = [
@@ -239,10 +222,7 @@ def matched_points(first: Image, second: Image) -> tuple[Float[np.ndarray, "matc
 def epipolar_distances(
     first: Float[np.ndarray, "match 2"], second: Float[np.ndarray, "match 2"], cameras: Cameras
 ) -> Float[np.ndarray, "match"]:
-    """Return how far each point is from the epipolar line of its match, mean of both images [pixels]; 0 is best.
-
-    `cameras` are those two (batch 1); only their relative pose counts, in any unit of length.
-    """
+    """Return each point's mean distance in both images from its match's epipolar line [pixels]; 0 is best."""
     k = to_pixels(cameras.intrinsics[0].double(), cameras.image_size)
     c2w = cameras.c2w[0].double()
     motion = invert_rigid(c2w[1]) @ c2w[0]
@@ -259,12 +239,10 @@ def epipolar_distances(
 
 
 def frechet_distance(first: Features, second: Features) -> float:
-    """Return the Fréchet distance of two sets of features (Heusel et al. 2017), the mathematics of FID, in float64.
+    """Return the Fréchet distance of two sets of features (Heusel et al. 2017), FID's mathematics, in float64.
 
-    |m1 - m2|^2 + tr(S1 + S2 - 2 (S1 S2)^(1/2)) of the sets' means and unbiased covariances. The trace of the root is
-    the nuclear norm of the product of the centred sets, which needs no matrix of feature by feature and is exact when
-    there are fewer images than features. Few images bias it upwards: compare only values of equal counts, and look at
-    `kernel_distance` beside it. Raises ValueError below two rows.
+    |m1 - m2|^2 + tr(S1 + S2 - 2 (S1 S2)^(1/2)), the root's trace as the nuclear norm of the product of the centred
+    sets. Few images bias it upwards: compare equal counts only. Raises ValueError below two rows.
     """
     a, b = _feature_sets(first, second)
     mean_a, mean_b = a.mean(0), b.mean(0)
@@ -275,11 +253,9 @@ def frechet_distance(first: Features, second: Features) -> float:
 
 
 def kernel_distance(first: Features, second: Features) -> float:
-    """Return the unbiased squared maximum mean discrepancy (Binkowski et al. 2018), the mathematics of KID, in float64.
+    """Return the unbiased squared maximum mean discrepancy (Binkowski et al. 2018), KID's mathematics, in float64.
 
-    The kernel is (x·y / features + 1)^3. All rows are used at once; tools that average over random subsets estimate
-    the same number with more noise. Equal distributions give about 0, also slightly below. Raises ValueError below two
-    rows.
+    The kernel is (x·y / features + 1)^3 over all rows; equal distributions give about 0. ValueError below two rows.
     """
     a, b = _feature_sets(first, second)
     return float(_mean_of_others(a) + _mean_of_others(b) - 2 * _kernel(a, b).mean())
@@ -316,9 +292,9 @@ class Interval:
 
 
 def bootstrap_mean(values: Mapping[str, Sequence[float]], seed: int = 0) -> Interval | None:
-    """Return the mean over scenes of each scene's mean, with a percentile interval; None when no scene has a value.
+    """Return the mean over scenes of each scene's mean with a percentile interval, whole scenes drawn; NaN is left out.
 
-    `values` are by scene; NaN is left out. Whole scenes are drawn, since edits of one scene resemble each other.
+    `values` are by scene; None when no scene has a value.
     """
     finite = {scene: [v for v in of_scene if np.isfinite(v)] for scene, of_scene in values.items()}
     means = np.array([np.mean(of_scene) for of_scene in finite.values() if of_scene])

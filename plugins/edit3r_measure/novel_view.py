@@ -21,14 +21,9 @@ from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r_measure.metrics import best_blurred_copy, psnr, ssim
 from edit3r_measure.scene_sources import Scene, rotation_degrees
 
-COVERED = 0.5
-"""Alpha above which a pixel of a rendering counts as covered."""
-
-CHANGED = 2 / 255
-"""Mean change of colour above which a pixel belongs to a true edit."""
-
-SAME_SURFACE = 0.05
-"""Relative difference of depth below which two views show one surface."""
+COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
+CHANGED = 2 / 255  # mean change of colour above which a pixel belongs to a true edit
+SAME_SURFACE = 0.05  # relative difference of depth below which two views show one surface
 
 FIGURES = {
     "novel view": {
@@ -55,14 +50,11 @@ FIGURES = {
         "unedited_psnr": "the same without an edit [dB]",
     },
     "protocol": {
-        "psnr": "mean over the targets, from their true places [dB]",
-        "ssim": "of the same, in Gaussian windows of 11 pixels",
-        "lpips": "of the same",
-        "perceptual": "of the same, by features of EfficientNet-lite0; not LPIPS",
-        "aligned_psnr": "from where the targets look most like their photos, the scene frozen [dB]",
-        "aligned_ssim": "of the same",
-        "aligned_lpips": "of the same",
-        "aligned_perceptual": "of the same",
+        f"{prefix}{name}": f"mean over the targets, {where}"
+        for prefix, where in (("", "from their true places"), ("aligned_", "from where the scene looks most like them"))
+        for name in ("psnr", "ssim", "lpips", "perceptual")  # SSIM in Gaussian windows of 11 pixels
+    }
+    | {
         "pose_error": "larger of the errors of rotation and of baseline direction between the inputs [degrees]",
         "refined_pose_error": "after the last input camera was aligned with its photo",
     },
@@ -256,9 +248,9 @@ def _carried_edit(scene: Scene, reconstructor: Reconstructor, rasterizer: Raster
 def _share_of_opacity(
     plain: Reconstruction, edited: Reconstruction, other: RenderedView, before: Photo, after: Photo
 ) -> float:
-    """Return the opacity of view 1's Gaussians over that without an edit, where its photo shows the edit; NaN: unseen.
+    """Return the opacity of view 1's Gaussians where its photo shows the edit over that without one; NaN: unseen.
 
-    Counted are those that `other`, what the rest of the scene shows in view 1's camera, has at the same depth.
+    Counted are those at the depth of `other`, what the rest of the scene shows in view 1's camera.
     """
     region = other.covered & (np.abs(after.image - before.image).mean(-1) > CHANGED)
     sums = []

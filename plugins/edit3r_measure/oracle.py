@@ -23,14 +23,10 @@ from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
+# Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item
 ORACLE = "oracle"
-"""Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item."""
-
-FAULTS = ("blurred", "shifted", "coloured")
-"""What may be wrong with a reference."""
-
-NOISE_CELLS = 6
-"""Cells of the texture and warp noise along each side of the image."""
+FAULTS = ("blurred", "shifted", "coloured")  # what may be wrong with a reference
+NOISE_CELLS = 6  # cells of the texture and warp noise along each side of the image
 
 
 class OracleSettings(Settings):
@@ -87,11 +83,10 @@ def slightly_off(image: Float[Tensor, "3 height width"], fault: str) -> Float[Te
 
 
 def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> Float[Tensor, "3 height width"]:
-    """Return `image` warped, recoloured and textured, in [0, 1].
+    """Return `image` warped, recoloured and textured by a draw from a hash of `key`, in [0, 1].
 
-    How it is spoiled is drawn from a hash of `key`, how much by `amount` in [0, 1]: at 1 hues turn by up to 0.35 half
-    turns, channels change by up to half and 0.2 more, smooth texture has a deviation of 0.12 and points move by about
-    0.02 image widths.
+    At `amount` 1 hues turn by up to 0.35 half turns, channels change by up to half and 0.2 more, smooth texture has a
+    deviation of 0.12 and points move by about 0.02 image widths.
     """
     if amount == 0:
         return image

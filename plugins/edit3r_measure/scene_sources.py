@@ -30,8 +30,7 @@ from edit3r.types import Cameras
 
 PHOTOS = "photos"
 TRUTH_FILE = "truth.json"
-FARTHEST_BETWEEN = 0.4
-"""How far a photo between two others may be from the middle [baselines]."""
+FARTHEST_BETWEEN = 0.4  # how far a photo between two others may be from the middle [baselines]
 
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
@@ -129,10 +128,7 @@ def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
 
 
 def find_scenes(source: str, options: SceneOptions, registry: Registry) -> list[SceneSource]:
-    """Return the scenes of a folder of posed photos or of a data set, which may be none.
-
-    Raises InputError for what is neither, and for a folder whose camera file cannot be read.
-    """
+    """Return the scenes of a folder of posed photos or of a data set, perhaps none; InputError for what is neither."""
     if Path(source).is_dir():
         return list(_photographed(read_posed_folder(source), options))
     try:
@@ -170,10 +166,7 @@ def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator
 
 
 def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
-    """Turn one sample of the data set called `name` into a scene: its context views and its first target.
-
-    The true edit is there if the data set knows it.
-    """
+    """Return a sample of the data set called `name` as a scene: context views, first target, the true edit if known."""
     sample = samples[index]
     between = sample.target_cameras.select([0])
     inputs, (target,) = _photos(sample.context, sample.context_cameras), _photos(sample.target[:1], between)
@@ -248,10 +241,7 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:
-    """Write a scene that has a target below `root`, unless it is there already.
-
-    The truth comes last, so that half a scene is not taken for a whole one.
-    """
+    """Write a scene below `root`, unless it is there already; the truth comes last, so no half is taken for whole."""
     path = root / source.name
     if not (path / TRUTH_FILE).is_file():
         scene = source.load()

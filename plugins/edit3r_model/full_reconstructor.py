@@ -1,7 +1,7 @@
 """Reconstructor `noposplat`: views of any size and number through the published pose-free network to Gaussians."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from pydantic import Field
@@ -160,7 +160,7 @@ def _sized_like(loaded: LoadedWeights, backbone: Backbone, head: GaussianHead) -
 
 
 def _resized(part: nn.Module, config: PartConfig, source: str, kind: str, *needs: nn.Module) -> nn.Module:
-    """`part` built again without memory for weights, in the size `config` says."""
+    """`part` built again in the size `config` says; without memory for weights, where its seed may be none."""
     name = part.offer.component.name
     if name != config.name:
         raise SettingsError(
@@ -168,9 +168,11 @@ def _resized(part: nn.Module, config: PartConfig, source: str, kind: str, *needs
             f"--set reconstructor.{kind}={config.name} takes the right one."
         )
     given: Mapping[str, Any] = {key: getattr(part.settings, key) for key in part.settings.model_fields_set}
-    settings = make_settings(type(part).Settings, {**config.settings, **given, "seed": None}, kind)
+    seed = type(part).Settings.model_fields.get("seed")
+    empty = {"seed": None} if seed and type(None) in get_args(seed.annotation) else {}
+    settings = make_settings(type(part).Settings, {**config.settings, **given, **empty}, kind)
     resized = type(part)(settings, *needs)
-    resized.offer = part.offer
+    resized.settings, resized.offer = settings, part.offer
     return resized
 
 

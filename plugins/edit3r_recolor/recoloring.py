@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import kornia
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -130,7 +129,7 @@ def recolor(image: Image, parameters: RecolorParameters) -> Image:
     """C_Theta: jitters in their order, gamma, lighting offset, channel permutation, greyscale; sRGB in [0, 1]."""
     for name in parameters.order:
         image = _JITTER[name](image, getattr(parameters, name)).clamp(0, 1)
-    image = kornia.enhance.adjust_gamma(image, parameters.gamma)
+    image = image**parameters.gamma
     image = (image + image.new_tensor(parameters.lighting)[:, None, None]).clamp(0, 1)
     image = image[..., list(parameters.permutation), :, :]
     return to_greyscale(image) if parameters.greyscale else image
@@ -172,12 +171,13 @@ def adjust_contrast(image: Image, factor: float) -> Image:
 
 def adjust_saturation(image: Image, factor: float) -> Image:
     """Scale the distance from the pixel's own grey; the result is in [0, 1]."""
-    return kornia.enhance.adjust_saturation_with_gray_subtraction(image, factor)
+    return ((1 - factor) * to_greyscale(image) + factor * image).clamp(0, 1)
 
 
 def to_greyscale(image: Image) -> Image:
     """Put the luma into all three channels."""
-    return kornia.color.rgb_to_grayscale(image).expand_as(image)
+    red, green, blue = image.unbind(-3)
+    return (0.299 * red + 0.587 * green + 0.114 * blue).unsqueeze(-3).expand_as(image)
 
 
 def _brightness(image: Image, factor: float) -> Image:
@@ -185,7 +185,9 @@ def _brightness(image: Image, factor: float) -> Image:
 
 
 def _hue(image: Image, turns: float) -> Image:
-    return kornia.enhance.adjust_hue(image, 2 * math.pi * turns) if turns else image
+    from kornia.enhance import adjust_hue  # loading kornia takes a quarter of a second
+
+    return adjust_hue(image, 2 * math.pi * turns) if turns else image
 
 
 _JITTER = {"brightness": _brightness, "contrast": adjust_contrast, "saturation": adjust_saturation, "hue": _hue}

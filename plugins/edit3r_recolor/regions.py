@@ -5,11 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
-import kornia
 import torch
 from jaxtyping import Bool, Float
 from pydantic import Field, field_validator
-from skimage.color import deltaE_ciede94
 from torch import Tensor
 
 from edit3r.config import Settings
@@ -17,7 +15,7 @@ from edit3r.errors import PromptError
 from edit3r.interfaces import Proposal, Segmenter, Tracks
 from edit3r.selection import Selection, select_masks
 from edit3r_recolor.prompt import Instruction
-from edit3r_recolor.steps import Paint
+from edit3r_recolor.steps import Paint, rgb_to_lab
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
@@ -154,8 +152,11 @@ def only_near(region: Region, images: Float[Tensor, "view 3 height width"], colo
     """
     if colour is None:
         return region
-    lab = kornia.color.rgb_to_lab(kornia.filters.median_blur(images, 3)).movedim(1, -1).double()
-    named = kornia.color.rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None]).movedim(0, -1)
+    from kornia.filters import median_blur
+    from skimage.color import deltaE_ciede94
+
+    lab = rgb_to_lab(median_blur(images, 3)).movedim(1, -1).double()
+    named = rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None]).movedim(0, -1)
     distance = torch.from_numpy(deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2, kH=0.6))
     near = ((NEAR[1] - distance) / (NEAR[1] - NEAR[0])).clamp(0, 1).to(images)
     chroma, least = lab[..., 1:].norm(dim=-1), 0.2 * named[..., 1:].norm()

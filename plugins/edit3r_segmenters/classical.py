@@ -111,6 +111,11 @@ class ClassicalSegmenter(Segmenter):
 
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         rgb = _to_numpy(image)
+        if marks.prior is not None and not (marks.positive or marks.negative):  # only its outline is looked at
+            shape = reduced(rgb, self.settings.size).shape[1::-1]
+            prior = cv2.resize(marks.prior.detach().cpu().numpy().astype(np.float32), shape) > 0.5
+            fine = self._fine(rgb, prior)
+            return _proposal(rgb, fine, overlap(cv2.resize(fine.astype(np.uint8), shape) > 0, prior), image)
         analysis = self._analysis(rgb)
         shape = analysis.pixels.shape[:2]
         positive, negative = _seeds(marks.positive, shape), _seeds(marks.negative, shape)

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 COUNT = 350  # superpixels asked for
 PALETTE = 40  # colours an image is quantised to for histograms
@@ -190,6 +188,9 @@ def _touches_border(superpixels: Superpixels) -> np.ndarray:
 
 def _geodesic_distances(superpixels: Superpixels) -> np.ndarray:
     """Smallest summed colour distance `[N, N]` over all paths; a superpixel's nearest neighbour counts as equal."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
     count = len(superpixels.areas)
     if len(superpixels.pairs) == 0:
         return np.zeros((count, count))

@@ -2,14 +2,26 @@
 
 import json
 from dataclasses import replace
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_measure.overlap_index import Entry, overlap, photos_of, read_index
-from edit3r_measure.pose_alignment import _motion, _moved, align, auc, measure_pair, pose_error, structure_likeness
+from edit3r_measure.protocol import (
+    Entry,
+    _motion,
+    _moved,
+    align,
+    auc,
+    measure_pair,
+    photos_of,
+    pose_error,
+    read_index,
+    structure_likeness,
+)
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -18,6 +30,9 @@ from edit3r.geometry.cameras import invert_rigid
 from edit3r.io.posed_folder import Photo
 from edit3r.registry import build
 from edit3r.types import Cameras, Gaussians
+
+SCRIPT = Path(__file__).parents[3] / "benchmarks" / "overlap_index.py"
+indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()
 
 # ---- index files ----
 
@@ -73,13 +88,13 @@ def straight(x, size=40):
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
 def test_overlap_is_the_share_of_the_wall_that_both_photos_show(share):
     wall = np.full((40, 40), 2.0)  # seen 2 wide
-    assert overlap([straight(0), straight(2 * (1 - share))], [wall, wall]) == pytest.approx(share, abs=0.03)
+    assert indexing.overlap([straight(0), straight(2 * (1 - share))], [wall, wall]) == pytest.approx(share, abs=0.03)
 
 
 def test_what_something_hides_in_the_other_photo_is_no_overlap():
     wall, board = np.full((40, 40), 2.0), np.full((40, 40), 2.0)
     board[:, 20:] = 1.0  # hides half of the wall from the second photo, which the first does not show
-    assert overlap([straight(0), straight(0)], [wall, board]) == pytest.approx(0.5, abs=0.01)
+    assert indexing.overlap([straight(0), straight(0)], [wall, board]) == pytest.approx(0.5, abs=0.01)
 
 
 def test_an_index_is_made_of_a_folder_and_can_be_read_again(wall, tmp_path):
@@ -87,8 +102,7 @@ def test_an_index_is_made_of_a_folder_and_can_be_read_again(wall, tmp_path):
     entries = wall.written(tmp_path / "straight", [wall.camera(0.6 * i, 0, f"{i}.png") for i in range(3)])
     (tmp_path / "straight" / "cameras.json").write_text(json.dumps(entries))
     out = tmp_path / "index.json"
-    options = ["--make-index", str(out), "--size", "96", "--quiet"]
-    assert main(["evaluate", str(tmp_path / "straight"), *options]) == 0
+    indexing.main([str(tmp_path / "straight"), "--size", "96", "--out", str(out)])
     ((scene, entry),) = read_index(out)  # the squares show 3.2 of the wall each, 1.2 apart
     assert (scene, entry.context, entry.targets, entry.overlap_class) == ("straight", (0, 2), (1,), "large")
     assert entry.overlap == pytest.approx(1 - 1.2 / 3.2, abs=0.04)
@@ -172,10 +186,10 @@ def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
     render, true = build("rasterizer", "numba"), torch.from_numpy(turned(5, [0.3, 0.1, 0.0]))
     photo = render.render(scene, looking(true).to(torch.float32)).images
     start = looking(true @ torch.from_numpy(turned(1.5, [0.04, -0.03, 0.02]))).to(torch.float32)
-    found = align(scene, render, start, photo, F.mse_loss, 60, unit=1.0).c2w[0, 0].double()
+    found = align((scene, render), start, photo, F.mse_loss, 60, unit=1.0).c2w[0, 0].double()
     off = torch.linalg.inv(true) @ found
     assert off[:3, 3].norm() < 0.02 and torch.rad2deg((off[:3, :3] - torch.eye(3)).norm() / 2**0.5) < 0.4
-    unmoved = align(scene, render, start, photo, lambda shown, photo: F.mse_loss(shown, photo), 0, unit=1.0)
+    unmoved = align((scene, render), start, photo, lambda shown, photo: F.mse_loss(shown, photo), 0, unit=1.0)
     assert torch.allclose(unmoved.c2w, start.c2w)
 
 
@@ -186,7 +200,7 @@ def test_alignment_is_never_worse_than_where_it_began():
         looking(torch.eye(4)).to(torch.float32),
     )
     photo = render.render(scene, here).images
-    assert torch.equal(align(scene, render, here, photo, F.mse_loss, 3, unit=50.0).c2w, here.c2w)
+    assert torch.equal(align((scene, render), here, photo, F.mse_loss, 3, unit=50.0).c2w, here.c2w)
 
 
 def no_distance(inputs):

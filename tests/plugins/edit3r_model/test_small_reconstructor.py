@@ -26,7 +26,7 @@ from edit3r.plugins import load_plugins
 from edit3r.registry import Registry, build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract, photograph
-from edit3r.training.checkpoint import WEIGHTS
+from edit3r.training.checkpoint import WEIGHTS, save_weights
 from edit3r.types import Views
 
 SIZE = (64, 80)
@@ -384,10 +384,22 @@ def register_heads():
 """
 
 
-def test_a_stranger_s_head_takes_the_place_of_ours_by_its_name(tmp_path, monkeypatch):
-    (tmp_path / "edit3r_flat.py").write_text(HEAD)
-    monkeypatch.syspath_prepend(tmp_path)
-    registry = Registry(load_plugins((tmp_path / "edit3r_flat.py",)))
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory) -> Registry:
+    """Everything installed, and the stranger's head."""
+    file = tmp_path_factory.mktemp("plugin") / "edit3r_flat.py"
+    file.write_text(HEAD)
+    return Registry(load_plugins((file,)))
+
+
+def test_trained_weights_of_a_stranger_s_head_and_our_backbone_load(registry, tmp_path):
+    made = registry.build("reconstructor", "noposplat", backbone=VIT, head="flat", weights="random", seed=1)
+    save_weights(tmp_path / WEIGHTS, made.network.state_dict())
+    loaded = registry.build("reconstructor", "noposplat", head="flat", weights=str(tmp_path))
+    assert all(torch.equal(a, b) for a, b in zip(made.network.parameters(), loaded.network.parameters()))
+
+
+def test_a_stranger_s_head_takes_the_place_of_ours_by_its_name(registry):
     settings = parse_assignments(["head=flat", "weights=untrained", "network_size=64"])
     made = registry.build("reconstructor", "edit3r", {"matcher": _TrueGeometry()}, **settings)
     result = made(_recoloured(_views(), (0,)), _views())

@@ -1,57 +1,110 @@
-"""NoPoSplat's evaluation of reconstruction (Ye et al., ICLR 2025): cameras aligned with their photos, poses by AUC.
+"""NoPoSplat's evaluation of reconstruction (Ye et al., ICLR 2025): index files, aligned cameras, AUC of poses.
+
+An index file is JSON as of pixelSplat: {scene: {"context": [a, b], "target": [...], "overlap": 0.4} or null}, numbers
+of frames; a list of such entries gives a scene several pairs.
 
 A scene from two photos without poses stands in a frame and a unit of length of its own, so a true camera stands a
 little beside the place that its photo shows. The protocol moves it there, the scene frozen, before it compares.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
+from pydantic import Field
 from torch import Tensor
 
+from edit3r.config import Settings, make_settings
+from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.geometry.rotations import cross_matrix, matrices_to_quats
-from edit3r.interfaces import Loss, LossInputs, Rasterizer, Reconstructor
-from edit3r.io.posed_folder import Photo
+from edit3r.interfaces import Dataset, Loss, LossInputs, Rasterizer, Reconstructor
+from edit3r.io.posed_folder import Photo, read_posed_folder
 from edit3r.types import Cameras, Gaussians
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import pose_errors, predicted_pose, target_camera, views_of
+from edit3r_measure.report import read_json
 
-RATE = 0.005
-"""Step of Adam, of a turn [radians] and of a shift [distances between the input cameras]."""
-
-WEIGHT = 0.05
-"""Of the perceptual distance beside the mean squared error, as in the training of NoPoSplat."""
-
-STRUCTURE_ENOUGH = 0.98
-"""Likeness of structure from which more of it is not asked for."""
+RATE = 0.005  # step of Adam, of a turn [radians] and of a shift [distances between the input cameras]
+WEIGHT = 0.05  # of the perceptual distance beside the mean squared error, as in the training of NoPoSplat
+STRUCTURE_ENOUGH = 0.98  # likeness of structure from which more of it is not asked for
 
 AUC_DEGREES = (5, 10, 20)
-
+# Overlap of two photos, as NoPoSplat's tables are divided; what is in none of them is left out there
+CLASSES = {"small": (0.05, 0.3), "medium": (0.3, 0.55), "large": (0.55, 0.8)}
+Frame = Annotated[int, Field(ge=0)]
 Picture = Float[Tensor, "1 1 3 height width"]
 Compare = Callable[[Picture, Picture], Float[Tensor, ""]]
 
 
+class Entry(Settings):
+    """One pair of an index file."""
+
+    context: tuple[Frame, ...] = Field(min_length=2, description="frames that are given")
+    target: tuple[Frame, ...] | Frame = Field(description="frames that are predicted")
+    overlap: float | str | None = Field(None, description="share of one photo that the other shows, or a class")
+
+    @property
+    def targets(self) -> tuple[int, ...]:
+        return (self.target,) if isinstance(self.target, int) else self.target
+
+    @property
+    def overlap_class(self) -> str:
+        """Key of CLASSES; "not classed" for other overlaps and where none is told (the published placeholder is -1)."""
+        if isinstance(self.overlap, float):
+            return next((name for name, (low, high) in CLASSES.items() if low <= self.overlap <= high), "not classed")
+        return self.overlap if self.overlap in CLASSES else "not classed"
+
+
+def read_index(path: Path) -> list[tuple[str, Entry]]:
+    """Return scenes and pairs of an index file, null ones left out. Raises InputError naming file and scene."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such index file; benchmarks/overlap_index.py makes one.")
+    content = read_json(path)
+    if not isinstance(content, Mapping):
+        raise InputError(f'{path}: expected {{scene: {{"context": [a, b], "target": [...]}}}} as pixelSplat has it.')
+    pairs = []
+    for scene, own in content.items():
+        for entry in own if isinstance(own, list) else [own]:
+            if entry is not None:
+                values = entry if isinstance(entry, dict) else {}
+                known = {key: values[key] for key in Entry.model_fields if key in values}
+                pairs.append((scene, make_settings(Entry, known, where=f"{path.name}, {scene}")))
+    return pairs
+
+
+def photos_of(places: Sequence[str | Dataset], scene: str, indices: Sequence[int], size: int) -> list[Photo]:
+    """Load frames of a scene: of a folder of that name among the places or inside one, or of a data set that has it."""
+    for place in places:
+        if isinstance(place, Dataset):
+            if not hasattr(place, "photos"):
+                raise InputError(f"{type(place).__name__} has no scenes by name, as re10k has; give folders of photos.")
+            return place.photos(scene, indices)
+        for folder in (Path(place), Path(place) / scene):
+            if folder.resolve().name == scene and folder.is_dir():
+                found = read_posed_folder(folder)
+                if max(indices) >= len(found.cameras):
+                    have = f"{len(found.cameras)} photos with known cameras"
+                    raise InputError(f"{folder}: the index asks for frame {max(indices)}, it has {have}.")
+                return [found.load(index, size) for index in indices]
+    raise InputError(f"{scene}: a scene of the index that no folder given is or holds.")
+
+
 def align(
-    gaussians: Gaussians,
-    rasterizer: Rasterizer,
-    camera: Cameras,
-    photo: Picture,
-    compare: Compare,
-    steps: int,
-    unit: float,
+    scene: tuple[Gaussians, Rasterizer], camera: Cameras, photo: Picture, compare: Compare, steps: int, unit: float
 ) -> Cameras:
     """Return `camera` (one, batch 1) moved to where the frozen scene looks most like `photo`, by `steps` of Adam.
 
     `unit` is the distance between the input cameras. Of all places on the way the best is returned, so it is never
     worse than the first by `compare` (the published code takes the last).
     """
-    c2w, best = camera.c2w[0, 0].double(), (float("inf"), camera)
+    (gaussians, rasterizer), c2w, best = scene, camera.c2w[0, 0].double(), (float("inf"), camera)
     turn, shift = (torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2))
     adam = torch.optim.Adam([turn, shift], lr=RATE)
     for _ in range(steps + 1):
@@ -153,7 +206,7 @@ def measure_pair(
     def aligned(camera: Cameras, photo: Photo, steps: int, structure: bool) -> Cameras:
         compare = partial(likeness_loss, perceptual=distance, structure=structure)
         unit = float(np.linalg.norm(predicted[:3, 3]))
-        return align(reconstruction.gaussians, rasterizer, camera, _picture(photo), compare, steps, unit)
+        return align((reconstruction.gaussians, rasterizer), camera, _picture(photo), compare, steps, unit)
 
     for target in targets:
         cameras = {"": target_camera(reconstruction, inputs[0], inputs[-1], target)}
