@@ -5,6 +5,7 @@ import gc
 import hashlib
 import types
 import typing
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -61,11 +62,11 @@ class RunCommand(Command):
         add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.console import JsonLines, StageConsole
+        from edit3r.console import StageConsole, print_json
         from edit3r.reporting import Report
 
         gc.set_threshold(100_000, 50, 100)  # as usual, half a second goes into looking through what modules made
-        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
+        with nullcontext(print_json) if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             result = self._run(args, Report(on_event=console))
         if not args.quiet:
             from edit3r.results import summary

@@ -89,7 +89,8 @@ def behind(
             continue
         known = torch.where(sure[view], 1 / depths[view], torch.zeros_like(depths[view]))
         carried = _carried(torch.cat([points[o][sure[o]] for o in others]), intrinsics[view], c2w[view], holes[view])
-        background = 1 / torch.minimum(_spanned(torch.where(holes[view], carried, known)), 1 / depths[view])
+        inverse = torch.from_numpy(_spanned(torch.where(holes[view], carried, known).cpu().numpy())).to(depths)
+        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)  # never before what is removed
         hidden = unproject(background, intrinsics[view], c2w[view])
         lenders = (_lent(hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])) for o in others)
         pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
@@ -134,22 +135,18 @@ def _carried(
     return torch.where(hole & (nearest >= 0.9 * dilate(nearest[None], 1)[0]), nearest, torch.zeros_like(nearest))
 
 
-def _spanned(inverse: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
-    """The map with its zeros filled by a membrane between all other values, which continues planes as planes."""
-    values = inverse.cpu().numpy()
-    return torch.from_numpy(_membrane(values, values > 0)).to(inverse)
+def _spanned(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """The map with its zeros filled by a membrane between all other values, which continues planes as planes.
 
-
-def _membrane(
-    values: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "height width"]
-) -> Float[np.ndarray, "height width"]:
-    """Solve Laplace's equation where nothing is known, from a quarter of the pixels to all."""
-    if known.all() or min(values.shape) < 4:
+    Laplace's equation, solved on maps of half the sides first.
+    """
+    known, (height, width) = values > 0, values.shape
+    if known.all() or min(height, width) < 4:
         return np.where(known, values, values[known].mean() if known.any() else 0).astype(values.dtype)
-    height, width = values.shape
-    weight, low = (cv2.resize(m.astype(values.dtype), (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-                   for m in (known, values * known))  # fmt: skip
-    smooth = cv2.resize(_membrane(low / np.maximum(weight, 1e-6), weight > 0), (width, height))
+    half = (width // 2, height // 2)
+    weight = cv2.resize(known.astype(values.dtype), half, interpolation=cv2.INTER_AREA)
+    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA) / np.maximum(weight, 1e-6)
+    smooth = cv2.resize(_spanned(low), (width, height))
     for _ in range(30):
         smooth = np.where(known, values, cv2.blur(smooth, (3, 3)))
     return smooth

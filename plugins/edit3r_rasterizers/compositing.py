@@ -158,11 +158,8 @@ def differentiate_tiles(
     offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
     touched, sums = flat(touched), flat(sums)
     images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
-    image_gradients, alpha_gradients, depth_gradients = (
-        flat(image_gradients),
-        flat(alpha_gradients),
-        flat(depth_gradients),
-    )
+    image_gradients, alpha_gradients = flat(image_gradients), flat(alpha_gradients)
+    depth_gradients = flat(depth_gradients)
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
     plane = U(width) * U(height)

@@ -60,26 +60,13 @@ def project_backward(
     `scratch` and `group` (eight indices): work space.
     """
     count = U(harmonics.shape[1])
-    means, scales, quats, opacities, harmonics = (
-        flat(means),
-        flat(scales),
-        flat(quats),
-        flat(opacities),
-        flat(harmonics),
-    )
-    camera, records, splat_offsets, positions, sums = (
-        flat(camera),
-        flat(records),
-        flat(splat_offsets),
-        flat(positions),
-        flat(sums),
-    )
+    means, scales, quats = flat(means), flat(scales), flat(quats)
+    opacities, harmonics = flat(opacities), flat(harmonics)
+    camera, records, splat_offsets = flat(camera), flat(records), flat(splat_offsets)
+    positions, sums = flat(positions), flat(sums)
     scratch, group = flat(scratch), flat(group)
-    mean_gradients, scale_gradients, quat_gradients = (
-        flat(mean_gradients),
-        flat(scale_gradients),
-        flat(quat_gradients),
-    )
+    mean_gradients, scale_gradients = flat(mean_gradients), flat(scale_gradients)
+    quat_gradients = flat(quat_gradients)
     opacity_gradients, harmonic_gradients = flat(opacity_gradients), flat(harmonic_gradients)
     found = U(0)
     for i in range(U(first), U(last)):

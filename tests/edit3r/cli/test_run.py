@@ -16,7 +16,7 @@ from edit3r.io.images import save_image
 def posed_photos(tmp_path_factory):
     """Two photos of a generated scene, and a file with their poses, the second one off by a degree and a half."""
     folder = tmp_path_factory.mktemp("posed")
-    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3)[0]
+    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3, textures=8)[0]
     names = [f"{index}.png" for index in range(len(sample.context))]
     for name, image in zip(names, sample.context):
         save_image(image, folder / name)
