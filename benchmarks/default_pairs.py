@@ -6,13 +6,13 @@ python benchmarks/default_pairs.py FOLDER... --pairs 5 --size 256
 import argparse
 
 import torch
+from edit3r_measure.novel_view import score_scene
+from edit3r_measure.scene_sources import SceneOptions, find_scenes
 
 import edit3r
 from edit3r import Reconstruction, Views
 from edit3r.registry import default_registry
 from edit3r.reporting import Report
-from edit3r_measure.novel_view import score_scene
-from edit3r_measure.scene_sources import SceneOptions, find_scenes
 
 
 class DefaultRun:
