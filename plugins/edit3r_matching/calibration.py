@@ -28,6 +28,7 @@ _PREFERENCE = 0.01
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 _CLEAR = 0.08  # share of the best score by which what the user says must be worse to be contradicted
 _FAR = 0.3  # smallest error that is told of [log focal length]
+_ASIDE = 0.35  # where a look aside tells whether there is anything to tell [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
 _STEPS = (0.08, 0.04, 0.02, 0.01)  # between two fields of view of the scan, shorter and shorter [log focal length]
 
@@ -56,7 +57,7 @@ def contradiction(images: Sequence[CalibratedImage], found: PointPairs, threshol
     that the scene does tell. Photos of several lenses are taken to be wrong by one factor; it is that of the first.
     """
     search = _search(images, found, threshold, seed)
-    if search is None:
+    if search is None or not search.doubted():
         return None
     given, *others = search.scan()
     best = max(others, key=lambda trial: trial.score)
@@ -102,6 +103,13 @@ class _FocalSearch:
 
     def fov(self, log_focal: float) -> float:
         return math.degrees(2 * math.atan(0.5 * self.longest / math.exp(log_focal)))
+
+    def doubted(self) -> bool:
+        """Whether a lens a good deal longer or shorter than assumed does better: a fifth of a scan's time."""
+        given = self.with_new_poses(self.assumed)
+        others = [self.with_poses_near(self.assumed + sign * _ASIDE, given.poses) for sign in (-1, 1)]
+        again = [self.with_poses_near(self.assumed, other.poses) for other in others]
+        return max(trial.score for trial in others) > max(trial.score for trial in (given, *again))
 
     def scan(self) -> list[_Trial]:
         """What was assumed, then all fields of view from narrow to wide."""
