@@ -16,8 +16,7 @@ from pathlib import Path
 import torch
 
 import edit3r
-from edit3r.geometry.alignment import median_scale
-from edit3r.geometry.cameras import relative_to_first, scale_poses
+from edit3r.geometry.cameras import median_scale, relative_to_first, scale_poses
 from edit3r.io.posed_folder import read_posed_folder
 from edit3r.rendering import path_around, render_one
 

@@ -184,7 +184,7 @@ def refreshed(page: str) -> str:
 
 def example_part(kind: str, name: str) -> str:
     """The files of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
-    from edit3r.scaffold import package_files
+    from edit3r.cli.new_plugin import package_files
 
     files = {path: text for path, text in package_files(kind, name).items() if path.endswith(".py")}
     blocks = [f'```python title="edit3r-{name}/{path}"\n{text}```' for path, text in files.items()]

@@ -50,18 +50,10 @@ class StageConsole:
         self.tasks.clear()
 
 
-class JsonLines:
+def print_json(event: str, text: str, done: int, total: int) -> None:
     """Listener that writes each event as one line of JSON to standard error, for programs that watch a run.
 
     Keys: event (start, end, say, warn or progress), text, done, total, and at [seconds since 1970].
     """
-
-    def __enter__(self) -> "JsonLines":
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        pass
-
-    def __call__(self, event: str, text: str, done: int, total: int) -> None:
-        line = {"event": event, "text": text, "done": done, "total": total, "at": round(time.time(), 3)}
-        print(json.dumps(line), file=sys.stderr, flush=True)
+    line = {"event": event, "text": text, "done": done, "total": total, "at": round(time.time(), 3)}
+    print(json.dumps(line), file=sys.stderr, flush=True)

@@ -50,10 +50,6 @@ class RunError(Edit3rError):
     exit_code = 1
 
 
-class Edit3rDeprecationWarning(FutureWarning):
-    """Something that a plugin uses still works and will be removed; shown by `edit3r list-plugins`."""
-
-
 def suggest(given: str, known: Iterable[str]) -> str:
     """' Did you mean X?' for a near miss, else ''."""
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
@@ -63,9 +59,8 @@ def suggest(given: str, known: Iterable[str]) -> str:
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out; torch raises several types for it."""
     text = str(error).lower()
-    return isinstance(error, MemoryError) or any(
-        words in text for words in ("out of memory", "not enough memory", "can't allocate")
-    )
+    told = ("out of memory", "can't allocate", "not enough memory")
+    return isinstance(error, MemoryError) or any(words in text for words in told)
 
 
 def as_known(error: Exception) -> Edit3rError:

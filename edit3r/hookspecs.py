@@ -13,11 +13,7 @@ from edit3r.component import Component
 
 API_VERSION = 1
 """Version of this hook set and of the interfaces. A plugin may state the one it was written for as a module-level
-`EDIT3R_API = 1`; the loader refuses one it cannot serve with a sentence instead of failing somewhere inside."""
-
-OLDEST_API_VERSION = 1
-"""The oldest version still served. A version is served, with a deprecation note, for at least two minor releases after
-its successor appears (docs/plugins/api-versions.md)."""
+`EDIT3R_API = 1`; the loader refuses another with a sentence instead of failing somewhere inside."""
 
 hookspec = pluggy.HookspecMarker("edit3r")
 hookimpl = pluggy.HookimplMarker("edit3r")

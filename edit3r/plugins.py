@@ -7,9 +7,8 @@ written for another API version), it becomes one `PluginFailure` with its reason
 import importlib.util
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +17,7 @@ import pluggy
 
 from edit3r import hookspecs
 from edit3r.component import KINDS, Component, hook_name
-from edit3r.errors import Edit3rDeprecationWarning, InputError, suggest
+from edit3r.errors import InputError, suggest
 
 ENTRY_POINT_GROUP = "edit3r"
 
@@ -53,8 +52,7 @@ class LoadedPlugins:
 
     offers: tuple[Offer, ...]
     failures: tuple[PluginFailure, ...]
-    import_seconds: dict[str, float]  # per plugin; shown by `list-plugins --check`
-    deprecations: tuple[str, ...] = ()  # what still works and will not for long, one sentence each
+    import_seconds: dict[str, float] = field(default_factory=dict)  # per plugin; shown by `list-plugins --check`
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
@@ -64,21 +62,16 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
     offers: list[Offer] = []
     failures: list[PluginFailure] = []
     seconds: dict[str, float] = {}
-    deprecations: list[str] = []
     for name, version, load in [*_installed(), *_local(local_files)]:
         started = time.perf_counter()
         try:
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always", Edit3rDeprecationWarning)
-                offers += _offers(manager, name, version, load())
-            old = [w.message for w in caught if issubclass(w.category, Edit3rDeprecationWarning)]
-            deprecations += [f"plugin {name!r}: {message}" for message in old]
+            offers += _offers(manager, name, version, load())
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # sys.exit and pytest.skip at module level are no Exceptions
             failures.append(PluginFailure(name, version, _reason(error)))
         seconds[name] = time.perf_counter() - started
-    return LoadedPlugins(tuple(offers), tuple(failures), seconds, tuple(deprecations))
+    return LoadedPlugins(tuple(offers), tuple(failures), seconds)
 
 
 def _installed() -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
@@ -151,17 +144,13 @@ def _offers(manager: pluggy.PluginManager, name: str, version: str, module: Modu
 
 
 def _check_api(api: object) -> None:
-    """Raise ValueError for an API version this edit3r cannot serve; warn of one it will not serve for long."""
-    now, oldest = hookspecs.API_VERSION, hookspecs.OLDEST_API_VERSION
+    """Raise ValueError for another API version than this edit3r's."""
+    now = hookspecs.API_VERSION
     if not isinstance(api, int) or isinstance(api, bool):
         raise ValueError(f"EDIT3R_API must be a whole number such as {now}, got {api!r}")
-    served = f"API {now}" if oldest == now else f"APIs {oldest} to {now}"
-    if not oldest <= api <= now:
+    if api != now:
         newer = "edit3r" if api > now else "version of the plugin"
-        raise ValueError(f"written for edit3r API {api}, this edit3r has {served}; install a newer {newer}")
-    if api < now:
-        text = f"written for edit3r API {api}, which will be dropped; the current one is {now}"
-        warnings.warn(text, Edit3rDeprecationWarning, stacklevel=2)
+        raise ValueError(f"written for edit3r API {api}, this edit3r has API {now}; install a newer {newer}")
 
 
 def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:

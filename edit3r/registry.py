@@ -45,12 +45,17 @@ class Registry:
         chosen = [offer for offer in self.plugins.offers if kind in (None, offer.kind)]
         return sorted(chosen, key=lambda o: (KINDS.index(o.kind), o.component.name, o.plugin))
 
-    def clashes(self) -> list[tuple[Offer, ...]]:
-        """Offers that share kind and name; each must be asked for as `plugin:name`."""
+    def clashes(self) -> list[str]:
+        """A sentence for each kind and name that several plugins offer: it must be asked for as `plugin:name`."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.offers():
             groups.setdefault((offer.kind, offer.component.name), []).append(offer)
-        return [tuple(group) for group in groups.values() if len(group) > 1]
+        return [
+            f"{kind} {name!r} is offered by {' and '.join(offer.plugin for offer in group)}; "
+            f"ask for {' or '.join(offer.qualified_name for offer in group)}"
+            for (kind, name), group in groups.items()
+            if len(group) > 1
+        ]
 
     def find(self, kind: str, name: str) -> Offer:
         """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to do."""

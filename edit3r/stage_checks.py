@@ -36,29 +36,23 @@ def errors_named_after(component: Any) -> Iterator[None]:
         raise PluginError(f"{_who(component)} raised {type(error).__name__}: {error}.") from error
 
 
-def require_device(name: str) -> None:
-    """Raise SettingsError unless torch can put a tensor on the device called `name`, such as cpu or cuda:0."""
+def require_device(name: str, key: str = "--device") -> torch.device:
+    """The device called `name`, such as cpu or cuda:0; SettingsError, naming `key`, where torch cannot use it."""
     try:
-        torch.empty(0, device=torch.device(name))
+        return torch.empty(0, device=torch.device(name)).device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise SettingsError(f"--device {name}: torch cannot use it ({reason}); --device cpu always works.") from None
+        reason = " ".join(str(error).split())[:200].rstrip(".")
+        raise SettingsError(f"{key} {name}: torch cannot use it ({reason}); {key} cpu always works.") from None
 
 
 def check_edit(editor: Editor, views: Views, answer: Views) -> None:
     """Number, size, dtype and range of the edited views."""
     _require_type(editor, answer, Views)
-    images = answer.images
-    if images.shape != views.images.shape:
-        raise PluginError(
-            f"{_who(editor)} must keep number and size of the views: gave it {list(views.images.shape)}, "
-            f"got back {list(images.shape)}."
-        )
-    if images.dtype != views.images.dtype:
-        raise PluginError(f"{_who(editor)} must return {views.images.dtype} pictures, got {images.dtype}.")
-    low, high = float(images.amin()), float(images.amax())
-    if not (low >= 0 and high <= 1):  # also false for NaN
-        raise PluginError(f"{_who(editor)} must return pictures in [0, 1], got {low:.4g} to {high:.4g}.")
+    given, images = views.images, answer.images
+    sizes = f"gave it {list(given.shape)}, got back {list(images.shape)}"
+    _require(editor, images.shape == given.shape, f"keep number and size of the views: {sizes}")
+    _require(editor, images.dtype == given.dtype, f"return {given.dtype} pictures, got {images.dtype}")
+    _require_range(editor, "pictures", images)
 
 
 def check_reconstruction(recon: Reconstructor, views: Views, answer: Reconstruction) -> None:
@@ -66,11 +60,9 @@ def check_reconstruction(recon: Reconstructor, views: Views, answer: Reconstruct
     _require_type(recon, answer, Reconstruction)
     _require_type(recon, answer.gaussians, Gaussians)
     _check_gaussians(recon, answer.gaussians, views.images.shape[0], views.images.dtype)
-    if answer.cameras is not None and answer.cameras.c2w.shape[:2] != views.images.shape[:2]:
-        raise PluginError(
-            f"{_who(recon)} must return one camera per view, {list(views.images.shape[:2])}, "
-            f"got {list(answer.cameras.c2w.shape[:2])}."
-        )
+    if answer.cameras is not None:
+        expected, given = list(views.images.shape[:2]), list(answer.cameras.c2w.shape[:2])
+        _require(recon, given == expected, f"return one camera per view, {expected}, got {given}")
 
 
 def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> None:
@@ -81,34 +73,28 @@ def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> N
 
 def _check_gaussians(component: Any, gaussians: Gaussians, scenes: int, dtype: torch.dtype) -> None:
     """Raise PluginError unless these are finite Gaussians of so many scenes, scales and opacities in range."""
-    if gaussians.means.shape[0] != scenes:
-        raise PluginError(
-            f"{_who(component)} must return one set of Gaussians per scene: gave it {scenes} scenes, "
-            f"got back {gaussians.means.shape[0]}."
-        )
+    given = gaussians.means.shape[0]
+    sizes = f"gave it {scenes} scenes, got back {given}"
+    _require(component, given == scenes, f"return one set of Gaussians per scene: {sizes}")
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         tensor = getattr(gaussians, name)
-        if tensor.dtype != dtype:
-            raise PluginError(f"{_who(component)} must return {dtype} Gaussians, got {name} in {tensor.dtype}.")
+        _require(component, tensor.dtype == dtype, f"return {dtype} Gaussians, got {name} in {tensor.dtype}")
         _require_finite(component, f"Gaussians with {name}", tensor)
-    if gaussians.count and float(gaussians.scales.amin()) <= 0:
-        raise PluginError(f"{_who(component)} must return scales above 0, got {float(gaussians.scales.amin()):.4g}.")
-    if gaussians.count and not (float(gaussians.opacities.amin()) >= 0 and float(gaussians.opacities.amax()) <= 1):
-        low, high = float(gaussians.opacities.amin()), float(gaussians.opacities.amax())
-        raise PluginError(f"{_who(component)} must return opacities in [0, 1], got {low:.4g} to {high:.4g}.")
+    if gaussians.count:
+        least = float(gaussians.scales.amin())
+        _require(component, least > 0, f"return scales above 0, got {least:.4g}")
+        _require_range(component, "opacities", gaussians.opacities)
 
 
 def check_rendering(rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, answer: Rendering) -> None:
     """Shapes, dtype and finiteness of a rendering."""
     _require_type(rasterizer, answer, Rendering)
+    dtype = gaussians.means.dtype
     for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
         tensor = getattr(answer, name)
-        expected = [*cameras.c2w.shape[:2], channels, *cameras.image_size]
-        if list(tensor.shape) != expected:
-            raise PluginError(f"{_who(rasterizer)} must return {name} of shape {expected}, got {list(tensor.shape)}.")
-        if tensor.dtype != gaussians.means.dtype:
-            dtype = gaussians.means.dtype
-            raise PluginError(f"{_who(rasterizer)} must return {name} in the Gaussians' {dtype}, got {tensor.dtype}.")
+        expected, given = [*cameras.c2w.shape[:2], channels, *cameras.image_size], list(tensor.shape)
+        _require(rasterizer, given == expected, f"return {name} of shape {expected}, got {given}")
+        _require(rasterizer, tensor.dtype == dtype, f"return {name} in the Gaussians' {dtype}, got {tensor.dtype}")
         _require_finite(rasterizer, name, tensor)
 
 
@@ -120,9 +106,20 @@ def _who(component: Any) -> str:
     return f"{kind} {component_name(component)!r}{plugin}"
 
 
+def _require(component: Any, held: bool, promise: str) -> None:
+    """Raise PluginError, '... must `promise`.', unless it is held."""
+    if not held:
+        raise PluginError(f"{_who(component)} must {promise}.")
+
+
 def _require_type(component: Any, answer: Any, expected: type) -> None:
-    if not isinstance(answer, expected):
-        raise PluginError(f"{_who(component)} must return edit3r.{expected.__name__}, got {type(answer).__name__}.")
+    given = type(answer).__name__
+    _require(component, isinstance(answer, expected), f"return edit3r.{expected.__name__}, got {given}")
+
+
+def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
+    low, high = float(tensor.amin()), float(tensor.amax())  # NaN is in no range
+    _require(component, low >= 0 and high <= 1, f"return {what} in [0, 1], got {low:.4g} to {high:.4g}")
 
 
 def _require_finite(component: Any, what: str, tensor: torch.Tensor) -> None:

@@ -16,13 +16,13 @@ from edit3r.types import Rendering, Views
 
 Label = Literal["good", "fair", "poor", "failed"]
 
-MEAN_PSNR = {"good": 24.0, "fair": 20.5, "poor": 16.0}
+MEAN_PSNR = {"good": 24.0, "fair": 17.0, "poor": 14.0}
 """Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed."""
-WORST_PSNR = {"good": 22.0, "fair": 18.0, "poor": 13.0}
+WORST_PSNR = {"good": 22.0, "fair": 15.0, "poor": 11.0}
 """Least PSNR [dB] of the worst placed input view for each label."""
-MOST_FILLED = {"good": 0.5, "fair": 0.57, "poor": 1.0}
-"""Largest share of a view's pixels whose depth may be guessed, for each label."""
-MOST_LEFT_OUT = {"good": 0.0, "fair": 0.4, "poor": 1.0}
+MOST_FILLED = {"good": 0.5, "fair": 0.55, "poor": 1.0}
+"""Largest share of the pixels of all views whose depth may be guessed, for each label."""
+MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 1.0}
 """Largest share of the photos that may be left out, for each label."""
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 
@@ -74,7 +74,8 @@ def _label(
 ) -> tuple[Label, str]:
     """The best label whose conditions hold, and one sentence for it; `evidence` and `psnr` of the placed views [dB]."""
     mean, worst = sum(evidence) / len(evidence), min(evidence)
-    guessed = max((share for share in filled if share is not None), default=0.0)
+    known = [share for share in filled if share is not None]
+    guessed = sum(known) / max(1, len(known))
     left_out = sum(not there for there in placed)
 
     def holds(label: Label) -> bool:
@@ -90,7 +91,7 @@ def _label(
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
     if guessed > MOST_FILLED["good"]:
-        shown += f"; up to {guessed:.0%} of a photo's depth is guessed"
+        shown += f"; {guessed:.0%} of the depth is guessed"
     return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 

@@ -16,7 +16,6 @@ SMALL_VIT = {"width": 32, "depth": 4, "heads": 2, "decoder_width": 24, "decoder_
 SMALL_DPT = {"feature_width": 8, "point_width": 8, "layer_widths": (4, 4, 8, 8), "harmonics_degree": 1}
 
 SETTINGS: dict[tuple[str, str], dict] = {
-    ("reconstructor", "edit3r"): {"weights": "untrained"},
     ("reconstructor", "noposplat"): {
         "backbone": {"name": "asymmetric-vit", **SMALL_VIT},
         "head": {"name": "dpt-gaussian", **SMALL_DPT},
@@ -24,7 +23,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
     },
     ("backbone", "asymmetric-vit"): SMALL_VIT,
     ("head", "dpt-gaussian"): SMALL_DPT,
-    ("dataset", "procedural"): {"image_size": 32, "textures": 8},
+    ("dataset", "procedural"): {"image_size": 32, "textures": 8, "edit": "recolor"},
 }
 """What makes a component quick enough for a test; its default settings otherwise."""
 
@@ -32,7 +31,6 @@ ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("backbone", "matched-unet"): {"patches": (8, 12)},
-    ("reconstructor", "edit3r"): {"trained_with": {"weights": "shipped"}},  # untrained corrections are 0: no gradient
 }
 """What its contract needs to know."""
 

@@ -1,7 +1,6 @@
 """`edit3r describe`: one component's settings and what to know before using it, with YAML ready to paste."""
 
 import argparse
-import json
 
 from edit3r.command import Command
 from edit3r.component import KINDS
@@ -13,32 +12,20 @@ class DescribeCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")
         parser.add_argument("name", help="name as in edit3r list-plugins, or plugin:name")
-        parser.add_argument("--yaml", action="store_true", help="print the YAML only")
-        parser.add_argument(
-            "--json", action="store_true", help="machine-readable output, with the settings' JSON schema"
-        )
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.description import metadata_lines, yaml_example
+        from edit3r.description import metadata_lines
         from edit3r.errors import MissingDependencyError
         from edit3r.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offer = registry.find(args.kind, args.name)
         try:
-            settings = registry.settings_class(offer)
+            use = _use(offer, registry.settings_class(offer))
         except MissingDependencyError as missing:
-            if args.yaml or args.json:
-                raise
-            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\nSettings are not known: {missing}")
-            return 0
-        if args.yaml:
-            print(yaml_example(offer, settings))
-        elif args.json:
-            print(json.dumps(_as_json(offer, settings), indent=2))
-        else:
-            print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\n{_use(offer, settings)}")
+            use = f"Settings are not known: {missing}"
+        print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\n{use}")
         return 0
 
 
@@ -85,10 +72,3 @@ def _flag(offer, lines) -> str:
     if offer.kind == "refiner":
         return f"--set 'refiners=[{{name: {offer.component.name}, {name}: {value}}}]'"
     return f"--set {'reconstructor.' if offer.kind in PART_KINDS else ''}{offer.kind}.{name}={value}"
-
-
-def _as_json(offer, settings) -> dict:
-    from dataclasses import asdict
-
-    about = {"kind": offer.kind, "plugin": offer.plugin, "version": offer.version, **asdict(offer.component)}
-    return {**about, "settings": settings.model_json_schema()}

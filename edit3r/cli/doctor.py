@@ -1,4 +1,4 @@
-"""`edit3r doctor`: is this installation sound? Versions, devices, memory, plugins, every rasterizer, and a tiny run.
+"""`edit3r doctor`: is this installation sound? Versions, devices, plugins, every rasterizer, and a tiny run.
 
 Exits with 1 when something is wrong.
 """
@@ -8,8 +8,6 @@ import importlib
 import json
 import os
 import platform
-import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -45,7 +43,6 @@ CORE_MODULES = {
     "jaxtyping": "jaxtyping",
 }
 """Importable name of each core dependency, and the package that brings it."""
-LEAST_MEMORY_GB, LEAST_DISK_GB = 1.0, 0.5
 JOB_SIZE = 96  # longer side of the tiny job's photos [pixels]
 JOB_PROMPT = "make it blue"
 
@@ -54,9 +51,6 @@ class DoctorCommand(Command):
     """`edit3r doctor`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        for part, dest in (("editor", "editor"), ("recon", "reconstructor"), ("rasterizer", "rasterizer")):
-            default = f"{dest} of the tiny job (default: that of edit3r run)"
-            parser.add_argument(f"--{part}", dest=dest, metavar="NAME", help=default)
         parser.add_argument("--device", metavar="D", help="torch device of the tiny job (default cpu)")
         parser.add_argument("--json", action="store_true", help="machine-readable output")
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
@@ -64,8 +58,7 @@ class DoctorCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.run_config import make_run_config
 
-        named = {key: getattr(args, key) for key in ("editor", "reconstructor", "rasterizer", "device")}
-        config = make_run_config({"prompt": JOB_PROMPT, **{key: value for key, value in named.items() if value}})
+        config = make_run_config({"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})})
         findings = []
         for finding in examine(default_registry(tuple(args.plugin)), config):
             if not args.json:
@@ -83,7 +76,7 @@ class DoctorCommand(Command):
 class Finding:
     """One line of the report."""
 
-    area: str  # "versions", "devices", "memory", "plugins", "rasterizers", "tiny job"
+    area: str  # "versions", "devices", "plugins", "rasterizers", "tiny job"
     text: str
     ok: bool | None = True  # None: worth knowing, nothing wrong
 
@@ -99,7 +92,6 @@ def examine(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
     """All findings, as they are made; the tiny job runs the components that `config` names."""
     yield from versions()
     yield from devices()
-    yield from memory()
     yield from plugins(registry)
     yield from rasterizers(registry)
     yield from tiny_job(registry, config)
@@ -137,29 +129,13 @@ def devices() -> Iterator[Finding]:
         yield Finding("devices", "no GPU; everything that does not declare needs_gpu runs on the CPU", None)
 
 
-def memory() -> Iterator[Finding]:
-    """Free memory and free disk where results are written."""
-    free, disk = free_memory_gb(), shutil.disk_usage(Path.cwd()).free / 2**30
-    if free is None:
-        yield Finding("memory", "this platform does not tell how much memory is free", None)
-    else:
-        enough = free >= LEAST_MEMORY_GB
-        advice = "" if enough else f"; below {LEAST_MEMORY_GB:g} GiB runs may fail, close other programs"
-        yield Finding("memory", f"{free:.1f} GiB of memory free{advice}", enough)
-    enough = disk >= LEAST_DISK_GB
-    advice = "" if enough else f"; results need {LEAST_DISK_GB:g} GiB, free some space"
-    yield Finding("memory", f"{disk:.1f} GiB of disk free here{advice}", enough)
-
-
 def plugins(registry: Registry) -> Iterator[Finding]:
     """Failed plugins and components that break their promise are wrong; a missing extra is worth knowing."""
     offers = registry.offers()
     for failure in registry.failures:
         yield Finding("plugins", f"{failure.plugin} {failure.version}: {failure.reason}", False)
-    for group in registry.clashes():
-        ways = " or ".join(offer.qualified_name for offer in group)
-        text = f"{group[0].kind} {group[0].component.name!r} is offered by {len(group)} plugins; ask for {ways}"
-        yield Finding("plugins", text, False)
+    for clash in registry.clashes():
+        yield Finding("plugins", clash, False)
     problems = {offer: check_offer(registry, offer) for offer in offers}
     for offer, problem in problems.items():
         if problem:
@@ -227,7 +203,7 @@ def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
         photos, cameras = packaged_pair()
         views = load_views(photos, cameras=cameras, size=JOB_SIZE)
     parts = {"editor": config.editor, "recon": config.reconstructor, "segmenter": config.segmenter}
-    result = edit3r.run(views, config.prompt, **parts, device=config.device, registry=registry, report=report)
+    result = edit3r.run(views, config.prompt, **parts, device=config.device, refine=4, registry=registry, report=report)
     with collecting(report), report.stage("render and save"), tempfile.TemporaryDirectory() as folder:
         rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
         rasterizer.render(result.gaussians, result.cameras)
@@ -237,15 +213,3 @@ def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
 
 def _in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def free_memory_gb() -> float | None:
-    """Memory that can be had without swapping [GiB]; None where the platform does not tell."""
-    if sys.platform == "linux":
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        values = {line.split(":")[0]: int(line.split()[1]) for line in lines if len(line.split()) > 1}
-        return values["MemAvailable"] / 2**20
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
-    except (AttributeError, ValueError, OSError):  # Windows, macOS
-        return None

@@ -10,6 +10,7 @@ from edit3r.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
+SLOW = 0.3  # seconds after which a declaration is told of
 
 
 class ListPluginsCommand(Command):
@@ -31,18 +32,12 @@ class ListPluginsCommand(Command):
         problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
         rows = [_row(registry, offer, problems[offer]) for offer in offers]
         failures = [vars(failure) for failure in registry.failures]
-        clashes = [
-            f"{group[0].kind} {group[0].component.name!r} is offered by {' and '.join(o.plugin for o in group)}; "
-            f"ask for {' or '.join(o.qualified_name for o in group)}"
-            for group in registry.clashes()
-        ]
+        clashes = registry.clashes()
         slow = _slow_imports(registry) if args.check else []
         if args.json:
-            remarks = {"clashes": clashes, "slow": slow, "deprecations": list(registry.plugins.deprecations)}
-            content = {"components": rows, "failures": failures, **remarks}
-            print(json.dumps(content, indent=2))
+            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes, "slow": slow}, indent=2))
         else:
-            _print_table(rows, failures, [*clashes, *slow, *registry.plugins.deprecations])
+            _print_table(rows, failures, [*clashes, *slow])
         broken = failures or clashes or any(problems.values())
         return 1 if args.strict and broken else 0
 
@@ -60,23 +55,18 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "summary": offer.component.summary,
         "licence": offer.component.licence,
         "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
-        "weights": [_fetching(weights) for weights in offer.component.weights if at_hand(weights) is None],
+        "weights": [f"{w.get} ({w.terms})" for w in offer.component.weights if at_hand(w) is None],
         "problem": problem,
     }
 
 
-def _fetching(weights) -> str:
-    return f"{weights.get} ({weights.terms})"
-
-
 def _slow_imports(registry) -> list[str]:
     """A plugin's declaration module should import nothing heavy; every command waits for it."""
-    limit = 0.3
     local = {offer.plugin for offer in registry.offers() if not offer.version}  # one file holds all of those
     return [
         f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
         for name, seconds in registry.plugins.import_seconds.items()
-        if seconds > limit and name not in local
+        if seconds > SLOW and name not in local
     ]
 
 

@@ -5,6 +5,7 @@ import gc
 import hashlib
 import types
 import typing
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from pydantic.fields import FieldInfo
 from edit3r.cli.marks import add_mark_flags, selection_from
 from edit3r.command import Command
 from edit3r.config import PartChoice
-from edit3r.errors import RunError
+from edit3r.errors import InputError, RunError
 from edit3r.run_config import DEFAULTS, PART_KEYS, RunConfig, make_run_config
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class RunCommand(Command):
         add("--config", metavar="FILE", help="YAML file of run settings, or the name of a shipped one")
         add("--set", action="append", default=[], metavar="KEY=VALUE", help="one setting, such as editor.strength=0.5")
         add("--cameras", metavar="FILE", help="cameras.json or transforms.json with the photos' intrinsics")
+        add("--refine-poses", action="store_true", help="let the poses of --cameras move to where the photos want them")
         add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
         add("--out", metavar="DIR", default="edit3r-out", help="folder for the results (default edit3r-out)")
         add(
@@ -60,11 +62,11 @@ class RunCommand(Command):
         add("--progress", choices=("text", "json"), default="text", help="json: one line an event, for other programs")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.console import JsonLines, StageConsole
+        from edit3r.console import StageConsole, print_json
         from edit3r.reporting import Report
 
         gc.set_threshold(100_000, 50, 100)  # as usual, half a second goes into looking through what modules made
-        with JsonLines() if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
+        with nullcontext(print_json) if args.progress == "json" else StageConsole(quiet=args.quiet) as console:
             result = self._run(args, Report(on_event=console))
         if not args.quiet:
             from edit3r.results import summary
@@ -97,8 +99,8 @@ class RunCommand(Command):
             check_names(registry, config)
         with collecting(report), report.stage("read photos"):
             photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
-            if args.cameras and not continued:
-                config = with_known_poses(config, photos.views, registry)
+            if (args.cameras or args.refine_poses) and not continued:
+                config = with_known_poses(config, photos.views, registry, args.refine_poses)
         with atomic_folder(args.out, args.overwrite) as folder:
             result = pipeline.run(
                 photos.views,
@@ -146,16 +148,22 @@ def read_photos(
     return photos, masks, hashes
 
 
-def with_known_poses(config: RunConfig, views: "Views", registry: "Registry") -> RunConfig:
-    """The configuration for views whose poses the user gave: they are used as they are, unless a matcher was chosen."""
+def with_known_poses(config: RunConfig, views: "Views", registry: "Registry", refine: bool = False) -> RunConfig:
+    """The configuration for views whose poses the user gave: they are used as they are, unless a matcher was chosen.
+
+    `refine`: they may move to where the photos want them.
+    """
     from edit3r.reporting import say
 
     chosen = config.reconstructor
     has_matcher = "matcher" in registry.find("reconstructor", chosen.name).component.parts
-    if views.c2w is None or not has_matcher or "matcher" in chosen.settings:
+    usable = views.c2w is not None and has_matcher and "matcher" not in chosen.settings
+    if refine and not usable:
+        raise InputError("--refine-poses: needs --cameras with the poses of all photos, and no other matcher.")
+    if not usable:
         return config
-    say("poses.source", "those that were given, as they are")
-    settings = {**chosen.settings, **DEFAULTS["known_poses"]}
+    say("poses.source", "those that were given" + (", as they are" if not refine else ""))
+    settings = {**chosen.settings, **DEFAULTS["refined_poses" if refine else "known_poses"]}
     return config.model_copy(update={"reconstructor": chosen.model_copy(update={"settings": settings})})
 
 

@@ -109,6 +109,16 @@ def scale_poses(
     return scaled
 
 
+def median_scale(source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]) -> Float[Tensor, ""]:
+    """The factor by which `source` becomes as large as `target`: the median ratio of distances from the origin.
+
+    Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
+    """
+    if len(source) == 0:
+        return target.new_ones(())
+    return (target.norm(dim=-1) / source.norm(dim=-1).clamp(min=1e-12)).median()
+
+
 def pixel_scales(
     depths: Float[Tensor, "batch view height width"], intrinsics: Float[Tensor, "batch view 3 3"], footprint: float
 ) -> Float[Tensor, "batch view height width"]:

@@ -141,12 +141,9 @@ def _register_heic(path: Path) -> None:
     try:
         from pi_heif import register_heif_opener  # decoder only, without the GPL encoder
     except ImportError:
-        try:
-            from pillow_heif import register_heif_opener
-        except ImportError:
-            raise MissingDependencyError(
-                f'{path}: a HEIC photo needs one more package: pip install "edit3r[heic]", or export the photo as JPEG.'
-            ) from None
+        raise MissingDependencyError(
+            f'{path}: a HEIC photo needs one more package: pip install "edit3r[heic]", or export the photo as JPEG.'
+        ) from None
     register_heif_opener()
 
 

@@ -42,7 +42,7 @@ _TYPES = {
     **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4"},
     **{"double": "f8", "float64": "f8"},
 }
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def save_ply(
@@ -67,7 +67,7 @@ def save_ply(
 
 
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
-    """Read a 3DGS PLY (binary or ascii, any number type, extra properties ignored) as one scene on the CPU.
+    """Read a binary 3DGS PLY (any number type, extra properties ignored) as one scene on the CPU.
 
     Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are left out with a
     warning. Raises InputError for a file that is no such PLY, or is cut off; with `visible` also for a scene in which
@@ -199,7 +199,7 @@ class PlyHeader:
     """Where a PLY's vertices lie and what columns they have."""
 
     path: Path
-    format: str  # ascii, binary_little_endian or binary_big_endian
+    format: str  # binary_little_endian or binary_big_endian
     comments: tuple[str, ...]
     count: int  # of vertices
     columns: tuple[tuple[str, str], ...]  # (name, numpy type without byte order)
@@ -213,31 +213,12 @@ class PlyHeader:
         """Structured array of `count` vertices. Raises InputError when the file ends too soon."""
         order = _BYTE_ORDERS[self.format]
         dtype = np.dtype([(name, order + kind) for name, kind in self.columns])
-        if self.format == "ascii":
-            return self._read_ascii(dtype)
         available = max(0, os.path.getsize(self.path) - self.offset) // dtype.itemsize
         if available < self.count:
             raise InputError(
                 f"{self.path}: cut off, the header promises {self.count} Gaussians, {available} are there."
             )
         return np.fromfile(self.path, dtype, self.count, offset=self.offset)
-
-    def _read_ascii(self, dtype: np.dtype) -> np.ndarray:
-        with self.path.open("rb") as file:
-            file.seek(self.offset)
-            rows = [row for _, row in zip(range(self.count), file)]
-        try:
-            values = np.array([row.split() for row in rows], dtype=np.float64).reshape(-1, len(self.columns))
-        except ValueError:
-            raise InputError(f"{self.path}: a row does not hold {len(self.columns)} numbers.") from None
-        if len(values) < self.count:
-            raise InputError(
-                f"{self.path}: cut off, the header promises {self.count} Gaussians, {len(values)} are there."
-            )
-        table = np.empty(self.count, dtype)
-        for column, name in enumerate(self.names):
-            table[name] = values[:, column]
-        return table
 
 
 def read_header(path: Path) -> PlyHeader:
@@ -277,6 +258,8 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
             if len(fields) != 2 or fields[0] not in _TYPES:
                 raise InputError(f"{path}: a vertex property of an unknown type: {line.strip()!r}.")
             columns.append((fields[1], _TYPES[fields[0]]))
+    if layout == "ascii":
+        raise InputError(f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do.")
     if layout not in _BYTE_ORDERS or count is None or not columns:
         raise InputError(f"{path}: a PLY header without a known format or without vertices.")
     if len({name for name, _ in columns}) < len(columns):

@@ -16,7 +16,8 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, SettingsError, is_out_of_memory
+from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError, is_out_of_memory
+from edit3r.stage_checks import require_device
 from edit3r.weights import Weights, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
@@ -136,17 +137,7 @@ def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3r
 
 def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
     """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is not there."""
-    if name == "auto":
-        return photos_on
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        reason = str(error).strip().splitlines()[0].rstrip(".")
-        raise SettingsError(
-            f"{key}: {name!r} cannot be used on this machine ({reason}); use --set {key}=cpu."
-        ) from None
-    return device
+    return photos_on if name == "auto" else require_device(name, key)
 
 
 @contextmanager

@@ -24,21 +24,28 @@ _LARGEST_SHEET = 2600  # [pixels] in either direction; cells shrink for many vie
 
 @dataclass(frozen=True)
 class _Layout:
-    cell: tuple[int, int]  # (width, height) of every image
-    columns: int  # images of one view beside each other
+    """Where the views lie; all sizes are (width, height) [pixels]."""
+
+    cell: tuple[int, int]  # of every image
     across: int  # views beside each other
     down: int  # views below each other
 
     @property
     def block(self) -> tuple[int, int]:
-        """(width, height) of one view with its caption."""
-        width = self.columns * self.cell[0] + (self.columns - 1) * _GAP
-        return width, self.cell[1] + _CAPTION + 12
+        """Size of one view with its caption."""
+        return len(COLUMNS) * (self.cell[0] + _GAP) - _GAP, self.cell[1] + _CAPTION + 12
 
     @property
     def body(self) -> tuple[int, int]:
-        width = self.across * self.block[0] + (self.across - 1) * _BLOCK_GAP
-        return width, self.down * self.block[1] + (self.down - 1) * _GAP * 2
+        """Size of all views."""
+        return self.across * (self.block[0] + _BLOCK_GAP) - _BLOCK_GAP, self.down * (
+            self.block[1] + 2 * _GAP
+        ) - 2 * _GAP
+
+    def corner(self, view: int) -> tuple[int, int]:
+        """Place of a view's first pixel."""
+        row, column = divmod(view, self.across)
+        return column * (self.block[0] + _BLOCK_GAP), row * (self.block[1] + 2 * _GAP)
 
 
 def draw_before_after(
@@ -60,17 +67,22 @@ def draw_before_after(
     names = names or [f"view {index}" for index in range(views)]
     layout = _layout(views, photos.shape[-2:])
     width = max(layout.body[0], 3 * _LONGEST_CELL // 2) + 2 * _MARGIN
-    heading = _wrap(title, _font(_TITLE), width - 2 * _MARGIN)
-    notes = _wrap(subtitle, _font(_CAPTION), width - 2 * _MARGIN)
-    top = _MARGIN + len(heading) * (_TITLE + 8) + len(notes) * (_CAPTION + 7) + (18 if heading or notes else 0)
+    lines = [(line, _INK, _TITLE, 8) for line in _wrap(title, _font(_TITLE), width - 2 * _MARGIN)]
+    lines += [(line, _FAINT, _CAPTION, 7) for line in _wrap(subtitle, _font(_CAPTION), width - 2 * _MARGIN)]
+    top = _MARGIN + sum(size + gap for _, _, size, gap in lines) + (18 if lines else 0)
     sheet = Image.new("RGB", (width, top + layout.body[1] + _MARGIN), _PAPER)
-    _draw_text(ImageDraw.Draw(sheet), heading, notes, top, width)
+    draw, below = ImageDraw.Draw(sheet), _MARGIN - 6
+    for line, colour, size, gap in lines:
+        draw.text((_MARGIN, below), line, colour, _font(size))
+        below += size + gap
+    if lines:
+        draw.line([(_MARGIN, top - 12), (width - _MARGIN, top - 12)], _RULE)
     indent = (width - layout.body[0]) // 2
     for index in range(views):
-        row, column = divmod(index, layout.across)
-        x = indent + column * (layout.block[0] + _BLOCK_GAP)
-        y = top + row * (layout.block[1] + 2 * _GAP)
-        _draw_view(sheet, (x, y), layout, names[index], (photos[index], edited[index], rendered[index]))
+        x, y = layout.corner(index)
+        _draw_view(
+            sheet, (indent + x, top + y), layout.cell, names[index], [i[index] for i in (photos, edited, rendered)]
+        )
     return sheet
 
 
@@ -79,42 +91,27 @@ def _layout(views: int, image_size: tuple[int, int]) -> _Layout:
     # Small images are enlarged to half a cell, so that captions fit and pixels can be seen.
     scale = min(_LONGEST_CELL, max(_LONGEST_CELL // 2, max(height, width))) / max(height, width)
     cell = (max(16, round(width * scale)), max(16, round(height * scale)))
-    candidates = [_Layout(cell, len(COLUMNS), across, math.ceil(views / across)) for across in range(1, views + 1)]
+    candidates = [_Layout(cell, across, math.ceil(views / across)) for across in range(1, views + 1)]
     # A gap in the last row counts like a bad shape: prefer full grids.
     best = min(
         candidates,
         key=lambda c: abs(math.log(c.body[0] / c.body[1] / 1.5)) + 0.3 * (c.across * c.down - views) / c.across,
     )
     shrink = min(1.0, _LARGEST_SHEET / max(best.body))
-    return _Layout(tuple(max(16, int(side * shrink)) for side in cell), best.columns, best.across, best.down)
-
-
-def _draw_text(draw: ImageDraw.ImageDraw, heading: list[str], notes: list[str], top: int, width: int) -> None:
-    y = _MARGIN - 6
-    for line in heading:
-        draw.text((_MARGIN, y), line, _INK, _font(_TITLE))
-        y += _TITLE + 8
-    for line in notes:
-        draw.text((_MARGIN, y), line, _FAINT, _font(_CAPTION))
-        y += _CAPTION + 7
-    if heading or notes:
-        draw.line([(_MARGIN, top - 12), (width - _MARGIN, top - 12)], _RULE)
+    return _Layout(tuple(max(16, int(side * shrink)) for side in cell), best.across, best.down)
 
 
 def _draw_view(
-    sheet: Image.Image, corner: tuple[int, int], layout: _Layout, name: str, images: tuple[Tensor, Tensor, Tensor]
+    sheet: Image.Image, corner: tuple[int, int], cell: tuple[int, int], name: str, images: Sequence[Tensor]
 ) -> None:
-    draw = ImageDraw.Draw(sheet)
-    font = _font(_CAPTION)
-    for column, (label, image) in enumerate(zip(COLUMNS, images)):
-        x, y = corner[0] + column * (layout.cell[0] + _GAP), corner[1]
-        sheet.paste(Image.fromarray(to_bytes(image)).resize(layout.cell, Image.Resampling.LANCZOS), (x, y))
-        below = y + layout.cell[1] + 4
-        room = layout.cell[0]
-        draw.text((x, below), label, _INK, font)
-        if column == 0:
-            start = draw.textlength(label + "   ", font)
-            draw.text((x + start, below), _shorten(name, font, room - start), _FAINT, font)
+    """Draw the images of one view beside each other, each with its caption; the photo's name beside the first."""
+    draw, font, (x, y) = ImageDraw.Draw(sheet), _font(_CAPTION), corner
+    for label, image in zip(COLUMNS, images):
+        sheet.paste(Image.fromarray(to_bytes(image)).resize(cell, Image.Resampling.LANCZOS), (x, y))
+        draw.text((x, y + cell[1] + 4), label, _INK, font)
+        x += cell[0] + _GAP
+    indent = draw.textlength(f"{COLUMNS[0]}   ", font)
+    draw.text((corner[0] + indent, y + cell[1] + 4), _shorten(name, font, cell[0] - indent), _FAINT, font)
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:

@@ -7,8 +7,7 @@ In a test file:
     class TestSepia(EditorContract):
         component = "sepia"
 
-Without pytest, `check("editor", "sepia")` returns what held and what did not. Every violation says what the author
-has to change.
+Every violation says what the author has to change.
 """
 
 from collections.abc import Mapping
@@ -16,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.testing.command import CommandContract
-from edit3r.testing.contract import Contract, ContractViolation, Outcome, claims, run_contract
+from edit3r.testing.contract import Contract, ContractViolation, claims
 from edit3r.testing.editing import DetectorContract, EditorContract, SegmenterContract
 from edit3r.testing.network import BackboneContract, HeadContract, TinyBackbone
 from edit3r.testing.rasterizer import RasterizerContract
 from edit3r.testing.reconstruction import MatcherContract, ReconstructorContract, RefinerContract
-from edit3r.testing.scenes import Photographed, broad_gaussians, cameras_around, gaussian_cloud, photograph
+from edit3r.testing.scenes import Photographed, cameras_around, gaussian_cloud, photograph
 from edit3r.testing.training import DatasetContract, LossContract, TrainerContract
 
 CONTRACTS: dict[str, type[Contract]] = {
@@ -38,8 +37,8 @@ CONTRACTS: dict[str, type[Contract]] = {
 
 __all__ = [
     *(contract.__name__ for contract in CONTRACTS.values()),
-    *("CONTRACTS", "Contract", "ContractViolation", "Outcome", "check", "claims", "contract_for", "run_contract"),
-    *("Photographed", "TinyBackbone", "broad_gaussians", "cameras_around", "gaussian_cloud", "photograph"),
+    *("CONTRACTS", "Contract", "ContractViolation", "claims", "contract_for"),
+    *("Photographed", "TinyBackbone", "cameras_around", "gaussian_cloud", "photograph"),
 ]
 
 
@@ -53,8 +52,3 @@ def contract_for(
     """The contract of `kind`, bound to a component by name, built with `settings`."""
     bound = {"component": component, "plugin_files": plugin_files, "parts": parts or {}, "settings": settings}
     return type(f"{kind.title()}{component.title().replace('-', '')}", (CONTRACTS[kind],), bound)
-
-
-def check(kind: str, component: str, *args: Any, **settings: Any) -> tuple[Outcome, ...]:
-    """Run a component's contract without pytest: `check("editor", "sepia", strength=0.5)`; see `contract_for`."""
-    return run_contract(contract_for(kind, component, *args, **settings))

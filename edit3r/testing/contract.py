@@ -1,21 +1,20 @@
-"""What every contract shares: building the component, reporting a violation, running all claims.
+"""What every contract shares: building the component, and reporting a violation.
 
 A contract is a class whose `test_*` methods each hold one claim about a component. pytest runs a subclass that names
-the component; `check` runs one without pytest. This module needs no pytest.
+the component. This module needs no pytest.
 """
 
 import subprocess
 import sys
 import unittest
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 
 from edit3r.checks import check_offer
-from edit3r.errors import Edit3rError
 from edit3r.hookspecs import API_VERSION
 from edit3r.plugins import Offer
 from edit3r.registry import Registry, default_registry, install_hint
@@ -158,45 +157,29 @@ class Contract:
         """`edit3r --help` and `list-plugins` import every plugin's declaration, so it must be cheap."""
         if self.offer is None or self.offer.module == "" or self.plugin_files:
             return
-        code = f"import sys, {self.offer.module}; print(*[m for m in {HEAVY!r} if m in sys.modules])"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        self.require(done.returncode == 0, f"importing {self.offer.module} fails: {done.stderr.strip()[-200:]}")
-        loaded = ", ".join(done.stdout.split())
-        self.require(
-            not loaded, f"importing {self.offer.module} imports {loaded}; move that import to the component's module."
-        )
+        fix = "move that import to the component's module"
+        self.require_light(f"importing {self.offer.module}", f"import {self.offer.module}", fix)
+
+    def require_light(self, what: str, code: str, fix: str) -> None:
+        """Run `code` in a fresh process; it must not import anything heavy."""
+        loaded, failure = _heavy_imports(code)
+        self.require(not failure, f"{what} fails: {failure}")
+        self.require(not loaded, f"{what} imports {loaded}; {fix}.")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What one claim came to."""
-
-    claim: str  # name of the contract's method
-    held: bool | None  # None: skipped
-    message: str = ""  # what to change, or why it was skipped
+@cache
+def _heavy_imports(code: str) -> tuple[str, str]:
+    """The heavy modules that `code` imports in a process of its own, and why it fails, else ''."""
+    code = f"{code}\nimport sys; print(*[module for module in {HEAVY!r} if module in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    failure = done.stderr.strip()[-200:] or f"exit code {done.returncode}"
+    return ", ".join(done.stdout.split()), failure if done.returncode else ""
 
 
 def claims(contract: type[Contract]) -> tuple[str, ...]:
     """Names of the claims of a contract, in the order they are written, the common ones first."""
     names = [name for cls in reversed(contract.__mro__) for name in vars(cls) if name.startswith("test_")]
     return tuple(dict.fromkeys(names))
-
-
-def run_contract(contract: type[Contract]) -> tuple[Outcome, ...]:
-    """Try every claim of a contract class; nothing is raised."""
-    return tuple(_try(contract, claim) for claim in claims(contract))
-
-
-def _try(contract: type[Contract], claim: str) -> Outcome:
-    try:
-        getattr(contract(), claim)()
-    except unittest.SkipTest as reason:
-        return Outcome(claim, None, str(reason))
-    except (ContractViolation, Edit3rError) as violation:
-        return Outcome(claim, False, str(violation))
-    except Exception as error:
-        return Outcome(claim, False, f"{type(error).__name__}: {' '.join(str(error).split())}")
-    return Outcome(claim, True)
 
 
 def require_valid_gaussians(contract: Contract, gaussians: Gaussians, batch: int, view_count: int) -> None:

@@ -4,7 +4,9 @@ The scene is a slanted wall behind two balls, all with a solid texture, so corre
 and the true depth of every pixel is known. Everything is computed on the CPU from a seed.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +36,11 @@ def photograph(
     view_count: int = 2, image_size: tuple[int, int] = (48, 64), batch: int = 1, seed: int = 0
 ) -> Photographed:
     """Photos of `batch` scenes that differ in texture, from cameras along a slightly curved line."""
+    return deepcopy(_photographed(view_count, tuple(image_size), batch, seed))  # whoever gets them may write into them
+
+
+@lru_cache(maxsize=32)
+def _photographed(view_count: int, image_size: tuple[int, int], batch: int, seed: int) -> Photographed:
     height, width = image_size
     fine = (height * SUPERSAMPLING, width * SUPERSAMPLING)
     intrinsics = intrinsics_from_fov(FOV_X, image_size)
@@ -112,20 +119,6 @@ def gaussian_cloud(
     opacities = uniform(batch, count, low=0.05, high=0.95)
     harmonics = uniform(batch, count, (degree + 1) ** 2, 3, low=-0.6, high=0.6)
     return Gaussians(means, scales, quats / quats.norm(dim=-1, keepdim=True), opacities, harmonics)
-
-
-def broad_gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
-    """Five Gaussians that cover the whole image at well-separated depths.
-
-    Nowhere does an alpha cross the 1/255 below which rasterizers skip, or two Gaussians swap order, so that a
-    image is a smooth function of every parameter and finite differences can be trusted.
-    """
-    cloud = gaussian_cloud(5, seed=3, dtype=dtype)
-    depths = torch.linspace(2.0, 4.0, 5, dtype=dtype)
-    means = torch.cat((cloud.means[..., :2] * 0.3, depths[None, :, None]), -1)
-    widths = 0.5 * depths[None, :, None] * (1 + 0.3 * torch.sin(torch.arange(15, dtype=dtype).view(1, 5, 3)))
-    opacities = torch.linspace(0.35, 0.6, 5, dtype=dtype)[None]
-    return Gaussians(means, widths, cloud.quats, opacities, 0.5 * cloud.harmonics)
 
 
 def cameras_around(

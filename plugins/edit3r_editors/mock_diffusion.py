@@ -1,4 +1,4 @@
-"""A stand-in with the controls and the faults of a diffusion editor, but no model and no idea what a prompt means.
+"""A stand-in with steps, strength and the faults of a diffusion editor, but no model and no idea what a prompt means.
 
 Tests, demonstrations and robustness measurements use it where a real editor would need weights. Prompt and seed are
 hashed into one global change of colour and tone; `disagreement` adds what real 2D editors do wrong between views:
@@ -23,13 +23,14 @@ from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
+SHOWN = 7.5 / 10.5  # share of a look that is seen at full strength: the photo holds the rest back
 STEP_RATE = 0.35  # share of the remaining way a step goes: 10 steps leave 1 % of the noise
 TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the image
 
 
 @dataclass(frozen=True)
 class Look:
-    """What the imagined model draws, before guidance decides how much of it is seen."""
+    """What the imagined model draws."""
 
     hue: float  # rotation [turns]
     saturation: float  # factor
@@ -45,8 +46,6 @@ class MockDiffusionEditor(Editor):
 
     class Settings(Settings):
         steps: int = Field(20, ge=1, le=1000, description="sampler steps; fewer than about 10 leave noise")
-        guidance_scale: float = Field(7.5, ge=0, le=100, description="pull towards the prompt; more changes more")
-        image_guidance_scale: float = Field(1.5, ge=0, le=100, description="pull towards the photo; more changes less")
         strength: float = Field(0.8, ge=0, le=1, description="share of the change that is applied; 0 returns the photo")
         disagreement: float = Field(
             0.3, ge=0, le=1, description="how much the views differ in colour, texture and structure; 0: not at all"
@@ -72,7 +71,7 @@ class MockDiffusionEditor(Editor):
         self, images: Float[Tensor, "batch 3 height width"], look: Look, seed: int, label: str
     ) -> Float[Tensor, "batch 3 height width"]:
         """Walk from a noisy photo to the guided result, as a sampler would."""
-        target = images + self._amount() * (apply_look(images, look) - images)
+        target = images + self.settings.strength * SHOWN * (apply_look(images, look) - images)
         noise = torch.randn(images.shape[1:], generator=torch.Generator().manual_seed(seed)).to(images)
         current = images + self.settings.strength * noise
         for _ in reporting.track(range(self.settings.steps), f"mock diffusion, {label}"):
@@ -80,11 +79,6 @@ class MockDiffusionEditor(Editor):
         if self.settings.strength == 0:
             return images
         return current.clamp(0, 1)
-
-    def _amount(self) -> float:
-        """Share of the look that shows: up with guidance and strength, down with image guidance, always below 1."""
-        pull, hold = self.settings.guidance_scale, 2 * self.settings.image_guidance_scale
-        return self.settings.strength * (pull / (pull + hold) if pull > 0 else 0.0)
 
 
 def sample_look(generator: torch.Generator) -> Look:

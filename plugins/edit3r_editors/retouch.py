@@ -22,10 +22,8 @@ from edit3r.interfaces import Editor, MatchedGeometry, Matcher
 from edit3r.reporting import note, warn
 from edit3r.types import EditRequest, Views
 
-SAME_SURFACE = (
-    0.03  # relative difference in depth within which a carried pixel is the surface that the other view shows
-)
-REACH = 3  # [pixels] how far the carried depths of neighbours fill gaps between them
+NEAR = 0.1  # relative difference in depth within which a surface is taken to be the one that is looked for
+SURE = 0.5  # confidence above which a depth was measured; filled-in depths bleed over the edges of what is removed
 
 
 class RetouchEditor(Editor):
@@ -75,53 +73,83 @@ def behind(
 ) -> tuple[Float[Tensor, "view 3 height width"], Bool[Tensor, "view height width"]]:
     """Images of one scene of the batch whose holes show what its other views see there, and where that was so.
 
-    A view lends what is not within `margin` pixels of its own hole, since depth bleeds over the edges of things.
+    The surface behind a hole is spanned between the depths measured around it and those that other views measured and
+    carry into it. A view lends no pixels within `margin` of its own hole.
     """
     images, intrinsics, c2w = views.images[scene], views.intrinsics[scene], geometry.c2w[scene]
     depths, placed = geometry.depths[scene], geometry.registered[scene]
     lent = dilate(holes.to(images), margin) == 0
+    sure = lent & (geometry.confidence[scene] > SURE)
     points = unproject(depths, intrinsics, c2w)
     filled, seen = images.clone(), torch.zeros_like(holes)
     for view in range(len(images)):
         others = [o for o in range(len(images)) if o != view and bool(placed[o] & placed[view])]
         others.sort(key=lambda o: float((c2w[o, :3, 3] - c2w[view, :3, 3]).norm()))
-        clouds = [points[o][lent[o]] for o in others]
-        if not clouds or not holes[view].any():
+        if not others or not holes[view].any():
             continue
-        background = _carried_depth(torch.cat(clouds), intrinsics[view], c2w[view], holes[view])
+        known = torch.where(sure[view], 1 / depths[view], torch.zeros_like(depths[view]))
+        carried = _carried(torch.cat([points[o][sure[o]] for o in others]), intrinsics[view], c2w[view], holes[view])
+        inverse = torch.from_numpy(_spanned(torch.where(holes[view], carried, known).cpu().numpy())).to(depths)
+        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)  # never before what is removed
         hidden = unproject(background, intrinsics[view], c2w[view])
-        for other in others:
-            grid, z = project(hidden.flatten(0, 1), intrinsics[other], c2w[other])
-            grid, z = grid.view(*background.shape, 2), z.view_as(background)
-            surface = warp(depths[other, None], grid, mode="nearest")[0]
-            shown = (warp(lent[other, None].to(images), grid, padding="zeros")[0] > 0.99) & (z > 0)
-            new = holes[view] & (background > 0) & shown & ((z / surface - 1).abs() < SAME_SURFACE) & ~seen[view]
-            filled[view] = torch.where(new, warp(images[other], grid), filled[view])
-            seen[view] |= new
+        lenders = (_lent(hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])) for o in others)
+        pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
+        # What one of several photos alone shows, against its own depth, is more often wrong than what is inpainted.
+        trusted = agrees.any(0) | (shown.sum(0) >= min(2, len(others)))
+        first = torch.where(agrees.any(0), agrees.int().argmax(0), shown.int().argmax(0))
+        seen[view] = holes[view] & trusted
+        filled[view] = torch.where(seen[view], pixels.gather(0, first.expand(1, 3, -1, -1))[0], images[view])
     return filled, seen
 
 
-def _carried_depth(
+def _lent(
+    points: Float[Tensor, "height width 3"],
+    image: Float[Tensor, "3 height width"],
+    depth: Float[Tensor, "height width"],
+    sure: Bool[Tensor, "height width"],
+    lent: Bool[Tensor, "height width"],
+    camera: tuple[Float[Tensor, "3 3"], Float[Tensor, "4 4"]],
+) -> tuple[Float[Tensor, "3 height width"], Bool[Tensor, "height width"], Bool[Tensor, "height width"]]:
+    """What a view shows at points, where nothing measured hides them there, and where its depth says so too."""
+    grid, z = project(points.flatten(0, 1), *camera)
+    grid, z = grid.view(*depth.shape, 2), z.view_as(depth)
+    surface, measured = warp(torch.stack((depth, torch.where(sure, depth, torch.inf))), grid, mode="nearest")
+    shown = (warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99) & (z > 0) & (z < (1 + NEAR) * measured)
+    return warp(image, grid), shown, shown & ((z / surface - 1).abs() < NEAR)
+
+
+def _carried(
     points: Float[Tensor, "point 3"],
     intrinsics: Float[Tensor, "3 3"],
     c2w: Float[Tensor, "4 4"],
     hole: Bool[Tensor, "height width"],
 ) -> Float[Tensor, "height width"]:
-    """Camera z of the nearest of the points in each pixel of the hole, gaps of a few pixels filled; 0 elsewhere."""
+    """Inverse camera z of the nearest of the points in each pixel of the hole; 0 where there is none."""
     height, width = hole.shape
     places, z = project(points, intrinsics, c2w)
     column, row = (places * places.new_tensor([width, height])).floor().long().unbind(-1)
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    index = (row * width + column)[inside]
-    nearest = torch.full((height * width,), float("inf"), dtype=z.dtype)
-    nearest = nearest.scatter_reduce(0, index, z[inside], "amin").view(height, width)
-    inverse = torch.where(torch.isfinite(nearest), 1 / nearest, torch.zeros_like(nearest))
-    # Points of a farther surface show through the gaps of a nearer one: a pixel takes the nearest around it.
-    around = dilate(inverse[None], 1)[0]
-    inverse = torch.where(inverse < 0.9 * around, around, inverse)
-    for _ in range(REACH - 1):
-        inverse = torch.where(inverse > 0, inverse, dilate(inverse[None], 1)[0])
-    return torch.where(hole & (inverse > 0), 1 / inverse.clamp(min=1e-12), torch.zeros_like(inverse))
+    nearest = z.new_zeros(height * width)
+    nearest = nearest.scatter_reduce(0, (row * width + column)[inside], 1 / z[inside], "amax").view(height, width)
+    # Points of a farther surface show through the gaps of a nearer one: they do not count beside it.
+    return torch.where(hole & (nearest >= 0.9 * dilate(nearest[None], 1)[0]), nearest, torch.zeros_like(nearest))
+
+
+def _spanned(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """The map with its zeros filled by a membrane between all other values, which continues planes as planes.
+
+    Laplace's equation, solved on maps of half the sides first.
+    """
+    known, (height, width) = values > 0, values.shape
+    if known.all() or min(height, width) < 4:
+        return np.where(known, values, values[known].mean() if known.any() else 0).astype(values.dtype)
+    half = (width // 2, height // 2)
+    weight = cv2.resize(known.astype(values.dtype), half, interpolation=cv2.INTER_AREA)
+    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA) / np.maximum(weight, 1e-6)
+    smooth = cv2.resize(_spanned(low), (width, height))
+    for _ in range(30):
+        smooth = np.where(known, values, cv2.blur(smooth, (3, 3)))
+    return smooth
 
 
 def _inpainted(

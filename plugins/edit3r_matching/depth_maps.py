@@ -25,7 +25,7 @@ class DepthSettings(config.Settings):
         320, ge=64, le=1024, description="long side at which depth is measured [pixels]; time grows with its cube"
     )
     planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
-    neighbours: int = Field(2, ge=1, le=8, description="most views that help to measure the depth of one")
+    neighbours: int = Field(3, ge=1, le=8, description="most views that help to measure the depth of one")
 
 
 def measure_depths(

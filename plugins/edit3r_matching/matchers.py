@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -24,7 +25,15 @@ from edit3r.types import Views
 from edit3r_matching.calibration import calibrate, contradiction
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
-from edit3r_matching.registration import FeatureSettings, FoundFeatures, PairView, Registration, find_features, register
+from edit3r_matching.registration import (
+    FeatureSettings,
+    FoundFeatures,
+    PairView,
+    Registration,
+    agreeing_pairs,
+    find_features,
+    register,
+)
 from edit3r_matching.relative_pose import Matches
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
@@ -33,7 +42,7 @@ MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03
 """Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight photos too."""
-LEAST_GAIN = 0.08
+LEAST_GAIN = 0.05
 """Share of the points' distance from their pixels that a distortion must explain before it is believed."""
 LEAST_MATCHES = 8
 """Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
@@ -171,6 +180,7 @@ class PosedMatcher(Matcher):
     class Settings(FeatureSettings, DepthSettings):
         matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
         threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
+        refine_poses: bool = Field(False, description="let the known poses move to where the photos' matches want them")
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -190,6 +200,9 @@ class PosedMatcher(Matcher):
         images = calibrated_images(views, scene)
         poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
         features, pairs = find_features(images, self.settings), {}
+        if self.settings.refine_poses:
+            poses = self._refined(images, features, poses)
+            c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
         for (a, b), indices in features.indices.items():
             matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
             kept = self._agreeing(matches, pose)
@@ -204,6 +217,25 @@ class PosedMatcher(Matcher):
         maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
+
+    def _refined(
+        self, images: Sequence[CalibratedImage], features: FoundFeatures, poses: Sequence[Pose]
+    ) -> tuple[Pose, ...]:
+        """The poses settled on what the photos have in common; the first, and the unit of length, stay."""
+        from edit3r_matching.bundle_adjustment import adjust_poses
+
+        points, limit = [keypoints.points for keypoints in features.keypoints], max(images[0].size) / 256
+        matches = {pair: view.indices for pair, view in agreeing_pairs(images, features, 1.0, 0)[0].items()}
+        moved = adjust_poses(images, points, matches, dict(enumerate(poses)), 2 * limit)
+        turns = [np.linalg.norm(cv2.Rodrigues(moved[v].rotation @ pose.rotation.T)[0]) for v, pose in enumerate(poses)]
+        places = np.stack([[pose.inverse().translation for pose in some] for some in (poses, moved.values())])
+        steps = np.linalg.norm(places[1] - places[0], axis=1) / max(np.linalg.norm(places[0], axis=1).max(), 1e-12)
+        reporting.say(
+            "poses.refined",
+            f"turned by up to {np.degrees(max(turns)):.2f} degrees, moved by up to {max(steps):.1%} of "
+            "the distance between the cameras",
+        )
+        return tuple(moved[view] for view in range(len(poses)))
 
     def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
         """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""

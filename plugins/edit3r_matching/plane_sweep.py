@@ -60,23 +60,29 @@ def plane_inverse_depths(
 def matching_cost(
     reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_depths: Float[np.ndarray, "plane"]
 ) -> Float[np.ndarray, "height width plane"]:
-    """Cost of every plane at every pixel, float32, the mean over `neighbours`."""
-    height, width = reference.size
+    """Cost of every plane at every pixel, float32: the mean over `neighbours`, of three and more without the worst.
+
+    What stands before a surface rarely hides it from all neighbours (Kang, Szeliski and Chai 2001, section 3.2).
+    """
     planes = -(-len(inverse_depths) // BLOCK) * BLOCK
-    volume = np.zeros((height, width, planes), np.float32)
+    volume = np.zeros((*reference.size, planes), np.float32)
+    worst = np.zeros_like(volume if len(neighbours) > 2 else volume[:0])
     for neighbour in neighbours:
-        _add_costs(volume, reference, neighbour, inverse_depths, 1 / len(neighbours))
+        _add_costs(volume, worst, reference, neighbour, inverse_depths)
+    if len(worst):
+        volume -= worst
+    volume /= len(neighbours) - bool(len(worst))
     return volume[:, :, : len(inverse_depths)]
 
 
 def _add_costs(
     volume: Float[np.ndarray, "height width planes"],
+    worst: Float[np.ndarray, "rows width planes"],
     reference: CalibratedImage,
     neighbour: Neighbour,
     inverse_depths: Float[np.ndarray, "plane"],
-    weight: float,
 ) -> None:
-    """Add `weight` times the neighbour's costs to the volume, whose planes are a multiple of BLOCK."""
+    """Add the neighbour's costs to the volume, whose planes are a multiple of BLOCK; `worst` may be empty."""
     grey = np.ascontiguousarray(reference.grey)
     statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
     block = np.empty((BLOCK, *reference.size), np.float32)
@@ -86,7 +92,7 @@ def _add_costs(
             moments, difference = _moments(reference.pixels, grey, warped)
             small, large = _box(moments, SMALL), _box(moments, LARGE)
             _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, block[slot])
-        _write_block(volume, block, start, np.float32(weight))
+        _write_block(volume, worst, block, start)
 
 
 def _warp(
@@ -159,10 +165,13 @@ def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen,
 
 
 @compiled(nogil=True)
-def _write_block(volume, block, start, weight):  # pragma: no cover - compiled
+def _write_block(volume, worst, block, start):  # pragma: no cover - compiled
     """Add planes `[BLOCK, height, width]` to the volume from plane `start` on, pixel by pixel."""
     planes, height, width = block.shape
     for y in range(height):
         for x in range(width):
             for k in range(planes):
-                volume[y, x, start + k] += weight * block[k, y, x]
+                volume[y, x, start + k] += block[k, y, x]
+            if worst.shape[0]:
+                for k in range(planes):
+                    worst[y, x, start + k] = max(worst[y, x, start + k], block[k, y, x])

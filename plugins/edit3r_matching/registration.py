@@ -4,6 +4,7 @@ Two images: one essential matrix. More: the best partner of view 0 sets the scal
 further view is placed on the points it shares with the views already there (PnP), the best connected first.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -21,7 +22,15 @@ from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, ray
 from edit3r_matching.features import Keypoints, detect, match
 from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose, log_false_alarms
 
-__all__ = ["FeatureSettings", "FoundFeatures", "PairView", "Registration", "find_features", "register"]
+__all__ = [
+    "FeatureSettings",
+    "FoundFeatures",
+    "PairView",
+    "Registration",
+    "agreeing_pairs",
+    "find_features",
+    "register",
+]
 
 LEARNED = {
     "learned": ("aliked-lightglue", "ALIKED + LightGlue"),
@@ -43,6 +52,10 @@ DEPTH_STEP = 0.05
 """Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
 SPREAD = 0.2
 """Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
+CORNER = 0.07
+"""Share of the area with matches, in one picture times that in the other, below which only a poster agrees."""
+MOST_LOOP = 7.0
+"""How far the turns from one view to a second, on to a third and back may miss [degrees]."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
@@ -198,15 +211,7 @@ def register(
     `names` are for messages. `free_focal`: nobody knows the lens, so that three views and more also settle its focal
     length. Raises MatchingError with the reason when view 0 cannot be placed with any other.
     """
-    pairs: dict[tuple[int, int], PairView] = {}
-    failures: dict[tuple[int, int], str] = {}
-    for (a, b), indices in features.indices.items():
-        limit = threshold * max(*images[a].size, *images[b].size) / 256
-        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
-        if isinstance(found, PairView):
-            pairs[a, b] = found
-        else:
-            failures[a, b] = found
+    pairs, failures = agreeing_pairs(images, features, threshold, seed)
     first = [(pair, key) for key, pair in pairs.items() if key[0] == 0]
     if not first:
         reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
@@ -217,6 +222,39 @@ def register(
     growing.place_the_rest()
     growing.adjust(free_focal)
     return growing.result()
+
+
+def agreeing_pairs(
+    images: Sequence[CalibratedImage], features: FoundFeatures, threshold: float, seed: int
+) -> tuple[dict[tuple[int, int], PairView], dict[tuple[int, int], str]]:
+    """The epipolar geometry of every two images that show one; for the others, why not."""
+    pairs: dict[tuple[int, int], PairView] = {}
+    failures: dict[tuple[int, int], str] = {}
+    for (a, b), indices in features.indices.items():
+        limit = threshold * max(*images[a].size, *images[b].size) / 256
+        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
+        if isinstance(found, PairView):
+            pairs[a, b] = found
+        else:
+            failures[a, b] = found
+    while wrong := _most_contradicted(pairs):
+        failures[wrong] = f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show another motion"
+    return pairs, failures
+
+
+def _most_contradicted(pairs: dict[tuple[int, int], PairView]) -> tuple[int, int] | None:
+    """The pair that most often turns another way than both its views with a third; of several that with least matches.
+
+    None where every three views agree.
+    """
+    against: Counter[tuple[int, int]] = Counter()
+    for a, b, c in combinations(sorted({view for pair in pairs for view in pair}), 3):
+        three = [(a, b), (b, c), (a, c)]
+        if all(pair in pairs for pair in three):
+            first, second, direct = (pairs[pair].pose.rotation for pair in three)
+            if np.degrees(np.linalg.norm(cv2.Rodrigues(second @ first @ direct.T)[0])) > MOST_LOOP:
+                against.update(three)
+    return max(against, key=lambda pair: (against[pair], -len(pairs[pair].matches)), default=None)
 
 
 def _pair(
@@ -241,7 +279,22 @@ def _pair(
     parallax = np.median(pair.parallax)
     if parallax < MIN_PARALLAX:
         return f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so depth cannot be read"
+    if _in_a_corner(pair.matches, matches):
+        return f"all {len(pair.matches)} matched points that agree lie in a small part of both pictures, as on a poster"
     return pair
+
+
+def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
+    """Whether, in both images, what agrees fills a small part of where there are matches: they show one thing only."""
+    both = (agreeing, matches)
+    inside = [[cv2.contourArea(cv2.convexHull(np.float32(rays[:, :2]))) for rays in (m.rays_a, m.rays_b)] for m in both]
+    places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
+    return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
+
+
+def _places(rays: Float[np.ndarray, "match 3"]) -> int:
+    """In how many cells of the picture there are any."""
+    return len(np.unique(np.floor(6 * rays[:, :2]), axis=0))
 
 
 def _evident(found: TwoViewPose | None, matches: Matches, learned: Bool[np.ndarray, "match"], threshold: float) -> bool:
@@ -272,8 +325,7 @@ def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
 
     _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)  # itself and four neighbours
     step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
-    agreeing, every = (len(np.unique(np.floor(6 * rays[:, :2]), axis=0)) for rays in (kept.rays_a, matches.rays_a))
-    return bool(step <= DEPTH_STEP and agreeing >= SPREAD * every)
+    return bool(step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a))
 
 
 @dataclass

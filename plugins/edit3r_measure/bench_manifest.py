@@ -201,7 +201,7 @@ def hash_of_sample(sample: SceneSample) -> str:
 def hash_of_file(path: Path) -> str:
     """Return the SHA-256 of a file. Raises InputError when it is not there."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file.")
+        raise InputError(f"{path}: no such file, and the manifest needs it.")
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -240,15 +240,11 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, v
     order = [*item.inputs, *item.held_back]
     frames = [scene.frames[index] for index in order]
     folder = root / scene.folder
-    if verify:
-        for path, record in [(folder / f.file, f) for f in frames] + [
-            (root / m.file, m) for m in (*item.masks, *item.truth)
-        ]:
-            if not path.is_file():
-                raise InputError(f"{path}: item {item.id!r} of the manifest needs this picture, and it is not there.")
-            if hash_of_file(path) != record.sha256:
-                sentence = "not the picture that the manifest was built with; results would not compare."
-                raise InputError(f"{path}: {sentence}")
+    known = [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in (*item.masks, *item.truth)]
+    for path, record in known if verify else ():
+        if hash_of_file(path) != record.sha256:
+            sentence = "not the picture that the manifest was built with; results would not compare."
+            raise InputError(f"{path}: {sentence}")
     camera_file = folder / scene.cameras if scene.cameras else None
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))

@@ -50,14 +50,11 @@ FIGURES = {
         "unedited_psnr": "the same without an edit [dB]",
     },
     "protocol": {
-        "psnr": "mean over the targets, from their true places [dB]",
-        "ssim": "of the same, in Gaussian windows of 11 pixels",
-        "lpips": "of the same",
-        "perceptual": "of the same, by features of EfficientNet-lite0; not LPIPS",
-        "aligned_psnr": "from where the targets look most like their photos, the scene frozen [dB]",
-        "aligned_ssim": "of the same",
-        "aligned_lpips": "of the same",
-        "aligned_perceptual": "of the same",
+        f"{prefix}{name}": f"mean over the targets, {where}"
+        for prefix, where in (("", "from their true places"), ("aligned_", "from where the scene looks most like them"))
+        for name in ("psnr", "ssim", "lpips", "perceptual")  # SSIM in Gaussian windows of 11 pixels
+    }
+    | {
         "pose_error": "larger of the errors of rotation and of baseline direction between the inputs [degrees]",
         "refined_pose_error": "after the last input camera was aligned with its photo",
     },

@@ -59,13 +59,8 @@ def register_backbones():
 
 @hookimpl
 def register_heads():
-    small = Component(
-        "edit-fusion",
-        "edit3r_model.small_head:EditFusionHead",
-        "carries and fuses the edits over matched geometry; goes with any backbone",
-        parts=("backbone",),
-        min_views=2,
-    )
+    about = "carries and fuses the edits over matched geometry; goes with any backbone"
+    small = Component("edit-fusion", "edit3r_model.small_head:EditFusionHead", about, parts=("backbone",), min_views=2)
     full = Component(
         "dpt-gaussian",
         "edit3r_model.dpt_head:DptGaussianHead",

@@ -30,7 +30,6 @@ class MatchedUNet(Backbone):
 
     takes_geometry = True
     patch_size = STRIDE
-    INPUTS = 12
 
     class Settings(Settings):
         width: int = Field(32, ge=8, le=512, multiple_of=8, description="channels of its features")
@@ -42,7 +41,7 @@ class MatchedUNet(Backbone):
         self.feature_widths = (width,)
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            self.stem = Conv2d(self.INPUTS * STRIDE**2, width, 3, padding=1)
+            self.stem = Conv2d(12 * STRIDE**2, width, 3, padding=1)
             self.blocks2 = nn.Sequential(ResidualBlock(width))
             self.down4 = Conv2d(width, 2 * width, 4, stride=2, padding=1)
             self.blocks4 = nn.Sequential(ResidualBlock(2 * width), ResidualBlock(2 * width))

@@ -141,10 +141,7 @@ def _full_form(settings: Edit3rReconstructor.Settings, backbone: Backbone, head:
     """The paper's form where parts or weights ask for it, else None; raises SettingsError for misfits."""
     if not (backbone.takes_geometry or head.takes_geometry):
         if settings.weights == "shipped":
-            raise SettingsError(
-                "reconstructor.weights: those that ship are of backbone matched-unet and head edit-fusion; give "
-                "weights of the chosen parts, or untrained."
-            )
+            raise SettingsError("reconstructor.weights: none ship for these parts; give their weights, or untrained.")
         weights = "random" if settings.weights == "untrained" else settings.weights
         parts = {"backbone": backbone, "head": head}
         return build("reconstructor", "noposplat", parts, **{**settings.full, "weights": weights})

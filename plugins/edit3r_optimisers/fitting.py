@@ -4,23 +4,24 @@ One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as 
 the same result: everything random is drawn from the seed and the step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.geometry.rotations import normalise_quats
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers.settings import FitSettings
-from edit3r_optimisers.trainable import TrainableGaussians, detached
 
-DETAIL_SHARE = 1 / 20  # harmonics above the constant move slower by this
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
+OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
+BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 
 
 class TargetImages:
@@ -34,16 +35,6 @@ class TargetImages:
 
 
 @dataclass(frozen=True)
-class FitPlan:
-    """How long and how to fit, and what the progress bar says."""
-
-    settings: FitSettings
-    steps: int
-    seed: int
-    text: str
-
-
-@dataclass(frozen=True)
 class Fitted:
     """A fitted scene, and the loss of each step before it was taken, each of one view."""
 
@@ -51,21 +42,72 @@ class Fitted:
     losses: tuple[float, ...]
 
 
-def fit(start: Gaussians, cameras: Cameras, targets: TargetImages, rasterizer: Rasterizer, plan: FitPlan) -> Fitted:
-    """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`."""
-    settings, steps, losses = plan.settings, plan.steps, []
-    scene, extent = TrainableGaussians(start, settings.degree), scene_extent(start, cameras)
+def fit(
+    start: Gaussians,
+    cameras: Cameras,
+    targets: TargetImages,
+    rasterizer: Rasterizer,
+    settings: FitSettings,
+    steps: int,
+    seed: int,
+    text: str,
+) -> Fitted:
+    """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`.
+
+    `seed` decides the order of the views, `text` is what the progress bar says.
+    """
+    scene, extent, losses = TrainableGaussians(start), scene_extent(start, cameras), []
     for step in range(steps):
-        targets.before_step(step, lambda: detached(scene.gaussians()))
-        view = view_at(step, cameras.count, plan.seed)
+        targets.before_step(step, partial(scene.gaussians, detached=True))
+        view = view_at(step, cameras.count, seed)
         with torch.enable_grad():
-            gaussians = scene.gaussians(active_degree(settings, step, steps))
-            image = rasterizer.render(gaussians, cameras.select([view])).images[0, 0]
+            image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[0, 0]
             loss = photometric_loss(image, targets.images[view], settings.ssim)
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
-        progress(plan.text, step + 1, steps)
-    return Fitted(detached(scene.gaussians()), tuple(losses))
+        progress(text, step + 1, steps)
+    return Fitted(scene.gaussians(detached=True), tuple(losses))
+
+
+class TrainableGaussians:
+    """The parameters of one scene, and Adam over them with one step size per kind of parameter.
+
+    Scales are logarithms, opacities logits, quaternions of any norm; of the harmonics only the constant one is kept.
+    """
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self.view_index = gaussians.view_index
+        tiny = torch.finfo(gaussians.scales.dtype).tiny
+        values = {
+            "means": gaussians.means[0],
+            "scales": gaussians.scales[0].clamp(min=tiny).log(),
+            "quats": gaussians.quats[0],
+            "opacities": gaussians.opacities[0].clamp(*OPACITY_RANGE).logit(),
+            "colour": gaussians.harmonics[0, :, :1],
+        }
+        self.parameters = {name: value.detach().clone().requires_grad_(True) for name, value in values.items()}
+        groups = [{"params": [value], "name": name} for name, value in self.parameters.items()]
+        self.adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+
+    def gaussians(self, detached: bool = False) -> Gaussians:
+        """Return a batch of one; differentiable in the parameters unless `detached`."""
+        values = {name: value.detach() if detached else value for name, value in self.parameters.items()}
+        return Gaussians(
+            values["means"][None],
+            values["scales"].exp()[None],
+            normalise_quats(values["quats"])[None],
+            values["opacities"].sigmoid()[None],
+            values["colour"][None],
+            self.view_index,
+        )
+
+    def step(self, loss: Float[Tensor, ""], sizes: Mapping[str, float]) -> None:
+        """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the parameter."""
+        self.adam.zero_grad()
+        loss.backward()
+        for group in self.adam.param_groups:
+            group["lr"] = sizes[group["name"]]
+        self.adam.step()
 
 
 def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:
@@ -92,13 +134,7 @@ def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> d
         "quats": settings.rotation_rate,
         "opacities": settings.opacity_rate,
         "colour": settings.colour_rate,
-        "detail": settings.colour_rate * DETAIL_SHARE,
     }
-
-
-def active_degree(settings: FitSettings, step: int, steps: int) -> int:
-    """Return the degree of the harmonics in use: from 0 up to the setting, each for an even share of the fit."""
-    return min(settings.degree, step * (settings.degree + 1) // steps)
 
 
 def view_at(step: int, views: int, seed: int) -> int:

@@ -7,12 +7,15 @@ import torch
 from jaxtyping import Shaped
 from torch import Tensor
 
+from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
+from edit3r.stage_checks import check_reconstruction, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.fitting import FitPlan, TargetImages, fit
-from edit3r_optimisers.settings import FitSettings, MethodSettings
-from edit3r_optimisers.starting_points import begin
+from edit3r_optimisers.fitting import TargetImages, fit
+from edit3r_optimisers.settings import MethodSettings
+
+VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
 
 
 @dataclass(frozen=True)
@@ -67,13 +70,35 @@ class FittingMethod(Reconstructor):
     def _fit(self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages) -> Gaussians:
         """Fit the "photos" or the "edits", beginning at `start`."""
         steps = self.settings.steps if what == "photos" else self.settings.edit_steps
-        chosen = {name: getattr(self.settings, name) for name in FitSettings.model_fields}
-        plan = FitPlan(FitSettings(**chosen), steps, self.settings.seed, f"fit to the {what}")
-        fitted = fit(start, cameras, targets, self.rasterizer, plan)
+        text = f"fit to the {what}"
+        fitted = fit(start, cameras, targets, self.rasterizer, self.settings, steps, self.settings.seed, text)
         first, last = (sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:]))
         facts = {"steps": steps, "gaussians": fitted.gaussians.count, "first_loss": first, "last_loss": last}
         note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})
         return fitted.gaussians
+
+
+def begin(photos: Views, reconstructor: Reconstructor, most: int, seed: int) -> tuple[Gaussians, Cameras]:
+    """Return at most `most` first Gaussians of one scene's unedited photos (batch 1), and the photos' cameras.
+
+    Both are in view 0's frame. Raises MatchingError where the reconstructor cannot place the photos.
+    """
+    with errors_named_after(reconstructor):
+        answer = reconstructor(photos, source=photos)
+    check_reconstruction(reconstructor, photos, answer)
+    cameras = answer.cameras or estimate_cameras(answer.gaussians, photos)
+    gaussians = thinned(answer.gaussians.select(answer.gaussians.opacities[0] > 0), most, seed)
+    note("refit.first_gaussians", gaussians.count)
+    return replace(gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY)), cameras
+
+
+def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
+    """Choose at most `most` Gaussians at random and widen them so that they still cover their surfaces."""
+    if gaussians.count <= most:
+        return gaussians
+    order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
+    chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
+    return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
 
 
 def _views_of(views: Views, item: int) -> Views:

@@ -12,14 +12,13 @@ class FitSettings(Settings):
     authors' released code) unless the description says otherwise; `extent` is a typical distance to the scene."""
 
     ssim: float = Field(0.2, ge=0, le=1, description="weight of D-SSIM; the rest is the absolute difference")
-    degree: int = Field(0, ge=0, le=3, description="degree of the harmonics; each is added at an even share of the fit")
     means_rate: float = Field(1.6e-4, ge=0, le=1, description="first step of the centres [extents]")
     means_rate_end: float = Field(1.6e-6, ge=0, le=1, description="last step of the centres [extents]")
     colour_rate: float = Field(
         0.02,
         ge=0,
         le=1,
-        description="step of the constant harmonic, the others 1/20; published 0.0025, for 30000 steps",
+        description="step of the colours; published 0.0025, for 30000 steps",
     )
     opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
     scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")

@@ -9,10 +9,10 @@ write to one number.
 import numpy as np
 
 from edit3r_rasterizers.kernels import inlined, kernel
-from edit3r_rasterizers.layout import BLOCK, RECORD, SUMS, TILE
+from edit3r_rasterizers.layout import BLOCK, LOOKAHEAD, RECORD, SUMS, TILE
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
 from edit3r_rasterizers.simd import broadcast, exp2, flag_negative, lowest_bit, magnitude, maximum, minimum, select
-from edit3r_rasterizers.simd_memory import flat, load, store, store_sums
+from edit3r_rasterizers.simd_memory import flat, load, prefetch, store, store_sums
 from edit3r_rasterizers.tiles import (
     BATCH,
     BLOCKS,
@@ -52,15 +52,18 @@ def shade_tiles(
     max_alpha,
     min_alpha,
     min_transmittance,
+    touched,
     background,
     scratch,
-    touched,
     images,
     alphas,
     depths,
     transmittances,
 ):
-    """Render the tiles [first_tile, last_tile) of one image into images [3, H, W] and three of [H, W]."""
+    """Render the tiles [first_tile, last_tile) of one image into images [3, H, W] and three of [H, W].
+
+    `touched[e]` becomes the blocks that entry e reaches, as bits; the backward pass reads it.
+    """
     height, width = alphas.shape
     offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
     touched, background = flat(touched), flat(background)
@@ -78,7 +81,7 @@ def shade_tiles(
             last = min(first + BATCH, end)
             find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched)
             for entry in range(first, last):
-                todo = live & touched[entry - first]
+                todo = live & U(touched[entry])
                 start = U(entries[entry]) * U(RECORD)
                 ellipse, red, green, blue, depth = place_splat(records, start, tile_x, tile_y)
                 while todo != U(0):
@@ -139,8 +142,9 @@ def differentiate_tiles(
     max_alpha,
     min_alpha,
     min_transmittance,
-    scratch,
     touched,
+    shapes,
+    scratch,
     images,
     depths,
     transmittances,
@@ -149,16 +153,13 @@ def differentiate_tiles(
     depth_gradients,
     sums,
 ):
-    """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile)."""
+    """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile); without `shapes`, colours."""
     height, width = depths.shape
     offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
     touched, sums = flat(touched), flat(sums)
     images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
-    image_gradients, alpha_gradients, depth_gradients = (
-        flat(image_gradients),
-        flat(alpha_gradients),
-        flat(depth_gradients),
-    )
+    image_gradients, alpha_gradients = flat(image_gradients), flat(alpha_gradients)
+    depth_gradients = flat(depth_gradients)
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
     plane = U(width) * U(height)
@@ -180,9 +181,9 @@ def differentiate_tiles(
         first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
             last = min(first + BATCH, end)
-            find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched)
             for entry in range(first, last):
-                todo = live & touched[entry - first]
+                prefetch(records, U(entries[entry + U(LOOKAHEAD)]) * U(RECORD))
+                todo = live & U(touched[entry])
                 start = U(entries[entry]) * U(RECORD)
                 ellipse, red, green, blue, depth = place_splat(records, start, tile_x, tile_y)
                 sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = zero, zero, zero, zero, zero, zero
@@ -206,18 +207,19 @@ def differentiate_tiles(
                     sum_green += weight * by_green
                     sum_blue += weight * by_blue
                     sum_depth += weight * by_depth
-                    value = by_red * red + by_green * green + by_blue * blue + by_depth * depth
-                    rest = load(scratch, place + _REST) - weight * value
-                    store(scratch, place + _REST, rest)
-                    by_alpha = before * value - rest / (broadcast(F(1)) - alpha)
-                    v = select(shown & (full_alpha <= limit), alpha * by_alpha, zero)
-                    vs, vt = v * across, v * down
-                    sum_v += v
-                    sum_vs += vs
-                    sum_vt += vt
-                    sum_vss += vs * across
-                    sum_vst += vs * down
-                    sum_vtt += vt * down
+                    if shapes:
+                        value = by_red * red + by_green * green + by_blue * blue + by_depth * depth
+                        rest = load(scratch, place + _REST) - weight * value
+                        store(scratch, place + _REST, rest)
+                        by_alpha = before * value - rest / (broadcast(F(1)) - alpha)
+                        v = select(shown & (full_alpha <= limit), alpha * by_alpha, zero)
+                        vs, vt = v * across, v * down
+                        sum_v += v
+                        sum_vs += vs
+                        sum_vt += vt
+                        sum_vss += vs * across
+                        sum_vst += vs * down
+                        sum_vtt += vt * down
                 store_sums(
                     sums,
                     entry * U(SUMS),

@@ -1,5 +1,6 @@
 """The CPU rasterizer: kernels compiled by numba, with a hand-derived backward pass."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,6 @@ from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_camera, proje
 from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
 from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
 from edit3r_rasterizers.tile_lists import TileGrid, TileLists, list_tiles
-from edit3r_rasterizers.tiles import BATCH
 
 
 class NumbaSettings(RasterizerSettings):
@@ -80,8 +80,8 @@ class Scene:
     def arrays(self) -> tuple[np.ndarray, ...]:
         return self.means, self.scales, self.quats, self.opacities, self.harmonics
 
-    def zeros_like(self) -> "Scene":
-        return Scene(*(np.zeros_like(array) for array in self.arrays))
+    def made_by(self, make: Callable[[np.ndarray], np.ndarray]) -> "Scene":
+        return Scene(*(make(array) for array in self.arrays))
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,7 @@ class Frame:
     records: np.ndarray  # [G, RECORD]
     lists: TileLists
     transmittances: np.ndarray  # [H, W], filled by `draw`
+    touched: np.ndarray  # [E], blocks that each entry reaches, filled by `draw`
 
 
 class _Rasterize(torch.autograd.Function):
@@ -119,7 +120,7 @@ class _Rasterize(torch.autograd.Function):
         for b in range(batch):
             for c in range(count):
                 camera = pack_camera(cameras.c2w[b, c], cameras.intrinsics[b, c], grid, BORDER)
-                frame = project_scene(settings, threads, scenes[b], camera, grid)
+                frame = project_scene(settings, threads, scenes[b], camera, grid, any(ctx.needs_input_grad))
                 if frame is None:
                     check_finite(Gaussians(*(field.detach() for field in fields)))
                 draw(settings, threads, frame, _array(backgrounds[b, c]), _images_of((images, alphas, depths), b, c))
@@ -132,16 +133,26 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, *gradients):
         outputs = ctx.saved_tensors
         batch, count = outputs[0].shape[:2]
-        threads = thread_count(ctx.settings.threads)
-        by_scenes = [scene.zeros_like() for scene in ctx.scenes]
-        by_backgrounds = torch.zeros(batch, count, 3)
+        *by_shapes, by_colours, by_background = ctx.needs_input_grad[2:]
+        by_scenes = [scene.made_by(np.empty_like if count else np.zeros_like) for scene in ctx.scenes]
+        by_backgrounds = torch.zeros(batch, count, 3) if by_background else None
         for index, frame in enumerate(ctx.frames):
             b, c = divmod(index, count)
             seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
-            differentiate(ctx.settings, threads, ctx.scenes[b], frame, seen, by_seen, by_scenes[b])
-            by_backgrounds[b, c] = _by_background(gradients[0][b, c], frame)
-        by_fields = [torch.from_numpy(np.stack(arrays)) for arrays in zip(*(scene.arrays for scene in by_scenes))]
-        return None, None, *(by_fields or [None] * 5), by_backgrounds
+            if any(by_shapes) or by_colours:
+                differentiate(
+                    ctx.settings, ctx.scenes[b], frame, seen, by_seen, by_scenes[b], shapes=any(by_shapes), fresh=c == 0
+                )
+            if by_background:
+                by_backgrounds[b, c] = _by_background(gradients[0][b, c], frame)
+        stacked = [_stack(arrays) for arrays in zip(*(scene.arrays for scene in by_scenes))] or [None] * 5
+        by_fields = [field if wanted else None for field, wanted in zip(stacked, ctx.needs_input_grad[2:])]
+        return None, None, *by_fields, by_backgrounds
+
+
+def _stack(arrays: tuple[np.ndarray, ...]) -> Tensor:
+    """A tensor with one array for each scene, without a copy where there is one scene."""
+    return torch.from_numpy(arrays[0][None] if len(arrays) == 1 else np.stack(arrays))
 
 
 def _by_background(by_image: Tensor, frame: Frame) -> Float[Tensor, "3"]:
@@ -160,9 +171,12 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 def project_scene(
-    settings: RasterizerSettings, threads: int, scene: Scene, camera: np.ndarray, grid: TileGrid
+    settings: RasterizerSettings, threads: int, scene: Scene, camera: np.ndarray, grid: TileGrid, by_splat: bool = True
 ) -> Frame | None:
-    """Compute the records and tile lists of one camera; returns None when a Gaussian is not finite."""
+    """Compute the records and tile lists of one camera; returns None when a Gaussian is not finite.
+
+    `by_splat`: also list the entries of each splat, which the backward pass needs.
+    """
     count = len(scene.means)
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
@@ -173,8 +187,9 @@ def project_scene(
     )
     if not all(sound):
         return None
-    lists = list_tiles(threads, grid, records, boxes, keys)
-    return Frame(grid, camera, records, lists, np.empty((grid.height, grid.width), np.float32))
+    lists = list_tiles(threads, grid, records, boxes, keys, by_splat)
+    touched = np.empty(len(lists.entries), np.uint16)
+    return Frame(grid, camera, records, lists, np.empty((grid.height, grid.width), np.float32), touched)
 
 
 def draw(
@@ -188,7 +203,6 @@ def draw(
         *_tile_arguments(settings, frame),
         background,
         scratch(FORWARD_SCRATCH, np.float32),
-        scratch(int(BATCH), np.uint64),
         images.image,
         images.alpha,
         images.depth,
@@ -198,22 +212,28 @@ def draw(
 
 def differentiate(
     settings: RasterizerSettings,
-    threads: int,
     scene: Scene,
     frame: Frame,
     images: CameraImages,
     image_gradients: CameraImages,
     by_scene: Scene,
+    *,
+    shapes: bool,
+    fresh: bool,
 ) -> None:
-    """Add the gradients of one camera's images to those of the scene."""
+    """Add the gradients of one camera's images to those of the scene, which are 0 where they are `fresh`.
+
+    Without `shapes` only those by the harmonics, for which colours alone matter.
+    """
+    threads = thread_count(settings.threads)
     sums = aligned_empty((len(frame.lists.positions) * SUMS,))
     run_slices(
         differentiate_tiles,
         _tile_bounds(frame, threads),
         threads,
         *_tile_arguments(settings, frame),
+        shapes,
         scratch(BACKWARD_SCRATCH, np.float32),
-        scratch(int(BATCH), np.uint64),
         images.image,
         images.depth,
         frame.transmittances,
@@ -233,6 +253,8 @@ def differentiate(
         frame.lists.splat_offsets,
         frame.lists.positions,
         sums,
+        shapes,
+        fresh,
         scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
         scratch(8, np.uint64),
         *by_scene.arrays,
@@ -241,7 +263,7 @@ def differentiate(
 
 def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
     limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
-    return frame.grid.columns, frame.lists.offsets, frame.lists.entries, frame.records, *limits
+    return frame.grid.columns, frame.lists.offsets, frame.lists.entries, frame.records, *limits, frame.touched
 
 
 def _tile_bounds(frame: Frame, threads: int) -> list[int]:

@@ -69,13 +69,8 @@ def project(
     A Gaussian that covers no pixel centre gets an empty box. Returns whether all values read were finite.
     """
     count = U(harmonics.shape[1])
-    means, scales, quats, opacities, harmonics = (
-        flat(means),
-        flat(scales),
-        flat(quats),
-        flat(opacities),
-        flat(harmonics),
-    )
+    means, scales, quats = flat(means), flat(scales), flat(quats)
+    opacities, harmonics = flat(opacities), flat(harmonics)
     camera, scratch, records, boxes, keys = flat(camera), flat(scratch), flat(records), flat(boxes), flat(keys)
     sound = True
     for start in range(U(first), U(last), GROUP):

@@ -45,11 +45,13 @@ class TileLists:
 
     offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
     entries: np.ndarray  # [E + layout.LOOKAHEAD], splat of each entry
-    positions: np.ndarray  # [E + layout.LOOKAHEAD], entries grouped by splat
-    splat_offsets: np.ndarray  # [G + 1], where each splat's positions begin
+    positions: np.ndarray  # [E + layout.LOOKAHEAD], entries grouped by splat; empty where no gradients are wanted
+    splat_offsets: np.ndarray  # [G + 1], where each splat's positions begin; empty like these
 
 
-def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndarray, keys: np.ndarray) -> TileLists:
+def list_tiles(
+    threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndarray, keys: np.ndarray, by_splat: bool = True
+) -> TileLists:
     """Sort the splats by depth and distribute them over the tiles, in the same order for any number of threads.
 
     Each chunk of the depth order is counted first, so that it knows where its part of every tile's list begins.
@@ -59,15 +61,17 @@ def list_tiles(threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndar
     slices = list(range(len(chunks)))
     shared = chunks, order, boxes, records, grid.columns
     counts = np.empty((len(chunks) - 1, grid.count), np.int64)
-    splat_offsets = np.zeros(len(records) + 1, np.int64)
+    splat_offsets = np.zeros(len(records) + 1 if by_splat else 1, np.int64)
     run_slices(count_entries, slices, threads, *shared, counts, splat_offsets[1:])
     np.cumsum(splat_offsets, out=splat_offsets)
-    _check_total(int(splat_offsets[-1]))
-
     offsets = np.zeros(grid.count + 1, np.int64)
     np.cumsum(counts.sum(0), out=offsets[1:])
+    total = int(offsets[-1])
+    _check_total(total)
+
     cursors = offsets[:-1] + np.cumsum(counts, 0) - counts
-    entries, positions = (np.empty(splat_offsets[-1] + layout.LOOKAHEAD, np.int32) for _ in range(2))
+    entries = np.empty(total + layout.LOOKAHEAD, np.int32)
+    positions = np.empty(len(entries) if by_splat else 0, np.int32)
     entries[-layout.LOOKAHEAD :] = positions[-layout.LOOKAHEAD :] = 0
     run_slices(list_entries, slices, threads, *shared, cursors, splat_offsets, entries, positions)
     return TileLists(offsets, entries, positions, splat_offsets)
@@ -155,9 +159,9 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
     """Count for the chunks [first, last) the splats on each tile, and the tiles of each splat.
 
     Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
-    `numbers` [splats].
+    `numbers` [splats], which may be empty.
     """
-    tiles, columns = U(counts.shape[1]), U(columns)
+    tiles, columns, by_splat = U(counts.shape[1]), U(columns), len(numbers) > 0
     bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
     counts, numbers = flat(counts), flat(numbers)
     for chunk in range(U(first), U(last)):
@@ -177,7 +181,8 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
                     if not exact or touches_tile(record, column, row):
                         table[row * columns + column] += 1
                         number += 1
-            numbers[i] = number
+            if by_splat:
+                numbers[i] = number
 
 
 @kernel
@@ -186,9 +191,9 @@ def list_entries(first, last, bounds, order, boxes, records, columns, cursors, s
 
     `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
     entries grouped by tile, front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat
-    i.
+    i; not where it is empty.
     """
-    tiles, columns = U(cursors.shape[1]), U(columns)
+    tiles, columns, by_splat = U(cursors.shape[1]), U(columns), len(positions) > 0
     bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
     cursors, splat_offsets, entries, positions = flat(cursors), flat(splat_offsets), flat(entries), flat(positions)
     for chunk in range(U(first), U(last)):
@@ -197,20 +202,21 @@ def list_entries(first, last, bounds, order, boxes, records, columns, cursors, s
         for rank in range(U(bounds[chunk]), end):
             coming = U(order[min(rank + _AHEAD, end - U(1))])
             prefetch(boxes, U(4) * coming)
-            prefetch(splat_offsets, coming)
             i = U(order[rank])
             record = shifted(records, i * U(layout.RECORD))
             left, top, right, bottom = _box(boxes, i)
             exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
-            done = U(splat_offsets[i])
+            done = U(splat_offsets[i]) if by_splat else U(0)
             for row in range(top, bottom + U(1)):
                 for column in range(left, right + U(1)):
                     if not exact or touches_tile(record, column, row):
                         tile = row * columns + column
                         place = U(table[tile])
                         table[tile] += 1
-                        entries[place], positions[done] = i, place
-                        done += U(1)
+                        entries[place] = i
+                        if by_splat:
+                            positions[done] = place
+                            done += U(1)
 
 
 @inlined

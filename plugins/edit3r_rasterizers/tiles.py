@@ -104,7 +104,7 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
         axis = near_y * x_per_y
         by_row = _squares(minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y)
         limit = broadcast(records[start + U(layout.CUTOFF)] * F(1.001) + F(1e-2))
-        touched[entry - first] = mask_bits(minimum(by_column, by_row) <= limit)
+        touched[entry] = mask_bits(minimum(by_column, by_row) <= limit)
 
 
 @inlined

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.config import Settings as BaseSettings
-from edit3r.geometry.alignment import median_scale
+from edit3r.geometry.cameras import median_scale
 from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, warn
 from edit3r.types import Cameras, EditRequest, Gaussians, Views

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from edit3r import hookspecs, plugins
+from edit3r import plugins
 from edit3r.errors import InputError
 from edit3r.plugins import load_plugins
 
@@ -114,16 +114,6 @@ def test_two_packages_with_one_entry_point_name_both_load_under_names_that_diffe
     installed(distribution="edit3r-two", sepia=source.replace("from-{module}", "two"))
     offers = load_plugins().offers
     assert {offer.qualified_name for offer in offers} == {"sepia:one", "edit3r-two:two"}
-
-
-def test_an_older_api_that_is_still_served_loads_with_a_note(installed, monkeypatch):
-    monkeypatch.setattr(hookspecs, "API_VERSION", 2)
-    installed(old=DECLARATION)
-    loaded = load_plugins()
-    assert [offer.component.name for offer in loaded.offers] == ["old"]
-    assert loaded.deprecations == (
-        "plugin 'old': written for edit3r API 1, which will be dropped; the current one is 2",
-    )
 
 
 def test_a_plugin_that_states_no_api_is_taken_for_the_current_one(installed):

@@ -17,6 +17,9 @@ def rendered(*psnr: float) -> Rendering:
     return Rendering(images, alphas, alphas)
 
 
+MEASURED_SHARES = ([0.1, 0.7, 0.64], [0.4, 0.5, 0.4])
+
+
 def shown(edited, rendering, placed, measured):
     """The verdict on a scene that no refiner touched."""
     return judge(edited, rendering, rendering, placed, measured)
@@ -50,14 +53,15 @@ def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
     assert verdict.input_psnr[2] == pytest.approx(41, abs=1e-3)
 
 
-def test_half_of_the_photos_left_out_is_poor():
-    verdict = shown(EDITED.select([0]), rendered(40.0), [True, False], None)
-    assert verdict.label == "poor" and "1 of 2 photos could not be placed" in verdict.reason
+def test_nearly_all_photos_left_out_is_poor():
+    verdict = shown(EDITED.select([0]), rendered(40.0), [True, False, False, False], None)
+    assert verdict.label == "poor" and "3 of 4 photos could not be placed" in verdict.reason
 
 
-def test_much_guessed_depth_is_never_good():
-    verdict = shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([[0.45, 0.9, 0.9]]))
-    assert verdict.label == "fair" and "up to 55% of a photo's depth is guessed" in verdict.reason
+def test_much_guessed_depth_is_never_good_and_more_is_poor():
+    fair, poor = (shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([m])) for m in MEASURED_SHARES)
+    assert fair.label == "fair" and "52% of the depth is guessed" in fair.reason
+    assert poor.label == "poor"
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():

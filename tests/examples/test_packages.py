@@ -48,7 +48,7 @@ def test_the_installed_packages_are_listed_with_their_licences_and_weights(site)
 def test_edit3r_run_uses_the_installed_editor(site, tmp_path):
     run(
         *("-m", "edit3r.cli.main", "run", "--editor", "sepia", "--recon", "classical", "--size", "96"),
-        *("--frames", "2", "--out", str(tmp_path / "out")),
+        *("--frames", "2", "--refine", "0", "--out", str(tmp_path / "out")),
         site=site,
     )
     edited = sorted((tmp_path / "out" / "edited").iterdir())

@@ -17,8 +17,11 @@ from edit3r_app.uploads import receive
 from edit3r.cache import Cache
 from edit3r.cli.main import main
 from edit3r.io import atomic
+from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.fetching import fetch
 from edit3r.io.images import packaged_pair
+from edit3r.io.ply import save_ply
+from edit3r.testing import cameras_around, gaussian_cloud
 from edit3r.testing.training import tiny_job
 from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r.weights import Weights, find
@@ -26,6 +29,7 @@ from edit3r.workers import run_resumable
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
+FLAT = str(Path(__file__).parents[1] / "plugins" / "flat_scene.py")
 STEPS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233)  # of the changes that a command makes on the disk
 
 
@@ -65,6 +69,7 @@ def contents(folder):
 
 def run_command(out):
     options = ["--size", "64", "--editor", "none", "--rasterizer", "torch", "--quiet", "--overwrite"]
+    options += ["--refine", "0", "--frames", "2", "--plugin", FLAT, "--recon", "flat"]
     assert main(["run", *map(str, packaged_pair()[0]), "--out", str(out), *options]) == 0
 
 
@@ -148,25 +153,25 @@ def test_a_cache_killed_while_it_is_saved_is_whole_or_not_there(tmp_path):
 
 
 def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path):
-    old = tmp_path / "old"
-    run_command(old)
-    shutil.copyfile(old / "scene.ply", tmp_path / "small.ply")
-    options = ["--cameras", str(old / "cameras.json"), "--gaussians", "500", "--rasterizer", "torch", "--quiet"]
+    old, cameras = tmp_path / "old.ply", cameras_around(2)
+    save_ply(old, gaussian_cloud(300))
+    write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, ["a.png", "b.png"]))
+    options = ["--cameras", str(tmp_path / "cameras.json"), "--gaussians", "100", "--rasterizer", "torch", "--quiet"]
     place = tmp_path / "place"
     place.mkdir()
     out, seen = place / "small.ply", set()
 
     def command():
-        assert main(["simplify", str(old / "scene.ply"), "--out", str(out), *options]) == 0
+        assert main(["simplify", str(old), "--out", str(out), *options]) == 0
 
     for step in STEPS:
-        shutil.copyfile(old / "scene.ply", out)
+        shutil.copyfile(old, out)
         killed = killed_at(step, place, command)
         seen.add(out.read_bytes())
         if not killed:
             break
     command()
-    assert seen == {(old / "scene.ply").read_bytes(), out.read_bytes()} and step > 2
+    assert seen == {old.read_bytes(), out.read_bytes()} and step > 2
     assert [path.name for path in place.iterdir()] == ["small.ply"]
 
 

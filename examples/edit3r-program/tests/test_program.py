@@ -1,4 +1,4 @@
-"""edit3r's contract of a reconstructor on a script of ten lines; run where edit3r and this package are installed."""
+"""edit3r's contract of a reconstructor on a script without edit3r; run where edit3r and this package are installed."""
 
 import sys
 from pathlib import Path

@@ -1,6 +1,5 @@
 """`edit3r describe` and the words it uses; the YAML it prints is what a configuration accepts."""
 
-import json
 from typing import Any, Literal
 
 import pytest
@@ -123,7 +122,7 @@ def test_all_there_is_to_know_is_shown(local, capsys):
 
 
 def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):
-    from edit3r.scaffold import new_package
+    from edit3r.cli.new_plugin import new_package
 
     package = str(new_package("refiner", "described-refiner", tmp_path) / "edit3r_described_refiner")
     assert main(["describe", "refiner", "described-refiner", "--plugin", package]) == 0
@@ -145,23 +144,9 @@ def test_a_setting_without_default_is_told_to_be_required():
     assert "root: null" in example and "folder (text, required)" in example
 
 
-def test_yaml_alone_can_be_piped_into_a_file(local, capsys):
-    assert main(["describe", "editor", "described", "--yaml", "--plugin", local]) == 0
-    content = yaml.safe_load(capsys.readouterr().out)
-    assert content == {"editor": {"name": "described", "strength": 0.25, "mode": "yes"}}
-
-
-def test_json_carries_the_schema(local, capsys):
-    assert main(["describe", "editor", "described", "--json", "--plugin", local]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert content["settings"]["properties"]["strength"]["maximum"] == 1
-    assert content["needs_gpu"] is True
-
-
 def test_what_is_not_installed_is_described_as_far_as_known(local, capsys):
     assert main(["describe", "head", "needy", "--plugin", local]) == 0
     assert "pip install surely_not_there" in capsys.readouterr().out
-    assert main(["describe", "head", "needy", "--yaml", "--plugin", local]) == 2
 
 
 def test_an_unknown_name_ends_with_2_and_a_hint(capsys):

@@ -56,6 +56,17 @@ def test_help_and_lists_import_no_torch(arguments):
     assert done.returncode == 0, done.stderr
 
 
+def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():
+    code = (
+        "import sys, edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_matching.matchers, edit3r_refiners.refine\n"
+        "from edit3r import pipeline, results\n"
+        "heavy = {'kornia', 'skimage', 'scipy.optimize', 'scipy.spatial', 'scipy.ndimage'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_reader_that_goes_away_is_no_error():
     code = "import sys; from edit3r.cli.main import program; sys.exit(program())"
     listing = subprocess.Popen([sys.executable, "-c", code, "list-plugins", "--json"], stdout=subprocess.PIPE)

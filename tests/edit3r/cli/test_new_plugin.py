@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from edit3r.cli.main import main
+from edit3r.cli.new_plugin import STARTERS, check_name, new_package, next_steps, package_files
 from edit3r.component import KINDS
 from edit3r.errors import InputError
-from edit3r.scaffold import STARTERS, check_name, new_package, next_steps, package_files
 from edit3r.testing import CONTRACTS
 
 
@@ -75,7 +75,7 @@ def test_nothing_is_overwritten(tmp_path):
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr("edit3r.scaffold.shutil.move", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr("edit3r.cli.new_plugin.shutil.move", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         new_package("editor", "sepia-tone", tmp_path)
     assert list(tmp_path.iterdir()) == []

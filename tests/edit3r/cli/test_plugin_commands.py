@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from edit3r import save_ply
-from edit3r.scaffold import new_package
+from edit3r.cli.new_plugin import new_package
 from edit3r.testing import gaussian_cloud
 
 

@@ -16,11 +16,12 @@ from edit3r.io.images import save_image
 def posed_photos(tmp_path_factory):
     """Two photos of a generated scene, and a file with their poses, the second one off by a degree and a half."""
     folder = tmp_path_factory.mktemp("posed")
-    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3)[0]
+    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3, textures=8)[0]
     names = [f"{index}.png" for index in range(len(sample.context))]
     for name, image in zip(names, sample.context):
         save_image(image, folder / name)
     cameras = sample.context_cameras
+    write_cameras(folder / "true.json", posed_cameras(cameras, names))
     angle = torch.tensor(1.5).deg2rad()
     turn = torch.eye(4)
     turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = angle.cos(), angle.sin(), -angle.sin(), angle.cos()
@@ -43,6 +44,25 @@ def test_poses_of_a_given_camera_file_are_used_as_they_are(posed_photos, tmp_pat
     np.testing.assert_allclose(used, given, atol=2e-6)
     assert manifest["notes"]["poses.source"].startswith("those that were given")
     assert "poses: those that were given" in capsys.readouterr().err
+
+
+def test_refine_poses_brings_the_given_ones_back_and_says_how_far(posed_photos, tmp_path, capsys):
+    given, used, manifest = run(
+        posed_photos, tmp_path / "out", "--cameras", str(posed_photos / "given.json"), "--refine-poses"
+    )
+    first, second = (camera.c2w for camera in read_cameras(posed_photos / "true.json"))
+    true = (np.linalg.inv(first) @ second)[:3, :3]
+    off, left = (np.degrees(np.arccos((np.trace(c2w[:3, :3].T @ true) - 1) / 2)) for c2w in (given, used))
+    assert off > 1.4 and left < 0.4
+    assert np.linalg.norm(used[:3, 3]) == pytest.approx(np.linalg.norm(given[:3, 3]), rel=0.02)
+    assert manifest["notes"]["poses.refined"].startswith("turned by up to 1.")
+    assert "as they are" not in manifest["notes"]["poses.source"]
+
+
+def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):
+    photos = [str(path) for path in sorted(posed_photos.glob("?.png"))]
+    assert main(["run", *photos, "--out", str(tmp_path / "out"), "--refine-poses"]) == 2
+    assert "--cameras" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):

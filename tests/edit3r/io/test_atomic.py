@@ -1,5 +1,4 @@
 import os
-import signal
 import subprocess
 import sys
 import textwrap
@@ -129,33 +128,6 @@ def test_finished_results_are_kept_when_the_place_was_taken_meanwhile(tmp_path):
     make_run(tmp_path / "out2")  # no later run takes it for left over
     (kept,) = tmp_path.glob("out-finished-*")
     assert (kept / "scene.ply").read_text() == "new"
-
-
-KILLED = """
-    import sys, time
-    from edit3r.io.atomic import atomic_folder
-    with atomic_folder(sys.argv[1]) as folder:
-        (folder / "scene.ply").write_text("half")
-        print("writing", flush=True)
-        time.sleep(60)
-"""
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill signal here")
-@pytest.mark.parametrize("earlier", [False, True])
-def test_a_killed_run_leaves_the_old_result_or_none(tmp_path, earlier):
-    out = tmp_path / "out"
-    if earlier:
-        make_run(out)
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(KILLED), str(out)], stdout=subprocess.PIPE)
-    assert process.stdout.readline() == b"writing\n"
-    process.kill()
-    process.wait()
-    process.stdout.close()
-    assert out.exists() == earlier
-    assert not earlier or (out / "scene.ply").read_text() == "old"
-    make_run(out, "next")  # what was left behind is in nobody's way
-    assert (out / "scene.ply").read_text() == "next"
 
 
 REPLACING = """

@@ -10,6 +10,7 @@ from PIL import ExifTags, Image
 
 import edit3r
 from edit3r.errors import InputError
+from edit3r.io.framing import Lens
 from edit3r.io.images import evenly, find_photos, load_photos, load_views, save_image, unique_names
 from edit3r.reporting import Report, collecting
 
@@ -287,3 +288,21 @@ def test_a_photo_called_like_a_frame_of_the_video_and_one_that_is_no_utf_8_are_l
     except OSError:
         pytest.skip("this file system takes UTF-8 names only")
     assert load_views([frame, strange]).names == ("_path_0000", "caf_")
+
+
+def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(tmp_path):
+    lens = Lens((0.9, 1.2), (0.5, 0.5), (-0.1, 0.0, 0.0, 0.0, 0.0))
+    files = [photo(tmp_path / f"{index}.png", seed=index) for index in range(3)]
+    plain, found = load_photos(files), load_photos(files, read_lens=lambda views: lens)
+    assert all(one.frame.lens == lens for one in found.photos) and found.views.assumed == plain.views.assumed
+    straight = lens.straightened(Image.open(files[1]))
+    assert torch.equal(
+        found.views.images[0, 1], torch.from_numpy(np.array(straight, np.float32) / 255).permute(2, 0, 1)
+    )
+    assert torch.equal(load_photos(files, read_lens=lambda views: None).views.images, plain.views.images)
+
+    def never(views):
+        raise AssertionError("asked for the lens of photos that are of several or of a known one")
+
+    load_photos(files, fov=50, read_lens=never)
+    load_photos([*files, photo(tmp_path / "other.png", size=(60, 30))], read_lens=never)

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from edit3r.cli.new_plugin import new_package
 from edit3r.component import KINDS
 from edit3r.registry import Registry
-from edit3r.scaffold import new_package
 from edit3r.testing import Contract, ContractViolation
 
 

@@ -98,19 +98,11 @@ def _torch_file(content) -> bytes:
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"hello", _torch_file([1]), _torch_file({"step": 3}), _torch_file(torch.zeros(4))],
-    ids=["empty", "text", "list", "few keys", "tensor"],
+    [b"", b"hello", _torch_file([1]), _torch_file({"step": 3}), _torch_file(torch.zeros(4)), _torch_file([1])[:200]],
+    ids=["empty", "text", "list", "few keys", "tensor", "cut"],
 )
 def test_a_file_that_is_no_checkpoint_is_named_and_left(tmp_path, content):
     (tmp_path / "last.pt").write_bytes(content)
-    with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
-        _state().load(tmp_path / "last.pt")
-
-
-def test_a_cut_checkpoint_is_named(tmp_path):
-    _state().save(tmp_path / "last.pt")
-    whole = (tmp_path / "last.pt").read_bytes()
-    (tmp_path / "last.pt").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
         _state().load(tmp_path / "last.pt")
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from edit3r_app import runner as runner_module
 from edit3r_app.jobs import Job, JobsFolder
 from edit3r_app.runner import Progress, Runner, command_of, read_progress, time_left
 
@@ -32,7 +33,8 @@ WRONG = "import sys; print('noise'); print('edit3r: too dark.', file=sys.stderr)
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "PATIENCE", 0.5)  # the suite may run where SIGINT is ignored
     return JobsFolder(tmp_path)
 
 

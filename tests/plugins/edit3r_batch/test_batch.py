@@ -57,20 +57,13 @@ def contents(out):
 
 
 def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
-    options = ["--size", "64", "--frames", "2", "--prompt", "make it warmer", "--fov", "50"]
+    options = ["--size", "64", "--frames", "2", "--prompt", "make it warmer", "--fov", "50", "--refine", "2"]
     photos = [str(place / "a.png"), str(place / "b.png")]
     assert main(["run", *photos, *options, "--out", str(place / "run"), "--quiet"]) == 0
     for name in ("first", "second"):  # the second finds everything loaded
-        line = {
-            "id": name,
-            "photos": ["a.png", "b.png"],
-            "prompt": "make it warmer",
-            "fov": 50,
-            "size": 64,
-            "frames": 2,
-        }
+        line = {"id": name, "photos": ["a.png", "b.png"], "prompt": "make it warmer"}
         with (place / "jobs.jsonl").open("a") as file:
-            file.write(json.dumps({**line, "fov": 50}) + "\n")
+            file.write(json.dumps({**line, "fov": 50, "size": 64, "frames": 2, "refine": 2}) + "\n")
     assert main(["batch", str(place / "jobs.jsonl"), "--out", str(place / "out")]) == 0
     for name in ("first", "second"):
         made = contents(place / "out" / name)

@@ -46,13 +46,6 @@ def edited(build, two_views):
     return build().edit(two_views, ASK).images
 
 
-def test_the_same_seed_gives_equal_bytes_and_another_seed_others(build, edited, two_views):
-    editor = build()
-    assert torch.equal(editor.edit(two_views, ASK).images, edited)
-    assert not torch.equal(editor.edit(two_views, replace(ASK, seed=4)).images, edited)
-    assert edited.shape == two_views.images.shape
-
-
 def test_prompt_and_every_setting_change_the_result(build, edited, two_views):
     assert not torch.equal(build().edit(two_views, replace(ASK, prompt="snow")).images, edited)
     settings = [{"guidance": 3.0}, {"negative_prompt": "blurry"}, {"source_prompt": "a bike"}, {"strength": 0.5}]

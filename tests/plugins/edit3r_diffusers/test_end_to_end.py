@@ -11,7 +11,7 @@ from edit3r.cli.main import main
 
 FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
 CHEAP = ["--prompt", "paint it red", "--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch"]
-CHEAP += ["--frames", "2", "--fov", "60"]
+CHEAP += ["--frames", "2", "--fov", "60", "--refine", "0", "--outputs", "images"]
 SIDE = 32
 
 

@@ -26,10 +26,6 @@ def views_differ(**settings) -> float:
     return float((first - second).abs().mean())
 
 
-def test_same_seed_same_bytes():
-    assert torch.equal(edit(), edit())
-
-
 @pytest.mark.parametrize("other", [{"seed": 2}, {"prompt": "turn it to stone"}])
 def test_seed_and_prompt_change_the_result(other):
     assert (edit(**other) - edit()).abs().mean() > 0.01
@@ -38,16 +34,6 @@ def test_seed_and_prompt_change_the_result(other):
 def test_disagreement_is_a_dial():
     amounts = [views_differ(disagreement=amount) for amount in (0.0, 0.25, 0.5, 1.0)]
     assert amounts[0] == 0 and amounts == sorted(amounts) and amounts[-1] > 0.05
-
-
-def test_more_guidance_changes_more():
-    amounts = [change(guidance_scale=scale, disagreement=0) for scale in (0, 2, 7.5, 30)]
-    assert amounts == sorted(amounts) and amounts[0] < 0.01 < amounts[-1]
-
-
-def test_more_image_guidance_changes_less():
-    amounts = [change(image_guidance_scale=scale, disagreement=0) for scale in (0, 1.5, 5, 30)]
-    assert amounts == sorted(amounts, reverse=True) and amounts[-1] < 0.5 * amounts[0]
 
 
 def test_strength_0_returns_the_photos():

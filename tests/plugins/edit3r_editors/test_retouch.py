@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_editors.retouch import RetouchEditor
+from edit3r_editors.retouch import RetouchEditor, _spanned
 
 import edit3r
+import edit3r.pipeline
 from edit3r.errors import MatchingError, PromptError
 from edit3r.geometry.cameras import intrinsics_from_fov
 from edit3r.interfaces import MatchedGeometry, Matcher
@@ -67,6 +68,51 @@ def test_the_hole_shows_what_the_other_view_sees_and_not_what_surrounds_it():
     alone, _ = _retouched(None, views, masks)
     assert _error(carried, truth, masks) < 0.02 < 0.05 < _error(alone, truth, masks)
     assert min(report.notes["retouch.seen_by_other_photos"]) > 0.8
+
+
+def test_depths_that_were_filled_in_around_the_object_do_not_move_what_is_behind():
+    """Where nothing was measured, a matcher's depth runs from the board into the wall: it must not be carried."""
+    views, truth, masks, geometry = _scene()
+    beside = torch.nn.functional.max_pool2d(masks, (1, 13), 1, (0, 6)) > 0
+    smeared = replace(
+        geometry,
+        depths=torch.where(beside, BOARD, geometry.depths),
+        confidence=torch.where(beside, 0.0, geometry.confidence),
+    )
+    carried, report = _retouched(smeared, views, masks)
+    assert _error(carried, truth, masks) < 0.02 and min(report.notes["retouch.seen_by_other_photos"]) > 0.8
+
+
+def test_what_one_of_three_photos_shows_against_its_own_depth_is_not_believed():
+    views, _, masks, geometry = _scene()
+    far = 6 * STEP  # the third view does not see what is behind the board
+    c2w = torch.cat((geometry.c2w, torch.eye(4)[None, None]), 1)
+    c2w[0, 2, 0, 3] = far
+    depths = torch.cat((geometry.depths, torch.full_like(geometry.depths[:, :1], WALL)), 1)
+    blind = Views(
+        torch.cat((views.images, torch.zeros_like(views.images[:, :1])), 1), views.intrinsics[:, :1].expand(1, 3, 3, 3)
+    )
+    masks = torch.cat((masks, torch.zeros_like(masks[:, :1])), 1)
+    known = MatchedGeometry(c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool))
+    doubtful = replace(known, depths=depths.clone(), confidence=known.confidence.clone())
+    doubtful.depths[:, 1:], doubtful.confidence[:, 1:] = 1.5 * WALL, 0
+    right = _retouched(known, blind, masks)[1].notes["retouch.seen_by_other_photos"][0]
+    wrong = _retouched(doubtful, blind, masks)[1].notes["retouch.seen_by_other_photos"][0]
+    assert right > 0.8 and wrong < 0.2
+
+
+def test_the_surface_behind_a_hole_continues_the_plane_around_it():
+    y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
+    plane = 0.2 + 0.004 * x + 0.002 * y
+    hole = (x - 30).abs().lt(9) & (y - 22).abs().lt(12)
+    found = _spanned(torch.where(hole, 0, plane).numpy())
+    assert abs(found - plane.numpy()).max() < 0.01 * plane.max()
+
+
+def test_a_photo_without_any_measured_depth_is_still_filled():
+    views, _, masks, geometry = _scene()
+    image, _ = _retouched(replace(geometry, confidence=torch.zeros_like(geometry.confidence)), views, masks)
+    assert torch.isfinite(image).all() and torch.equal(image[:, 0][masks[0] == 0], views.images[0, :, 0][masks[0] == 0])
 
 
 def test_what_no_other_view_sees_is_invented_and_said():

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching import registration
-from edit3r_matching.bundle_adjustment import adjust, adjust_poses, join_tracks
+from edit3r_matching.bundle_adjustment import adjust, adjust_poses, fit_distortion, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
@@ -113,6 +113,19 @@ def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
     assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
 
 
+@pytest.mark.parametrize("radial", [-0.12, 0.0, 0.06])
+def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
+    images, keypoints, matches, true = scene
+    k, rng = images[0].intrinsics, np.random.default_rng(8)
+    rays = [(points - k[:2, 2]) / FOCAL for points in keypoints]
+    bent = [FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2] for ray in rays]
+    noisy = [points + rng.normal(0, 0.1, points.shape) for points in bent]
+    taken = [image.zoomed(1.04) for image in images]
+    found, gain = fit_distortion(taken, noisy, matches, disturbed(true), threshold=2.0)
+    assert found == pytest.approx(radial, abs=0.02)
+    assert gain > 0.15 if radial else abs(gain) < 0.03
+
+
 def test_matches_that_share_a_keypoint_are_one_track():
     keypoints = [np.zeros((3, 2))] * 3
     matches = {(0, 1): np.array([[0, 2], [1, 1]]), (1, 2): np.array([[2, 0]])}
@@ -189,6 +202,40 @@ def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface)
     second[34:] = np.random.default_rng(6).uniform((0, 0), SIZE[::-1], (266, 2))
     assert not placed(images, (first, second), 300, 0)
     assert placed(images, (first, second), 34, 0)
+
+
+def test_what_agrees_in_one_corner_of_both_pictures_only_is_a_poster(surface):
+    """SIFT's matches of a poster are right, but say where the poster was and not where the camera."""
+    images, (first, second) = surface
+    rng = np.random.default_rng(9)
+    on_it = (np.abs(first - np.median(first, axis=0)) < (45, 34)).all(axis=1)
+    apart = np.where(on_it[:, None], second, rng.uniform((0, 0), SIZE[::-1], second.shape))
+    chosen = np.concatenate((np.flatnonzero(on_it), np.flatnonzero(~on_it)[:60]))
+    assert on_it.sum() > 20
+    with pytest.raises(MatchingError, match="as on a poster"):
+        keys = tuple(Keypoints(points[chosen], np.zeros((len(chosen), 128), np.float32)) for points in (first, apart))
+        found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(len(chosen))] * 2, 1)})
+        registration.register(images, "ab", found, threshold=1.0, seed=0)
+    alone = np.flatnonzero(on_it)  # the same thing before a plain wall, where nothing else is to be matched
+    assert placed(images, (first[alone], second[alone]), len(alone), len(alone))
+
+
+def test_a_pair_that_the_other_photos_contradict_is_refused(scene):
+    """Half of the points look elsewhere in one pair, all by the same motion: wrong, but wrong together."""
+    images, keypoints, matches, true = scene
+    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
+    wrong = Pose(cv2.Rodrigues(np.array([0.0, 0.5, 0.0]))[0], np.array([-1.0, 0.2, 0.1]))
+    rays, rng = rays_through(keypoints[0], images[0].intrinsics), np.random.default_rng(3)
+    moved = project(wrong.apply(rays * rng.uniform(4, 8, (POINTS, 1))), images[0].intrinsics)
+    more = Keypoints(moved, np.zeros((POINTS, 128), np.float32))
+    third = keys[2].followed_by(more)
+    found = FoundFeatures(
+        (*keys[:2], third, keys[3]), {**matches, (0, 2): np.stack([np.arange(POINTS), POINTS + np.arange(POINTS)], 1)}
+    )
+    pairs, failures = registration.agreeing_pairs(images, found, 1.0, 0)
+    assert set(failures) == {(0, 2)} and "other photos" in failures[0, 2] and len(pairs) == 5
+    result = registration.register(images, "abcd", found, threshold=1.0, seed=0)
+    assert result.registered.all() and errors(dict(enumerate(result.poses)), true)[0] < 0.1
 
 
 def test_registration_settles_its_poses_so(scene, monkeypatch):

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_matching.calibration import calibrate
+from edit3r_matching.calibration import calibrate, contradiction
 from edit3r_matching.cameras import CalibratedImage, rays_through
 from edit3r_matching.matchers import ClassicalMatcher
 from edit3r_matching.relative_pose import Matches
@@ -33,6 +33,12 @@ def matches(fov, turn, shift, noise=0.2, outliers=0.3, count=400):
     return Matches(*rays, float(lens(60)[0, 0]), 0.01)
 
 
+def contradicted(found):
+    """What a camera that is said to have 60 degrees is told."""
+    photo = CalibratedImage(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
+    return contradiction([photo, photo], {(0, 1): found}, 1.0, 0)
+
+
 def read(found, **options):
     photo = CalibratedImage(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
     return calibrate([photo, photo], {(0, 1): found}, options.get("threshold", 1.0), 0)
@@ -54,13 +60,35 @@ def test_matches_that_agree_on_no_motion_tell_nothing():
     assert read(matches(60, (0, 0.1, 0), (-1, 0, 0), count=20)) is None
 
 
+@pytest.mark.parametrize("fov", [38, 80])
+def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
+    assert contradicted(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))) == pytest.approx(fov, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        matches(60, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
+        matches(54, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
+        matches(66, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
+        matches(40, (0, 0, 0), (-1, 0, 0)),
+        matches(40, (0.05, 0.35, 0.02), (-1, 0.1, 0.3), count=60),
+        matches(40, (0, 0.1, 0), (-1, 0, 0), outliers=1.0),
+    ],
+    ids=["right", "a tenth narrower", "a tenth wider", "moved sideways", "few matches", "no motion"],
+)
+def test_what_is_nearly_right_or_cannot_be_told_is_not_contradicted(found):
+    assert contradicted(found) is None
+
+
 def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     pair = make_room([(0,), (0.5, 0.1, -12)])
     wrong = pair.views.intrinsics.clone()
     wrong[..., 0, 0] *= 0.7
     wrong[..., 1, 1] *= 0.7
     matcher = ClassicalMatcher(ClassicalMatcher.Settings(working_size=96, planes=24))
-    believed = matcher.match(replace(pair.views, intrinsics=wrong))
+    with pytest.warns(UserWarning, match="not the 77 that were given"):
+        believed = matcher.match(replace(pair.views, intrinsics=wrong))
     assert believed.intrinsics is None
     assert matcher.match(replace(pair.views, intrinsics=wrong, assumed=(True, False))).intrinsics is None
     views = replace(pair.views, intrinsics=wrong, assumed=(True, True))

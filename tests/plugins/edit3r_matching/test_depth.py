@@ -72,6 +72,17 @@ def test_cost_is_least_at_the_true_plane(noise):
     assert (np.abs(found - shift / (60 * 0.5)) < 0.006).mean() > 0.99
 
 
+def test_what_one_of_three_neighbours_does_not_see_costs_nothing(noise):
+    inverse_depths = np.linspace(0.1, 0.3, 21)
+    clear = neighbour(np.roll(noise, -6, axis=1))
+    hidden = neighbour(np.random.default_rng(1).random((*SIZE, 3)).astype(np.float32))
+    picture = CalibratedImage(noise, INTRINSICS)
+    two, three = (matching_cost(picture, around, inverse_depths) for around in ([clear] * 2, [clear, hidden, clear]))
+    inner = np.s_[5:-5, 20:-5, 10]  # at the true plane, 0.2
+    assert np.abs(inverse_depths[10] - 0.2) < 1e-9
+    assert np.allclose(three[inner], two[inner], atol=1e-5)
+
+
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
     inverse_depths = np.linspace(0.1, 0.3, 21)
     darker = 0.6 * np.roll(noise, -6, axis=1)

@@ -45,11 +45,6 @@ def test_pose_of_a_known_room_is_within_a_third_of_a_degree(matched, pair):
     assert direction < 3
 
 
-def test_view_0_is_the_identity_and_every_view_is_registered(matched):
-    assert torch.equal(matched.c2w[0, 0], torch.eye(4))
-    assert matched.registered.all()
-
-
 @pytest.mark.parametrize("view", [0, 1])
 def test_depth_of_a_known_room_is_right_almost_everywhere(matched, pair, view):
     assert within_share(matched.depths[0, view].numpy(), pair.depths[view], 0.1) > 0.9
@@ -66,11 +61,6 @@ def test_measured_pixels_are_right_and_most_pixels_are_measured(matched, pair):
     sure = matched.confidence[0, 0].numpy() > 0.5
     assert sure.mean() > 0.6
     assert within_share(matched.depths[0, 0].numpy(), np.where(sure, pair.depths[0], 0), 0.05) > 0.97
-
-
-def test_confidence_is_between_0_and_1_and_depth_above_0(matched):
-    assert ((matched.confidence >= 0) & (matched.confidence <= 1)).all()
-    assert (matched.depths > 0).all() and matched.depths.isfinite().all()
 
 
 def test_same_photos_give_the_same_bytes(matcher, matched, pair):
@@ -149,12 +139,6 @@ def test_the_same_photo_twice_raises(matcher, pair):
 def test_tiny_photos_raise_with_the_size_that_is_needed(matcher, size):
     views = Views(torch.rand(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
     with pytest.raises(MatchingError, match=f"{size[1]} x {size[0]} pixels.*at least 32"):
-        matcher.match(views)
-
-
-def test_blank_photos_raise(matcher):
-    views = Views(torch.full((1, 2, 3, 64, 64), 0.5), torch.eye(3).expand(1, 2, 3, 3))
-    with pytest.raises(MatchingError):
         matcher.match(views)
 
 

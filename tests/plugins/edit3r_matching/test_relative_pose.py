@@ -2,8 +2,16 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
-from edit3r_matching.relative_pose import Matches, estimate_pose, refine, sampson_errors
+from edit3r_matching.relative_pose import (
+    Matches,
+    _settled,
+    _tangent_step,
+    estimate_pose,
+    refine,
+    sampson_errors,
+)
 from edit3r_measure.scene_sources import rotation_degrees
+from scipy.optimize import least_squares
 
 FOCAL = 250.0
 CHANCE = 0.011
@@ -81,6 +89,20 @@ def test_matches_said_to_be_inexact_move_the_pose_less(pose):
         found = refine(Matches(a, b, FOCAL, CHANCE, told), pose, threshold=1.0)
         errors.append(rotation_degrees(found.rotation, pose.rotation))
     assert errors[0] < 0.6 * errors[1]
+
+
+def test_a_refined_pose_is_where_the_robust_loss_is_least(pose):
+    """As scipy finds it, from a start that is off by five degrees."""
+    random = np.random.default_rng(4)
+    a, b = seen(points(200)), seen(pose.apply(points(200)))
+    b[:, :2] += random.normal(0, 0.3 / FOCAL, (200, 2))
+    matches = Matches(a, b, FOCAL, CHANCE)
+    start = Pose(cv2.Rodrigues(np.array([0.06, -0.08, 0.02]))[0] @ pose.rotation, pose.translation)
+    moved = _tangent_step(start)
+    best = least_squares(lambda x: sampson_errors(matches, moved(x)), np.zeros(5), loss="cauchy", f_scale=0.25)
+    found = _settled(matches, start, 0.25)
+    assert rotation_degrees(found.rotation, moved(best.x).rotation) < 1e-3
+    assert np.abs(found.translation - moved(best.x).translation).max() < 1e-4
 
 
 def test_too_few_matches_give_no_pose(pose):

@@ -124,7 +124,7 @@ class Carries(Reconstructor):
 
 @pytest.fixture(scope="module")
 def edited_scene():
-    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10)}
+    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10), "textures": 8}
     options = SceneOptions(1, 64, {"procedural": settings})
     return find_scenes("procedural", options, default_registry())[0].load()
 

@@ -182,25 +182,21 @@ def test_the_gradient_is_that_of_moving_the_camera():
 
 
 def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
-    scene = cloud().to(torch.float32)
-    render, true = build("rasterizer", "numba"), torch.from_numpy(turned(5, [0.3, 0.1, 0.0]))
+    world = torch.from_numpy(turned(120, [3.0, 1.0, -2.0]))  # which way the scene lies in the world does not matter
+    scene, render = _moved(cloud(), world).to(torch.float32), build("rasterizer", "numba")
+    true = world @ torch.from_numpy(turned(5, [0.3, 0.1, 0.0]))
     photo = render.render(scene, looking(true).to(torch.float32)).images
     start = looking(true @ torch.from_numpy(turned(1.5, [0.04, -0.03, 0.02]))).to(torch.float32)
     found = align((scene, render), start, photo, F.mse_loss, 60, unit=1.0).c2w[0, 0].double()
     off = torch.linalg.inv(true) @ found
     assert off[:3, 3].norm() < 0.02 and torch.rad2deg((off[:3, :3] - torch.eye(3)).norm() / 2**0.5) < 0.4
-    unmoved = align((scene, render), start, photo, lambda shown, photo: F.mse_loss(shown, photo), 0, unit=1.0)
-    assert torch.allclose(unmoved.c2w, start.c2w)
 
 
 def test_alignment_is_never_worse_than_where_it_began():
-    scene, render, here = (
-        cloud().to(torch.float32),
-        build("rasterizer", "numba"),
-        looking(torch.eye(4)).to(torch.float32),
-    )
-    photo = render.render(scene, here).images
-    assert torch.equal(align((scene, render), here, photo, F.mse_loss, 3, unit=50.0).c2w, here.c2w)
+    scene, render = cloud().to(torch.float32), build("rasterizer", "numba")
+    photo = render.render(scene, looking(torch.eye(4)).to(torch.float32)).images
+    here = looking(torch.from_numpy(turned(0, [0.002, 0, 0]))).to(torch.float32)
+    assert torch.equal(align((scene, render), here, photo, F.mse_loss, 2, unit=50.0).c2w, here.c2w)  # steps too large
 
 
 def no_distance(inputs):

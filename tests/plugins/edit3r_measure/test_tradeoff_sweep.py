@@ -136,7 +136,7 @@ KNOBS = """
 base: {editor: none, reconstructor: edit3r, rasterizer: numba, frames: 2}
 unedited: {editor: none}
 edited: {editor: {name: folder, path: "{folder}"}, edit_views: first}
-datasets: {procedural: {image_size: 96, context: 2, targets: 1, edit: recolor, angles: [6, 10], seed: 4}}
+datasets: {procedural: {image_size: 96, context: 2, targets: 1, edit: recolor, angles: [6, 10], seed: 4, textures: 8}}
 knobs: {size: {about: pixels, values: {"80": {size: 80}}}}
 """
 

@@ -256,7 +256,7 @@ def trained(tmp_path_factory):
             "head": {"feature_width": 8, "point_width": 8, "layer_widths": [8, 8, 8, 8]},
         },
         "rasterizer": "torch",
-        "train_data": {"name": "procedural", "image_size": 32, "scenes": 1, "targets": 1},
+        "train_data": {"name": "procedural", "image_size": 32, "scenes": 1, "targets": 1, "textures": 8},
         "losses": {"mse": {"weight": 1.0}},
         "out": str(out),
     }

@@ -1,7 +1,6 @@
 import hashlib
 import json
 import math
-from typing import ClassVar
 
 import pytest
 import skimage.data
@@ -25,7 +24,7 @@ from edit3r.io.run_folder import WeightsRecord
 from edit3r.plugins import load_plugins
 from edit3r.registry import Registry, build
 from edit3r.reporting import Report, collecting
-from edit3r.testing import ReconstructorContract, photograph
+from edit3r.testing import photograph
 from edit3r.training.checkpoint import WEIGHTS, save_weights
 from edit3r.types import Views
 
@@ -41,11 +40,6 @@ class _TrueGeometry(Matcher):
         depths = SCENE.depths[:, :count]
         seen = torch.ones(1, count, dtype=torch.bool)
         return MatchedGeometry(SCENE.cameras.c2w[:, :count], depths, torch.ones_like(depths), seen)
-
-
-class TestEdit3r(ReconstructorContract):
-    component = "edit3r"
-    image_size: ClassVar = (96, 128)
 
 
 def _reconstructor(**settings):
@@ -413,7 +407,7 @@ def test_parts_that_take_no_geometry_are_the_paper_s_form():
     assert made.full is not None and not made.takes_geometry
     result = made(_views(), _views())
     assert result.cameras is None and torch.equal(result.gaussians.means, made.full(_views()).gaussians.means)
-    with pytest.raises(SettingsError, match="matched-unet and head edit-fusion"):
+    with pytest.raises(SettingsError, match="none ship for these parts"):
         _reconstructor(backbone=VIT, head=DPT)
 
 

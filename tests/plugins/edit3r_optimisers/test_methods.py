@@ -1,14 +1,17 @@
 """The four methods as reconstructors: their contract, what they ask of the editor, and a run from end to end."""
 
+import itertools
+
 import pytest
 import torch
+from edit3r_optimisers.method import VISIBLE_OPACITY, begin, thinned
 from pydantic import ValidationError
 
 import edit3r
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
 from edit3r.testing import ReconstructorContract
-from edit3r.types import EditRequest
+from edit3r.types import EditRequest, Reconstruction
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 ASK = EditRequest("invert", seed=2)
@@ -19,13 +22,16 @@ def method(request) -> str:
     return request.param
 
 
-CLAIMS = (
+OWN = (
     "test_gaussians_are_valid_and_finite",
+    "test_batch_items_are_independent",
+    "test_same_photos_give_the_same_result",
+)
+"""Claims that each method is held to; the rest is kept, or not, by what the methods share."""
+SHARED = (
     "test_source_photos_are_accepted",
     "test_predicted_cameras_are_poses_of_the_views",
     "test_declared_limits_are_true",
-    "test_batch_items_are_independent",
-    "test_same_photos_give_the_same_result",
     "test_leaves_its_inputs_alone",
     "test_photos_without_texture_end_in_a_result_or_a_sentence",
     "test_checkpoint_round_trip",
@@ -34,7 +40,9 @@ CLAIMS = (
 )
 
 
-@pytest.mark.parametrize("claim", CLAIMS)
+@pytest.mark.parametrize(
+    "method, claim", [*itertools.product(METHODS, OWN), *itertools.product(("refit",), SHARED)], indirect=["method"]
+)
 def test_contract_holds(method, claim, build):
     class Quick(ReconstructorContract):
         component = method
@@ -48,7 +56,7 @@ def test_contract_holds(method, claim, build):
 
 def test_every_claim_of_the_contract_is_tried():
     own = {name for name in vars(ReconstructorContract) if name.startswith("test_")}
-    assert own == set(CLAIMS)
+    assert own == {*OWN, *SHARED}
 
 
 def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
@@ -131,3 +139,22 @@ def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
 def test_strengths_in_the_wrong_order_are_refused():
     with pytest.raises((SettingsError, ValidationError), match="least_strength"):
         edit3r.build("reconstructor", "instruct-nerf2nerf", least_strength=0.9, most_strength=0.2)
+
+
+@pytest.fixture
+def first(build, posed) -> Reconstruction:
+    return build("refit").reconstructor(posed)
+
+
+def test_a_fit_begins_with_visible_gaussians_and_the_cameras_of_the_reconstruction(build, posed, first):
+    gaussians, cameras = begin(posed, build("refit").reconstructor, 100, seed=0)
+    assert torch.equal(cameras.c2w, first.cameras.c2w)
+    assert gaussians.count == 100 and gaussians.opacities.min() >= VISIBLE_OPACITY
+
+
+def test_thinned_gaussians_cover_as_much_as_before(first):
+    few = thinned(first.gaussians, 100, seed=0)
+    ratio = first.gaussians.count / 100
+    assert few.count == 100 and thinned(first.gaussians, 10**6, 0) is first.gaussians
+    widened = few.scales[0, :, 0] / first.gaussians.scales[0, :, 0].mean()
+    assert float(widened.mean()) == pytest.approx(ratio**0.5, rel=0.1)

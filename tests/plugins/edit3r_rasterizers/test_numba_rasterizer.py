@@ -83,6 +83,17 @@ def test_rendering_twice_before_one_backward_pass_keeps_both_graphs():
     assert torch.allclose(means.grad, apart, rtol=1e-5, atol=1e-5)
 
 
+def test_colours_alone_get_the_same_gradient_as_with_all_else():
+    scene, views, rasterizer = cloud(60, degree=1), cameras(count=3), build(1)
+    colours = scene.harmonics.clone().requires_grad_()
+    every = {name: getattr(scene, name).clone().requires_grad_() for name in ("means", "scales", "quats", "opacities")}
+    alone, beside = (
+        torch.autograd.grad(rasterizer.render(replace(scene, **others, harmonics=colours), views).images.sum(), colours)
+        for others in ({}, every)
+    )
+    assert torch.equal(*alone, *beside) and alone[0].any()
+
+
 def test_no_gradient_memory_is_kept_without_gradients():
     rendering = build(1).render(cloud(10), cameras())
     assert rendering.images.grad_fn is None

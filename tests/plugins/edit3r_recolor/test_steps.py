@@ -1,11 +1,22 @@
 import kornia
+import numpy as np
 import pytest
 import torch
 from edit3r_recolor.recoloring import RecolorParameters
-from edit3r_recolor.steps import Adjust, apply_step, paint, tint, weighted_median
+from edit3r_recolor.steps import (
+    Adjust,
+    _lightness_curve,
+    apply_step,
+    lab_to_rgb,
+    paint,
+    rgb_to_lab,
+    tint,
+    weighted_median,
+)
 from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
 
 ONES = torch.ones(1, 16, 16)
 
@@ -22,6 +33,23 @@ def lightness(images: torch.Tensor) -> torch.Tensor:
 
 def hue(rgb: torch.Tensor) -> float:
     return float(kornia.color.rgb_to_hsv(rgb.reshape(1, 3, 1, 1))[0, 0, 0, 0]) / (2 * torch.pi)
+
+
+def test_lab_is_that_of_kornia_and_back():
+    images = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    lab = rgb_to_lab(images)
+    torch.testing.assert_close(lab, kornia.color.rgb_to_lab(images))
+    torch.testing.assert_close(lab_to_rgb(1.2 * lab), kornia.color.lab_to_rgb(1.2 * lab))
+    torch.testing.assert_close(lab_to_rgb(lab), images, atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("start, goal", [(50.0, 40.0), (3.0, 90.0), (97.0, 12.0), (20.0, 60.0)])
+def test_the_lightness_curve_is_the_monotone_cubic_through_three_points(start, goal):
+    values = torch.linspace(-5, 105, 300)[None, None]
+    ends = max(0.0, goal - 1.2 * start), min(100.0, goal + 1.2 * (100 - start))
+    cubic = PchipInterpolator([0.0, start, 100.0], [ends[0], goal, ends[1]])
+    expected = torch.from_numpy(cubic(np.clip(values.numpy(), 0, 100))).float()
+    torch.testing.assert_close(_lightness_curve(values, start, goal), expected)
 
 
 @pytest.mark.parametrize("colour", BASIC_COLOURS)

@@ -135,6 +135,14 @@ def test_a_negative_point_takes_a_part_away_and_a_positive_one_adds_it():
     assert iou(less, LARGE) > 0.85
 
 
+def test_a_mask_that_is_expected_moves_to_the_outline_near_it():
+    """It says of itself how little it moved."""
+    expected = torch.from_numpy(ellipse(HEIGHT, WIDTH, (72, 60), (32, 25)).astype(np.float32))
+    found = SEGMENTER.segment_marks(PICTURE, Marks(prior=expected))
+    assert iou(found.soft_mask, LARGE) > max(0.93, iou(expected, LARGE))
+    assert 0.7 < found.predicted_iou < 1
+
+
 def test_learned_salience_that_a_click_agrees_with_decides_between_part_and_whole():
     """A whole in two colours: by colours alone a click means the part under it."""
     whole = np.zeros((HEIGHT, WIDTH), dtype=bool)

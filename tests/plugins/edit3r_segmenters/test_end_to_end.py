@@ -10,7 +10,8 @@ from PIL import Image
 from edit3r.cli.main import main
 
 FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
-CHEAP = ["--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch", "--frames", "2", "--fov", "60", "--quiet"]
+CHEAP = ["--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch", "--fov", "60", "--quiet"]
+CHEAP += ["--frames", "2", "--refine", "0"]
 
 
 @pytest.fixture

@@ -7,28 +7,7 @@ from edit3r_training.losses import CenterLoss, GeometryLoss, MseLoss, PointsLoss
 import edit3r
 from edit3r.errors import MissingDependencyError, SettingsError
 from edit3r.interfaces import LossInputs
-from edit3r.testing import LossContract
 from edit3r.types import Gaussians
-
-
-class TestMse(LossContract):
-    component = "mse"
-
-
-class TestCenter(LossContract):
-    component = "center"
-
-
-class TestPoints(LossContract):
-    component = "point-distillation"
-
-
-class TestGeometry(LossContract):
-    component = "geometry"
-
-
-class TestPerceptual(LossContract):
-    component = "perceptual"
 
 
 def _gaussians(means: torch.Tensor, views: list[int]) -> Gaussians:

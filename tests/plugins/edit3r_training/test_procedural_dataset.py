@@ -1,21 +1,14 @@
 import math
-from typing import ClassVar
 
 import pytest
 import torch
 from edit3r_training.procedural_dataset import ProceduralDataset
 
 from edit3r.geometry.cameras import project, unproject
-from edit3r.testing import DatasetContract
-
-
-class TestProceduralDataset(DatasetContract):
-    component = "procedural"
-    settings: ClassVar = {"scenes": 3, "image_size": 24, "edit": "recolor"}
 
 
 def _dataset(**settings) -> ProceduralDataset:
-    return ProceduralDataset(ProceduralDataset.Settings(**{"image_size": 48, "scenes": 4, **settings}))
+    return ProceduralDataset(ProceduralDataset.Settings(**{"image_size": 48, "scenes": 4, "textures": 8, **settings}))
 
 
 def test_surfaces_seen_by_both_views_have_the_same_colour_and_depth():

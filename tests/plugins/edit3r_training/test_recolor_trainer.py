@@ -38,7 +38,7 @@ def _trainer(**settings) -> RecolorTrainer:
 def _job(out, **changes) -> TrainingJob:
     torch.manual_seed(0)
     reconstructor = build("reconstructor", "edit3r", weights="untrained", network_size=32)
-    data = build("dataset", "procedural", image_size=32, scenes=4, targets=1, keep=True)
+    data = build("dataset", "procedural", image_size=32, scenes=4, targets=1, keep=True, textures=8)
     losses = {"mse": (1.0, build("loss", "mse")), "geometry": (0.1, build("loss", "geometry", samples=32))}
     job = TrainingJob(reconstructor, build("rasterizer", "torch"), data, data, losses, out)
     return replace(job, **changes)

@@ -22,9 +22,8 @@ def test_shipped_methods_name_components_and_settings_that_exist(path):
             if choice.name == ORACLE:
                 make_settings(OracleSettings, choice.settings, where="editor")
                 continue
-            offer = registry.find(kind, choice.name)
-            if not registry.missing(offer):
-                make_settings(registry.settings_class(offer), choice.settings, where=kind)
+            if not registry.missing(registry.find(kind, choice.name)):
+                registry.check(kind, choice)
 
 
 def test_the_label_is_editor_and_reconstructor_unless_given():
