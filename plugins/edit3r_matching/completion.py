@@ -15,6 +15,8 @@ CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surfac
 REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
 TOUCH = 15.0  # and for smoothing what was measured
 COLOUR, TOUCH_COLOUR = 6.0, 8.0  # 8-bit colour differences at which the smoothness falls to 1/e
+BESIDE = 1 / 16  # distance from the nearest measured pixel up to which its depth is taken [long sides]
+BEHIND = 0.05  # but not where spreading says that much farther: next to a depth edge the background goes on
 TRUST_IN_GUESSES = 1e-6  # of unconfirmed depths where confirmed ones are far away
 TRUST_NEARBY = 1e-4
 LEAST_FOR_A_PLANE = 50  # measured pixels
@@ -54,10 +56,11 @@ def fill(
     step: float,
     image: Float[np.ndarray, "height width 3"],
 ) -> Float[np.ndarray, "height width"]:
-    """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, spread from there elsewhere.
+    """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, continued from there elsewhere.
 
-    Fast global smoothing (Min et al. 2014): flat colour carries depth, edges stop it. `step` is how far apart two
-    hypotheses were: smoothing by more would blur a depth edge.
+    Close to something measured the nearest pixel's depth, farther away what fast global smoothing (Min et al. 2014)
+    spreads: flat colour carries depth, edges stop it. `step` is how far apart two hypotheses were: smoothing by more
+    would blur a depth edge.
     """
     guide = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     median = cv2.medianBlur(inverse, 3)
@@ -66,7 +69,21 @@ def fill(
     spread = base + _weighted_smooth(median - base, weight + np.float32(TRUST_IN_GUESSES), guide, REACH, COLOUR)
     smooth = _weighted_smooth(median, weight + np.float32(TRUST_NEARBY), guide, TOUCH, TOUCH_COLOUR)
     touched = np.where(np.abs(smooth - median) < step, 0.5 * (smooth + median), median)
-    return np.where(measured, touched, np.clip(spread, *limits)).astype(np.float32)
+    spread = np.clip(spread, *limits)
+    beside, distance = _nearest(median, measured)
+    taken = (distance < BESIDE * max(measured.shape)) & (beside < (1 + BEHIND) * spread)
+    return np.where(measured, touched, np.where(taken, beside, spread)).astype(np.float32)
+
+
+def _nearest(
+    values: Float[np.ndarray, "height width"], measured: Bool[np.ndarray, "height width"]
+) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+    """The value of the measured pixel nearest to each pixel, and the distance to it (large: none is measured)."""
+    gaps = (~measured).astype(np.uint8)
+    distance, labels = cv2.distanceTransformWithLabels(gaps, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    of_label = np.zeros(labels.max() + 1, values.dtype)
+    of_label[labels[measured]] = values[measured]
+    return of_label[labels], distance
 
 
 def main_plane(

@@ -129,7 +129,27 @@ def test_filling_continues_a_plane():
     measured[:, 20:32] = False
     wrong = np.where(measured, inverse, np.float32(0.9))
     filled = fill(wrong, measured, 0.01, np.full((*SIZE, 3), 0.5, np.float32))
-    assert np.abs(filled - inverse).max() < 0.005
+    assert np.abs(filled - inverse).max() < 0.01  # a step between hypotheses
+
+
+def test_filling_keeps_what_lies_beside_a_gap():
+    inverse = np.full(SIZE, 0.30, np.float32)
+    inverse[:, 32:] = 0.28  # a small step, which the picture does not show
+    measured = np.ones(SIZE, bool)
+    measured[:, 26:32] = False
+    filled = fill(np.where(measured, inverse, np.float32(0.9)), measured, 0.005, np.full((*SIZE, 3), 0.5, np.float32))
+    np.testing.assert_allclose(filled[:, 26:29], 0.30, atol=1e-4)
+    np.testing.assert_allclose(filled[:, 29:32], 0.28, atol=1e-4)
+
+
+def test_a_near_surface_does_not_grow_over_what_goes_on_behind_it():
+    image = np.ones((*SIZE, 3), np.float32)
+    image[:, 16:28] = 0
+    inverse = np.where(image[..., 0] > 0, np.float32(0.1), np.float32(0.4))
+    measured = np.ones(SIZE, bool)
+    measured[:, 28:34] = False  # only one photo shows it: for the other the near surface hides it
+    filled = fill(np.where(measured, inverse, np.float32(0.25)), measured, 0.01, image)
+    assert filled[:, 28:34].max() < 0.11
 
 
 def test_filling_stops_at_edges_of_the_picture():
