@@ -22,6 +22,8 @@ WORST_PSNR = {"good": 22.0, "fair": 15.0, "poor": 11.0}
 """Least PSNR [dB] of the worst placed input view for each label."""
 MOST_FILLED = {"good": 0.5, "fair": 0.55, "poor": 1.0}
 """Largest share of the pixels of all views whose depth may be guessed, for each label."""
+MOST_FILLED_WORST = {"good": 0.5, "fair": 0.65, "poor": 1.0}
+"""The same of the view with most guesses."""
 MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 1.0}
 """Largest share of the photos that may be left out, for each label."""
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
@@ -75,12 +77,13 @@ def _label(
     """The best label whose conditions hold, and one sentence for it; `evidence` and `psnr` of the placed views [dB]."""
     mean, worst = sum(evidence) / len(evidence), min(evidence)
     known = [share for share in filled if share is not None]
-    guessed = sum(known) / max(1, len(known))
+    guessed, most_guessed = sum(known) / max(1, len(known)), max(known, default=0.0)
     left_out = sum(not there for there in placed)
 
     def holds(label: Label) -> bool:
         agrees = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
-        return agrees and guessed <= MOST_FILLED[label] and left_out <= MOST_LEFT_OUT[label] * len(placed)
+        seen = guessed <= MOST_FILLED[label] and most_guessed <= MOST_FILLED_WORST[label]
+        return agrees and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
 
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
     names = [edited.names[view] if edited.names else f"view {view}" for view in range(len(psnr))]
@@ -90,8 +93,8 @@ def _label(
         shown += f", and they fit together at {mean:.1f} dB, the worst ({name}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
-    if guessed > MOST_FILLED["good"]:
-        shown += f"; {guessed:.0%} of the depth is guessed"
+    if most_guessed > MOST_FILLED_WORST["good"]:
+        shown += f"; {guessed:.0%} of the depth is guessed, up to {most_guessed:.0%} of a photo's"
     return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 

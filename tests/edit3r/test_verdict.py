@@ -17,7 +17,7 @@ def rendered(*psnr: float) -> Rendering:
     return Rendering(images, alphas, alphas)
 
 
-MEASURED_SHARES = ([0.1, 0.7, 0.64], [0.4, 0.5, 0.4])
+MEASURED_SHARES = ([0.4, 0.52, 0.52], [0.4, 0.5, 0.4])
 
 
 def shown(edited, rendering, placed, measured):
@@ -60,8 +60,14 @@ def test_nearly_all_photos_left_out_is_poor():
 
 def test_much_guessed_depth_is_never_good_and_more_is_poor():
     fair, poor = (shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([m])) for m in MEASURED_SHARES)
-    assert fair.label == "fair" and "52% of the depth is guessed" in fair.reason
+    assert fair.label == "fair" and "52% of the depth is guessed, up to 60% of a photo's" in fair.reason
     assert poor.label == "poor"
+
+
+@pytest.mark.parametrize(("most", "label"), [(0.49, "good"), (0.51, "fair"), (0.66, "poor")])
+def test_one_photo_of_guessed_depth_counts_where_the_mean_would_not(most, label):
+    measured = torch.tensor([[0.9, 0.9, 1 - most]])
+    assert shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, measured).label == label
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
