@@ -42,7 +42,8 @@ def require_device(name: str, key: str = "--device") -> torch.device:
         return torch.empty(0, device=torch.device(name)).device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = " ".join(str(error).split())[:200].rstrip(".")
-        raise SettingsError(f"{key} {name}: torch cannot use it ({reason}); {key} cpu always works.") from None
+        way_out = f"{key} cpu" if key.startswith("--") else f"--set {key}=cpu"
+        raise SettingsError(f"{key}: {name!r} cannot be used on this machine ({reason}); use {way_out}.") from None
 
 
 def check_edit(editor: Editor, views: Views, answer: Views) -> None:

@@ -98,7 +98,7 @@ class RunCommand(Command):
             registry = default_registry(tuple(args.plugin))
             check_names(registry, config)
         with collecting(report), report.stage("read photos"):
-            photos, masks, hashes = read_photos(paths, config, cameras, args, continued)
+            photos, masks, hashes = read_photos(paths, config, cameras, args, registry, continued)
             if (args.cameras or args.refine_poses) and not continued:
                 config = with_known_poses(config, photos.views, registry, args.refine_poses)
         with atomic_folder(args.out, args.overwrite) as folder:
@@ -121,6 +121,7 @@ def read_photos(
     config: RunConfig,
     cameras: str | Path | None,
     args: argparse.Namespace,
+    registry: "Registry",
     continued: "EarlierRun | None" = None,
 ) -> "tuple[LoadedPhotos, Tensor | Selection | None, dict[str, str]]":
     """Return those of the photos that are used, what is masked or marked on them, and the hashes of mask files.
@@ -131,7 +132,6 @@ def read_photos(
     from edit3r.io.images import LoadedPhotos, load_photos
     from edit3r.pipeline import lens_of
     from edit3r.quality import note_quality
-    from edit3r.registry import default_registry
 
     used = paths if continued else choose_photos(paths, config.views)
     given = args.mask
@@ -140,7 +140,7 @@ def read_photos(
     if continued:
         photos = LoadedPhotos(continued.edited, continued.records)
     else:
-        read_lens = partial(lens_of, config, default_registry(tuple(getattr(args, "plugin", ()))))
+        read_lens = partial(lens_of, config, registry)
         photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras, read_lens=read_lens)
     masks = _masks_or_marks(args, given, photos, config)
     hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}

@@ -79,7 +79,7 @@ class SceneRunner:
                 most = max(USUAL_FRAMES, int(job.settings.get("views") or 0))
                 paths = find_photos([job.path(name) for name in wish.photos], most)
                 config = make_run_config(job.settings, photos=len(paths))
-                photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks))
+                photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks), self.registry)
                 if cameras:
                     config = with_known_poses(config, photos.views, self.registry)
             result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)

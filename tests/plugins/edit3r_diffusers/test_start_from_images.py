@@ -129,7 +129,7 @@ def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
     assert picture.shape == (6, 8) and picture.max() <= 1
 
 
-TINY = {"steps": 3, "edit_steps": 4, "start": "random", "points": 60}
+TINY = {"steps": 3, "edit_steps": 4, "points": 60}
 
 
 @pytest.mark.parametrize("method", ["refit", "instruct-nerf2nerf", "editsplat"])
