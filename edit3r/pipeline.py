@@ -23,6 +23,7 @@ from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor, Refiner, Segmenter
 from edit3r.io.framing import Lens
 from edit3r.io.images import Photo
+from edit3r.layers import bilinear
 from edit3r.registry import Registry, default_registry
 from edit3r.rendering import render_each
 from edit3r.reporting import Report, collecting, note, warn
@@ -128,7 +129,8 @@ def run(
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = replace(request, before=None if before is None else before.gaussians)
-        shown = edited.select([0]) if config.edit_views == "first" else edited  # others would pull the edit out
+        # Photos that were not edited would pull the edit out of the scene.
+        shown = edited.select([0]) if config.edit_views == "first" else _as_fused(edited, scene)
         gaussians = _refine(scene, parts, shown, request, earlier is not None, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
@@ -293,6 +295,14 @@ def _reconstruct(recon: Reconstructor, source: Views, request: EditRequest, view
     return _only_placed(reconstruction)
 
 
+def _as_fused(edited: Views, scene: Reconstruction) -> Views:
+    """The placed views as the scene shows them: refiners that follow each view's own edit make them disagree again."""
+    if scene.fusion is None:
+        return edited
+    change = bilinear(scene.fusion.flatten(0, 1), edited.image_size).view_as(edited.images)
+    return replace(edited, images=(edited.images + change).clamp(0, 1))
+
+
 def _placed_and_not(scene: Reconstruction, views: int) -> tuple[list[int], list[int]]:
     """Indices of the views that were placed in every scene of the batch, and of the others."""
     placed = [True] * views if scene.placed is None else scene.placed.all(0).tolist()
@@ -304,7 +314,8 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
     if reconstruction.placed is None or bool(reconstruction.placed.all()):
         return reconstruction
     used, _ = _placed_and_not(reconstruction, reconstruction.placed.shape[1])
-    gaussians, cameras, measured = reconstruction.gaussians, reconstruction.cameras, reconstruction.measured
+    gaussians, cameras = reconstruction.gaussians, reconstruction.cameras
+    measured, fusion = reconstruction.measured, reconstruction.fusion
     place = torch.full((reconstruction.placed.shape[1] + 1,), -1, device=gaussians.means.device)  # last: of no view
     place[used] = torch.arange(len(used), device=place.device)
     kept = gaussians.select((place[gaussians.view_index] >= 0) | (gaussians.view_index < 0))
@@ -313,6 +324,7 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
         gaussians=replace(kept, view_index=place[kept.view_index]),
         cameras=cameras.select(used),
         measured=measured[:, used] if measured is not None else None,
+        fusion=fusion[:, used] if fusion is not None else None,
     )
 
 

@@ -248,6 +248,8 @@ class Reconstruction(_Tensors):
     cameras: Cameras | None = None  # the input views' predicted poses in the Gaussians' frame; None: not predicted
     placed: Bool[Tensor, "batch view"] | None = None  # False: could not be placed; None: all were
     measured: Float[Tensor, "batch view"] | None = None  # share of pixels whose depth was measured; None: unknown
+    fusion: Float[Tensor, "batch view 3 height width"] | None = None
+    """What was added to the views' colours [sRGB] so that their edits agree, at a size of its own; None: nothing."""
 
 
 @dataclass(frozen=True, repr=False)

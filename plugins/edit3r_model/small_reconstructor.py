@@ -29,6 +29,8 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_model.small_backbone import averaged
 
 SHIPPED = Path(__file__).parent / "weights" / "edit3r-small.safetensors"
+ROUNDING = 1e-5
+"""Differences of colour [sRGB] that come from turning colours into harmonics and back."""
 GRID = 8
 """The network's images have sides that are multiples of this [pixels]."""
 
@@ -99,7 +101,7 @@ class Edit3rReconstructor(Reconstructor):
         measured, geometry = geometry.measured, geometry.at(grid)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
-            reconstruction = self._with_surroundings(reconstruction, source, geometry)
+            reconstruction = self._with_surroundings(reconstruction, views, source, geometry)
         return replace(reconstruction, placed=geometry.registered, measured=measured)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
@@ -123,9 +125,9 @@ class Edit3rReconstructor(Reconstructor):
         return view_fitting.regrid(gaussians, size, views.image_size, views.images)
 
     def _with_surroundings(
-        self, reconstruction: Reconstruction, source: Views, geometry: MatchedGeometry
+        self, reconstruction: Reconstruction, views: Views, source: Views, geometry: MatchedGeometry
     ) -> Reconstruction:
-        """Continue the fused images a little beyond their borders and behind their depth edges."""
+        """Continue the fused images a little beyond their borders and behind their depth edges; and say what fused."""
         shape = (*source.images.shape[:2], *source.image_size, 3)
         colours = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0]).reshape(shape).permute(0, 1, 4, 2, 3)
         fused = Views(colours, source.intrinsics)
@@ -134,7 +136,9 @@ class Edit3rReconstructor(Reconstructor):
             parts.append(backdrop(fused, geometry, self.settings.backdrop))
         if self.settings.apron > 0:
             parts.append(apron(fused, geometry, self.settings.apron, self.settings.apron_opacity))
-        return replace(reconstruction, gaussians=Gaussians.cat(parts))
+        fusion = (colours - views.images).detach()
+        fusion = torch.where(fusion.abs() > ROUNDING, fusion, 0.0)
+        return replace(reconstruction, gaussians=Gaussians.cat(parts), fusion=fusion if fusion.any() else None)
 
 
 def _full_form(settings: Edit3rReconstructor.Settings, backbone: Backbone, head: GaussianHead) -> Reconstructor | None:

@@ -209,6 +209,26 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
     assert result.verdict.filled == (0.0, None, 0.5)
 
 
+class Fused(Flat):
+    """Says that fusing the edits made the second view lighter."""
+
+    def __call__(self, views, source=None, request=None):
+        fusion = torch.zeros(1, views.count, 3, 4, 5)
+        fusion[:, 1] = 0.25
+        return replace(super().__call__(views, source, request), fusion=fusion)
+
+
+def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(views, monkeypatch):
+    followed = []
+    monkeypatch.setattr(
+        "edit3r.pipeline._refine", lambda scene, parts, shown, *_: followed.append(shown) or scene.gaussians
+    )
+    result = run(views, editor=Invert(), recon=Fused(), **PLAIN)
+    assert torch.equal(followed[0].images[:, 0], 1 - views.images[:, 0])
+    assert torch.allclose(followed[0].images[:, 1], (1.25 - views.images[:, 1]).clamp(max=1), atol=1e-6)
+    assert torch.equal(result.edited.images, 1 - views.images)
+
+
 def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first(views):
     config = make_run_config({"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3})
     listed = [(choice.name, choice.settings) for choice in config.all_refiners()]

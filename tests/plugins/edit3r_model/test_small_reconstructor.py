@@ -72,6 +72,13 @@ def _inside(view: int = 1) -> torch.Tensor:
     return SCENE.objects[1, 0, view] > 0.9
 
 
+def test_it_says_what_fusing_added_to_the_views_colours():
+    edited = _recoloured(_views(), (0,))
+    result = _reconstructor()(edited, _views())
+    assert torch.allclose(edited.images[0] + result.fusion[0], _colours(result), atol=1e-4)
+    assert not result.fusion[:, 0].any() and result.fusion[:, 1].abs().max() > 0.1
+
+
 def test_without_an_edit_colours_are_the_photos_own():
     views = _views()
     assert torch.allclose(_colours(_reconstructor()(views, views)), views.images[0], atol=1e-6)
@@ -132,6 +139,7 @@ def test_one_colour_map_in_every_view_gives_the_edited_photos_own_colours_exactl
     views = _photos()
     edited = Views((COLOUR_MAPS[name](views.images).clamp(0, 1) * 255).round() / 255, views.intrinsics)
     result = build("reconstructor", "edit3r", parts={"matcher": matcher()}, network_size=64)(edited, views)
+    assert result.fusion is None
     colours = _colours(result, 3)
     assert torch.allclose(colours, edited.images[0], atol=1e-6)
     unfused = build(
