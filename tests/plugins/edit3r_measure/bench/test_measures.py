@@ -118,11 +118,13 @@ def test_sharpness_is_that_of_the_photos_of_the_same_frames(item):
     assert measured(item, item.photos.images[0] / 2)["sharpness"] == pytest.approx(0.25)
 
 
-def test_clip_is_asked_for_the_text_of_after_not_of_before(item):
+def test_clip_is_asked_for_the_text_of_after_not_of_before_and_for_the_prompt_as_written(item):
     networks = SimpleNamespace(features=[], clip=words, distances={})
     plain = replace(item, record=item.record.model_copy(update={"before": ""}))
     output = MethodOutput(item.truth, item.truth[:2], item.depths, item.cameras, True)
-    assert measure(plain, output, networks)["clip-t2i"] == pytest.approx(0.3)
+    found = measure(plain, output, networks)
+    assert found["clip-t2i"] == pytest.approx(0.3)
+    assert found["clip-t2i-prompt"] == pytest.approx(0.2)
 
 
 def test_prompt_quality_is_the_share_of_the_better_of_two_texts():
