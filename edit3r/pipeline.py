@@ -129,7 +129,7 @@ def run(
         used, lost = _placed_and_not(scene, views.count)
         edited, request = edited.select(used), request.of_views(used)
         request = replace(request, before=None if before is None else before.gaussians)
-        shown = edited.select([0]) if config.edit_views == "first" else _as_fused(edited, scene)  # others pull it out
+        shown = edited.select([0]) if config.edit_views == "first" else _as_fused(edited, scene, request.masks)
         gaussians = _refine(scene, parts, shown, request, earlier is not None, report)
         with report.stage("check"), torch.no_grad():
             rendered, verdict = _judged(parts, scene, gaussians, edited, [i in used for i in range(views.count)])
@@ -294,12 +294,16 @@ def _reconstruct(recon: Reconstructor, source: Views, request: EditRequest, view
     return _only_placed(reconstruction)
 
 
-def _as_fused(edited: Views, scene: Reconstruction) -> Views:
-    """The placed views as the scene shows them: refiners that follow each view's own edit make them disagree again."""
+def _as_fused(edited: Views, scene: Reconstruction, masks: Float[Tensor, "batch view height width"] | None) -> Views:
+    """The placed views as the scene shows them: refiners that follow each view's own edit make them disagree again.
+
+    Outside the masks nothing may change, so there the fused edit does not count either.
+    """
     if scene.fusion is None:
         return edited
     change = bilinear(scene.fusion.flatten(0, 1), edited.image_size).view_as(edited.images)
-    return replace(edited, images=(edited.images + change).clamp(0, 1))
+    fused = (edited.images + change).clamp(0, 1)
+    return replace(edited, images=fused if masks is None else composite(edited.images, fused, masks))
 
 
 def _placed_and_not(scene: Reconstruction, views: int) -> tuple[list[int], list[int]]:

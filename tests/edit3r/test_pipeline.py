@@ -229,6 +229,18 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(views, mon
     assert torch.equal(result.edited.images, 1 - views.images)
 
 
+def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
+    followed = []
+    monkeypatch.setattr(
+        "edit3r.pipeline._refine", lambda scene, parts, shown, *_: followed.append(shown) or scene.gaussians
+    )
+    masks = torch.zeros(1, views.count, *views.image_size)
+    masks[..., :4] = 1
+    result = run(views, editor=Invert(), recon=Fused(), masks=masks, **PLAIN)
+    assert torch.equal(followed[0].images[..., 4:], result.edited.images[..., 4:])
+    assert not torch.equal(followed[0].images[:, 1, ..., :4], result.edited.images[:, 1, ..., :4])
+
+
 def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first(views):
     config = make_run_config({"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3})
     listed = [(choice.name, choice.settings) for choice in config.all_refiners()]

@@ -124,14 +124,14 @@ class Carries(Reconstructor):
 
 @pytest.fixture(scope="module")
 def edited_scene():
-    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10), "textures": 8}
+    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10)}
     options = SceneOptions(1, 64, {"procedural": settings})
     return find_scenes("procedural", options, default_registry())[0].load()
 
 
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
     score = score_scene(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"), edits=True).figures
-    assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.012
+    assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
     assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
