@@ -4,8 +4,6 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Shaped
-from torch import Tensor
 
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
@@ -51,8 +49,7 @@ class FittingMethod(Reconstructor):
         request = request or EditRequest(self.settings.prompt, self.settings.seed)
         results = []
         for item in range(len(views.images)):
-            asked = replace(request, masks=_item(request.masks, item))
-            results.append(self._reconstruct(Scene(_views_of(photos, item), _views_of(views, item), asked)))
+            results.append(self._reconstruct(Scene(photos.scene(item), views.scene(item), request.of_scene(item))))
         scenes, cameras = zip(*results)
         c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
         gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
@@ -99,13 +96,3 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
     order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
     chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
-
-
-def _views_of(views: Views, item: int) -> Views:
-    """Return one item of a batch of views, as a batch of one."""
-    fields = {name: _item(getattr(views, name), item) for name in ("images", "intrinsics", "c2w")}
-    return replace(views, **fields)
-
-
-def _item(tensor: Shaped[Tensor, "batch *shape"] | None, item: int) -> Shaped[Tensor, "1 *shape"] | None:
-    return None if tensor is None else tensor[item : item + 1]

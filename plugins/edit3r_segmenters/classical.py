@@ -99,16 +99,6 @@ class ClassicalSegmenter(Segmenter):
         mask = glimpses[0].values > 0.5
         return tidied(mask, mask)
 
-    def segment(
-        self,
-        image: Float[Tensor, "3 height width"],
-        points: Sequence[tuple[float, float]] = (),
-        box: tuple[float, float, float, float] | None = None,
-    ) -> Proposal:
-        if not points and box is None:
-            raise ValueError("ClassicalSegmenter.segment: expected at least one point or a box, got neither")
-        return self.segment_marks(image, Marks(tuple(points), box=box))
-
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         rgb = _to_numpy(image)
         if marks.prior is not None and not (marks.positive or marks.negative):  # only its outline is looked at

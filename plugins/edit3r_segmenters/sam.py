@@ -6,7 +6,6 @@ logits, which the paper's filter and soft blending need; so the grid of the auto
 
 import importlib
 from abc import abstractmethod
-from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar
 
@@ -19,7 +18,8 @@ from torch import Tensor
 
 from edit3r.cache import fingerprint, remembered
 from edit3r.config import Settings
-from edit3r.errors import InputError, PromptError
+from edit3r.errors import PromptError
+from edit3r.geometry.cameras import pixel_grid
 from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.io.pretrained import (
     ChosenWeights,
@@ -85,22 +85,12 @@ class SamSegmenter(Segmenter):
             found = self._candidates(model, self._embed(model, image), size)
             return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
 
-    def segment(
-        self,
-        image: Float[Tensor, "3 height width"],
-        points: Sequence[tuple[float, float]] = (),
-        box: tuple[float, float, float, float] | None = None,
-    ) -> Proposal:
-        return self.segment_marks(image, Marks(tuple(points), box=box))
-
     @remembered
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         points, box, (height, width) = [*marks.positive, *marks.negative], marks.box, image.shape[-2:]
         if box is None and marks.prior is not None:  # where it is expected, as the box around that
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
-        if not marks.positive and box is None:
-            raise InputError("segment: give at least one point or a box that says which object is meant.")
         model = self._model(self.image_class, image.device)
         prompts: dict[str, Tensor] = {}
         if points:
@@ -149,7 +139,8 @@ class SamSegmenter(Segmenter):
         Returns small logits and predicted IoU in [0, 1] of each, best first.
         """
         chosen = self.settings
-        points = point_grid(chosen.points_per_side).to(embeddings[0]) * model.config.prompt_encoder_config.image_size
+        grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=embeddings[0]).flatten(0, 1)
+        points = grid * model.config.prompt_encoder_config.image_size
         found = []
         for some in points.split(chosen.points_per_batch):
             output = model(image_embeddings=embeddings, input_points=some[None, :, None], multimask_output=True)
@@ -237,17 +228,8 @@ def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:
 
 def boxes_of(inside: Bool[Tensor, "n height width"]) -> Float[Tensor, "n 4"]:
     """Smallest box around each mask: x, y, width, height [pixels]; zeros for an empty one."""
-    (x, width), (y, height) = (_span(inside.any(dim)) for dim in (1, 2))  # columns, rows
-    return torch.stack((x, y, width, height), dim=1).float()
-
-
-def _span(occupied: Bool[Tensor, "n length"]) -> tuple[Tensor, Tensor]:
-    """First occupied index `[n]` and number of indices to the last `[n]`, 0 and 0 when none is."""
-    marks = occupied.int()
-    first = marks.argmax(1)
-    last = marks.shape[1] - 1 - marks.flip(1).argmax(1)
-    some = marks.any(1)
-    return first * some, (last - first + 1) * some
+    boxes = [cv2.boundingRect(mask.byte().numpy(force=True)) for mask in inside]
+    return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
 
 
 def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float) -> list[int]:
@@ -257,13 +239,6 @@ def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap:
     # Scores are raised above its threshold, which drops boxes of score 0 otherwise.
     kept = cv2.dnn.NMSBoxes(boxes.tolist(), (1 + scores).tolist(), score_threshold=0.0, nms_threshold=overlap)
     return [int(index) for index in kept]
-
-
-def point_grid(per_side: int) -> Float[Tensor, "point 2"]:
-    """x, y of the centres of per_side x per_side cells, in [0, 1], row by row."""
-    centres = (torch.arange(per_side) + 0.5) / per_side
-    y, x = torch.meshgrid(centres, centres, indexing="ij")
-    return torch.stack((x, y), dim=-1).flatten(0, 1)
 
 
 def is_present(
