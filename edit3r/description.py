@@ -12,8 +12,6 @@ from edit3r.config import PartChoice, Settings
 from edit3r.plugins import Offer
 
 BOUNDS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"), ("multiple_of", "multiple of"))
-RUN_KINDS = ("editor", "segmenter", "reconstructor", "rasterizer")
-"""Kinds that are top-level keys of a run's configuration."""
 PART_KINDS = ("backbone", "head", "matcher")
 """Kinds that are keys of a reconstructor."""
 

@@ -19,6 +19,7 @@ from torch.nn.functional import interpolate
 
 from edit3r.command import Command
 from edit3r.config import Settings
+from edit3r.errors import InputError
 from edit3r.reporting import warn
 from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
 

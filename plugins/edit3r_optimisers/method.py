@@ -4,16 +4,32 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
+from pydantic import Field
 
+from edit3r.config import PartChoice
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
 from edit3r.stage_checks import check_reconstruction, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.fitting import TargetImages, fit
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
+
+
+class MethodSettings(FitSettings):
+    """A fit of the photos, edits, and a fit of the edits."""
+
+    reconstructor: PartChoice = Field(
+        PartChoice(name="classical", settings={"matcher": "posed"}), description="where the first Gaussians come from"
+    )
+    editor: PartChoice = Field(PartChoice(name="recolor"), description="edits; in a run, the run's own takes its place")
+    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="renders while fitting")
+    prompt: str = Field("", description="what to change; in a run, the run's own takes its place")
+    seed: int = Field(0, ge=0, lt=2**31, description="of the edits, in a run the run's own; and of the order of views")
+    points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
+    steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
+    edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
 
 
 @dataclass(frozen=True)

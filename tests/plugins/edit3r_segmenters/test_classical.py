@@ -8,6 +8,7 @@ import torch
 from edit3r_segmenters.classical import _analyse
 from edit3r_segmenters.interactive import Glimpse, Picture, find
 
+from edit3r.errors import InputError
 from edit3r.interfaces import Marks
 from edit3r.io.images import load_views, packaged_pair
 from edit3r.registry import build
