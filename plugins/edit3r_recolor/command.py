@@ -15,7 +15,7 @@ class RecolorCommand(Command):
         add("--out", required=True, metavar="DIR", help="folder for pictures, masks, recolor.json and cameras.json")
         text = "finds and follows the objects (default classical)"
         add("--segmenter", default="classical", metavar="NAME", help=text)
-        text = "the data's own masks instead: a folder per object, or maps of object numbers"
+        text = "the data's own masks instead: a folder per object"
         add("--masks", metavar="DIR", help=text)
         add("--seed", type=int, default=0, metavar="N", help="of the colours (default 0)")
         add("--size", type=int, default=512, metavar="PIXELS", help="longer side photos are reduced to (default 512)")

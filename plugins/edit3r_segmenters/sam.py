@@ -1,4 +1,4 @@
-"""What SAM2 and SAM3 share: masks of one image by grid, point or box, and tracks through the other views.
+"""SAM2 and SAM3: masks of one image by grid, point, box or words, and tracks through the other views.
 
 transformers' own mask-generation pipeline returns boolean masks and predicted IoU only, dropping stability and
 logits, which the paper's filter and soft blending need; so the grid of the automatic mask generator is here.
@@ -17,14 +17,15 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.cache import fingerprint, remembered
-from edit3r.config import Settings
+from edit3r.config import PartChoice, Settings
 from edit3r.errors import PromptError
 from edit3r.geometry.cameras import pixel_grid
-from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.interfaces import Detector, Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.io.pretrained import (
     ChosenWeights,
     foreign,
     identity,
+    load_pretrained,
     load_whole_network,
     out_of_memory_told,
     pick_device,
@@ -33,6 +34,7 @@ from edit3r.io.pretrained import (
 from edit3r.reporting import note, progress
 
 STABILITY_OFFSET = 1.0  # logits
+TEXT_LENGTH = 32  # tokens that SAM3's text encoder takes
 MOST_KEPT = 4  # images whose embeddings stay in memory: clicks follow each other on one image
 
 
@@ -210,6 +212,66 @@ class SamSegmenter(Segmenter):
             present.append(is_present(logits[-1], output.object_score_logits))
             progress("tracking objects", len(logits), views)
         return Tracks(torch.stack(logits), torch.stack(present))
+
+
+class Sam2Segmenter(SamSegmenter):
+    """SAM2 (Ravi et al. 2024), the paper's segmenter; words become boxes by a detector, and boxes masks."""
+
+    image_class, video_class = "Sam2Model", "Sam2VideoModel"
+    session = "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
+    mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+    threshold_key = "segmenter.detector.box_threshold"
+
+    class Settings(SamSettings):
+        model: str = Field("facebook/sam2.1-hiera-large", description="model id on the hub, or a saved folder")
+        detector: PartChoice = Field(PartChoice(name="grounding-dino"), description="finds what the words name")
+
+    def __init__(self, settings: Settings, detector: Detector) -> None:
+        super().__init__(settings)
+        self.detector = detector
+
+    @remembered
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+        height, width = image.shape[-2:]
+        boxes = [detection.box for detection in self.detector.detect(image, text)]
+        return tuple(self.segment(image, box=(x / width, y / height, w / width, h / height)) for x, y, w, h in boxes)
+
+
+class Sam3Segmenter(SamSegmenter):
+    """SAM3 (Carion et al. 2025): every instance of what a few words name, without a detector; clicks and tracks as SAM2.
+
+    Its image processor and its box prompts for concepts need torchvision; neither is used here.
+    """
+
+    image_class, video_class = "Sam3TrackerModel", "Sam3TrackerVideoModel"
+    session = "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:Sam3TrackerVideoInferenceSession"
+    mean = std = (0.5, 0.5, 0.5)
+    threshold_key = "segmenter.min_score"
+
+    class Settings(SamSettings):
+        model: str = Field("facebook/sam3", description="model id on the hub, or a saved folder")
+        min_score: float = Field(0.5, ge=0, le=1, description="least score of what the words name")
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._tokenizer: Any = None
+
+    @remembered
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+        if self._tokenizer is None:
+            self._tokenizer = load_pretrained(foreign("transformers", "CLIPTokenizer"), self.weights)
+        model = self._model("Sam3Model", image.device)
+        words = text.strip().lower().removeprefix("the ")  # it was trained on noun phrases such as "yellow school bus"
+        tokens = self._tokenizer(
+            words, return_tensors="pt", padding="max_length", max_length=TEXT_LENGTH, truncation=True
+        ).to(model.device)
+        pixels = self._pixels(image[None].float(), model.config.vision_config.image_size).to(model.device)
+        with torch.no_grad(), self._memory("segmenting"):
+            found = model(pixel_values=pixels, **tokens)
+        scores = found.pred_logits[0].sigmoid() * found.presence_logits[0].sigmoid()
+        best = [index for index in scores.argsort(descending=True).tolist() if scores[index] >= self.settings.min_score]
+        masks = enlarge(found.pred_masks[0, best], tuple(image.shape[-2:])).to(image.device)
+        return tuple(proposal(mask, float(scores[index])) for mask, index in zip(masks, best) if bool((mask > 0).any()))
 
 
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:
