@@ -238,7 +238,7 @@ class Sam2Segmenter(SamSegmenter):
 
 
 class Sam3Segmenter(SamSegmenter):
-    """SAM3 (Carion et al. 2025): every instance of what a few words name, without a detector; clicks and tracks as SAM2.
+    """SAM3 (Carion et al. 2025): every instance of what a few words name, without a detector.
 
     Its image processor and its box prompts for concepts need torchvision; neither is used here.
     """
