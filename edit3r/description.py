@@ -2,7 +2,7 @@
 
 import types
 from dataclasses import dataclass
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import yaml
 from pydantic.fields import FieldInfo
@@ -80,6 +80,8 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
 def type_in_words(annotation: Any) -> str:
     """A type annotation as a user would say it."""
     origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return type_in_words(arguments[0])
     if origin in (Union, types.UnionType):
         return " or ".join(type_in_words(argument) for argument in arguments)
     if origin is Literal:
