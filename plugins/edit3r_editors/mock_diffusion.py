@@ -51,8 +51,7 @@ class MockDiffusionEditor(Editor):
         apart, results = self.settings.disagreement, []
         for view in range(views.count):
             generator, images = _generator(request.prompt, request.seed, view), views.images[:, view]
-            look = torch.lerp(shared, torch.rand(6, generator=generator), apart)
-            target = coloured(disturbed(images, generator, apart), 2 * look - 1)
+            target = with_look(images, shared, generator, apart)
             results.append(self._sample(images, target, request.seed, f"view {view + 1}"))
         return replace(views, images=torch.stack(results, 1))
 
@@ -70,6 +69,17 @@ class MockDiffusionEditor(Editor):
         for _ in reporting.track(range(self.settings.steps), f"mock diffusion, {label}"):
             current = current + STEP_RATE * (target - current)
         return images if self.settings.strength == 0 else current.clamp(0, 1)
+
+
+def with_look(
+    images: Float[Tensor, "batch 3 height width"],
+    shared: Float[Tensor, "6"],
+    generator: torch.Generator,
+    apart: float,
+) -> Float[Tensor, "batch 3 height width"]:
+    """Edit one view by a look `apart` of the way from the `shared` one, numbers in [0, 1], to one of its own."""
+    look = torch.lerp(shared, torch.rand(6, generator=generator), apart)
+    return coloured(disturbed(images, generator, apart), 2 * look - 1)
 
 
 def coloured(
