@@ -13,16 +13,15 @@ from pydantic import Field, model_validator
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import edited_from
 from edit3r_optimisers.fitting import TargetImages, view_at
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited_from
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
-    """Updates the images one after the other while Gaussians, instead of a NeRF, are fitted (Haque et al. 2023).
+    """Fits Gaussians instead of a NeRF, and edits by itself: of what it is given it looks at the unedited photos only.
 
-    It edits by itself: the edited views it is given are not looked at, only the photos before editing. Real partial
-    denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which the run says.
+    Real partial denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which
+    the run says.
     """
 
     class Settings(MethodSettings):
