@@ -1,8 +1,9 @@
 """The folder of a recoloured multi-view set, and the masks that data sets bring along.
 
 images/NAME.png      every used photo, recoloured alike: the target
+augmented/NAME.png   the same edit with an editor's faults (where asked for): the input
 masks/ID/NAME.png    soft masks of each region, white inside, greys at soft edges; no file: the photo does not show it
-recolor.json         regions, parameters, views left out
+recolor.json         regions, parameters, faults, views left out: enough to replay
 cameras.json         intrinsics and poses of images/, where a camera file beside the photos has them all
 sheet.png            photo, regions and result of each view
 
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, Photo, evenly, save_image, save_pixels, to_bytes
+from edit3r.io.images import LoadedPhotos, Photo, save_image, save_pixels, to_bytes
 from edit3r.io.masks import read_mask
 from edit3r.types import Cameras
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
@@ -32,19 +33,23 @@ MOST_ROWS = 12  # views on the sheet
 CELL = 320  # longer side of an image on the sheet [pixels]
 
 
-def write_folder(folder: Path, photos: LoadedPhotos, masks: Masks, recipe: SceneRecipe, images: Images) -> None:
-    """Write everything into an existing folder; `images` are of the processed views alone."""
+def write_folder(
+    folder: Path, photos: LoadedPhotos, masks: Masks, recipe: SceneRecipe, images: Images, augmented: Images | None
+) -> None:
+    """Write everything into an existing folder; `images` and `augmented` are of the processed views alone."""
     used = recipe.processed
     names = [recipe.views[view].name for view in used]
-    (folder / "images").mkdir()
-    for name, image in zip(names, images):
-        save_image(image, folder / "images" / f"{name}.png")
+    for kind, written in (("images", images), ("augmented", augmented)):
+        if written is not None:
+            (folder / kind).mkdir()
+            for name, image in zip(names, written):
+                save_image(image, folder / kind / f"{name}.png")
     write_masks(folder / MASKS, names, [region.id for region in recipe.regions], masks[:, used])
     recipe.save(folder / RECIPE)
     if photos.views.c2w is not None:
         cameras = Cameras(photos.views.c2w, photos.views.intrinsics, photos.views.image_size).select(used)
         write_cameras(folder / "cameras.json", posed_cameras(cameras, [f"images/{name}.png" for name in names]))
-    save_sheet(folder / "sheet.png", photos.views.images[0, used], masks[:, used], images, names)
+    save_sheet(folder / "sheet.png", photos.views.images[0, used], masks[:, used], images, augmented, names)
 
 
 def write_masks(folder: Path, names: list[str], numbers: list[int], masks: Masks) -> None:
@@ -71,6 +76,14 @@ def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
     return torch.stack(masks)
 
 
+def read_masks_of(folder: Path, photos: tuple[Photo, ...], numbers: list[int]) -> Masks:
+    """Read the masks of the objects with these numbers, as `write_masks` left them."""
+    for number in numbers:
+        if not (folder / str(number)).is_dir():
+            raise InputError(f"{folder}: lacks the folder {number} with that object's masks.")
+    return torch.stack([_one_object(folder / str(number), photos) for number in numbers])
+
+
 def _by_number(path: Path) -> tuple:
     return (0, int(path.name), "") if path.name.isdecimal() else (1, 0, path.name)
 
@@ -81,10 +94,12 @@ def _one_object(folder: Path, photos: tuple[Photo, ...]) -> Float[Tensor, "view 
     return torch.stack(list(masks))
 
 
-def save_sheet(path: Path, photos: Images, masks: Masks, images: Images, names: list[str]) -> None:
-    """Write the sheet, a row a view of photo, regions and result; of many views an even choice."""
-    rows = evenly(range(len(photos)), MOST_ROWS)
-    columns = photos, _painted(photos, masks), images
+def save_sheet(
+    path: Path, photos: Images, masks: Masks, images: Images, augmented: Images | None, names: list[str]
+) -> None:
+    """Write the sheet, a row a view of photo, regions, result and augmented result; of many views an even choice."""
+    rows = sorted({int(v) for v in np.linspace(0, len(photos) - 1, min(MOST_ROWS, len(photos)))})
+    columns = [photos, _painted(photos, masks), images] + ([] if augmented is None else [augmented])
     lines = [torch.cat([_cell(column[row]) for column in columns], -1) for row in rows]
     sheet = Image.fromarray(to_bytes(torch.cat(lines, -2)))
     draw = ImageDraw.Draw(sheet)
