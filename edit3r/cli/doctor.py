@@ -20,6 +20,7 @@ from edit3r.checks import check_offer
 from edit3r.command import Command
 from edit3r.hookspecs import API_VERSION
 from edit3r.registry import Registry, default_registry, install_hint
+from edit3r.reporting import available_memory
 
 if TYPE_CHECKING:
     from edit3r.reporting import Report
@@ -107,7 +108,9 @@ def devices() -> Iterator[Finding]:
     """What torch can compute on."""
     import torch
 
-    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads")
+    free = available_memory()
+    memory = "" if free is None else f", {free / 2**30:.1f} GiB of memory free"
+    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads{memory}")
     for index in range(torch.cuda.device_count()):
         free, total = (size / 2**30 for size in torch.cuda.mem_get_info(index))
         name = torch.cuda.get_device_name(index)

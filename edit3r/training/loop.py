@@ -322,13 +322,17 @@ class StopRequest(ExitStack):
 
 
 class Journal:
-    """The log: one JSON object a line in `log.jsonl`; on resuming, lines beyond the resumed step are taken out."""
+    """The log: one JSON object a line in `log.jsonl`, and TensorBoard when it is installed.
+
+    On resuming, lines beyond the resumed step are taken out.
+    """
 
     def __init__(self, folder: Path, step: int = 0) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / "log.jsonl"
         self._start = time.time()
         self._forget_after(step)
+        self._board = _tensorboard(folder)
 
     def write(self, step: int, values: Mapping[str, float], kind: str = "train") -> None:
         """Record `values` of a step; `kind` is 'train' or 'validation'."""
@@ -339,6 +343,9 @@ class Journal:
                 file.write(json.dumps(line) + "\n")
         except OSError as error:
             raise RunError(f"{self.path}: the log could not be written ({error}); free some disk space.") from error
+        if self._board is not None:
+            for name, value in values.items():
+                self._board.add_scalar(f"{kind}/{name}", value, step)
 
     def _forget_after(self, step: int) -> None:
         if self.path.is_file():
@@ -353,3 +360,11 @@ def _step_of(line: str) -> float:
         return float(json.loads(line)["step"])
     except (ValueError, KeyError, TypeError):
         return float("inf")
+
+
+def _tensorboard(folder: Path):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:  # an extra; the JSON lines hold the same numbers
+        return None
+    return SummaryWriter(str(folder / "tensorboard"))

@@ -1,8 +1,9 @@
 """The folder of a recoloured multi-view set, and the masks that data sets bring along.
 
 images/NAME.png      every used photo, recoloured alike: the target
+augmented/NAME.png   the same edit with an editor's faults (where asked for): the input
 masks/ID/NAME.png    soft masks of each region, white inside, greys at soft edges; no file: the photo does not show it
-recolor.json         regions, parameters, views left out
+recolor.json         regions, parameters, faults, views left out: enough to replay
 cameras.json         intrinsics and poses of images/, where a camera file beside the photos has them all
 sheet.png            photo, regions and result of each view
 
@@ -31,13 +32,17 @@ MASKS = "masks"
 MOST_ROWS = 12  # views on the sheet
 
 
-def write_folder(folder: Path, photos: LoadedPhotos, masks: Masks, recipe: SceneRecipe, images: Images) -> None:
-    """Write everything into an existing folder; `images` are of the processed views alone."""
+def write_folder(
+    folder: Path, photos: LoadedPhotos, masks: Masks, recipe: SceneRecipe, images: Images, augmented: Images | None
+) -> None:
+    """Write everything into an existing folder; `images` and `augmented` are of the processed views alone."""
     used = recipe.processed
     names = [recipe.views[view].name for view in used]
-    (folder / "images").mkdir()
-    for name, image in zip(names, images):
-        save_image(image, folder / "images" / f"{name}.png")
+    for kind, written in (("images", images), ("augmented", augmented)):
+        if written is not None:
+            (folder / kind).mkdir()
+            for name, image in zip(names, written):
+                save_image(image, folder / kind / f"{name}.png")
     write_masks(folder / MASKS, names, [region.id for region in recipe.regions], masks[:, used])
     recipe.save(folder / RECIPE)
     if photos.views.c2w is not None:
@@ -46,6 +51,8 @@ def write_folder(folder: Path, photos: LoadedPhotos, masks: Masks, recipe: Scene
     shown = evenly(range(len(used)), MOST_ROWS)
     originals = photos.views.images[0, used][shown]
     columns = {"photo": originals, "regions": _painted(originals, masks[:, used][:, shown]), "result": images[shown]}
+    if augmented is not None:
+        columns["with faults"] = augmented[shown]
     save_pixels(np.asarray(draw_sheet(columns, names=[names[view] for view in shown])), folder / "sheet.png")
 
 
@@ -71,6 +78,14 @@ def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
             f"{folder}: no masks for these photos; expected a folder per object with files such as {name}.png."
         )
     return torch.stack(masks)
+
+
+def read_masks_of(folder: Path, photos: tuple[Photo, ...], numbers: list[int]) -> Masks:
+    """Read the masks of the objects with these numbers, as `write_masks` left them."""
+    for number in numbers:
+        if not (folder / str(number)).is_dir():
+            raise InputError(f"{folder}: lacks the folder {number} with that object's masks.")
+    return torch.stack([_one_object(folder / str(number), photos) for number in numbers])
 
 
 def _by_number(path: Path) -> tuple:

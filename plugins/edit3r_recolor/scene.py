@@ -5,7 +5,7 @@ region, drawn once --> soft blend in every view
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from edit3r.interfaces import Proposal, Segmenter, Tracks
 from edit3r.io.atomic import atomic_write
 from edit3r.reporting import progress, track
 from edit3r_recolor import recoloring
-from edit3r_recolor.recoloring import RecolorParameters, RecolorRanges
+from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
 from edit3r_recolor.regions import (
     ProposalFilter,
     active_objects,
@@ -50,6 +50,17 @@ class RecoloringSettings(Settings):
     )
     ranges: RecolorRanges = Field(RecolorRanges(), description="how strongly colours change")
     least_change: float = Field(0.08, ge=0, le=1, description="least mean change of a region, where it can be had")
+    mask_jitter: float = Field(0.5, ge=0, le=1, description="augmented: share of outlines grown, shrunk or leaking")
+    palette_jitter: float = Field(0.5, ge=0, le=1, description="augmented: share of regions with colours a bit off")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What an augmented image gets wrong with one region in one view."""
+
+    outline: Outline = "exact"
+    parameters: RecolorParameters | None = None  # the region's colours in this view; None: as they should be
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
 @dataclass(frozen=True)
@@ -73,11 +84,13 @@ class ViewRecipe:
     objects: tuple[int, ...]  # ids
     overlap: float  # of its objects with those of the most recently processed view
     processed: bool  # False: too different, left out
+    faults: dict[int, Fault] = field(default_factory=dict)  # by id; what its augmented image gets wrong
+    __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
 @dataclass(frozen=True)
 class SceneRecipe:
-    """How a scene was recoloured: which objects, how each, and in which views."""
+    """How a scene was recoloured: enough to do it again, on the same photos at any size."""
 
     seed: int
     masks: str  # where they came from, such as "segmenter classical"
@@ -162,7 +175,7 @@ def _found(proposals: Sequence[Proposal], tracks: Tracks, rejected: dict[str, in
 def make_recipe(
     images: Images, names: Sequence[str], found: FoundRegions, settings: RecoloringSettings, seed: int, source: str
 ) -> SceneRecipe:
-    """Draw the parameters of every region from `seed` alone."""
+    """Draw the parameters of every region, and what augmented images get wrong, from `seed` alone."""
     used = processed_views(found.active, settings.least_overlap)
     regions = []
     for number, proposal in enumerate(found.proposals, start=1):
@@ -175,13 +188,44 @@ def make_recipe(
     for view, name in enumerate(names):
         before = max([other for other in used if other < view], default=view)
         overlap = overlap_ratio(found.active[view], found.active[before])
-        shown = tuple(region.id for region, here in zip(regions, found.active[view].tolist()) if here)
-        views.append(ViewRecipe(name, shown, overlap, view in used))
+        shown = [region for region, here in zip(regions, found.active[view].tolist()) if here]
+        faults = _draw_faults(view, shown, settings, seed) if view in used else {}
+        views.append(ViewRecipe(name, tuple(region.id for region in shown), overlap, view in used, faults))
     return SceneRecipe(seed, source, tuple(regions), tuple(views), found.rejected)
+
+
+def _draw_faults(view: int, shown: Sequence[RegionRecipe], settings: RecoloringSettings, seed: int) -> dict[int, Fault]:
+    """Draw the faults of the regions that one view shows, by their ids; those without a fault are left out."""
+    faults = {}
+    for region in shown:
+        rng = np.random.default_rng((seed, region.id, view))
+        outline = recoloring.draw_outline(rng) if rng.random() < settings.mask_jitter else "exact"
+        is_off = rng.random() < settings.palette_jitter
+        faults[region.id] = Fault(outline, recoloring.perturbed(region.parameters, rng) if is_off else None)
+    return {number: fault for number, fault in faults.items() if fault != Fault()}
 
 
 def carry_out(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
     """Recolour the processed views alike."""
     parameters = [region.parameters for region in recipe.regions]
-    used = track(recipe.processed, "recolour")
-    return torch.cat([recoloring.recolored(images[[view]], masks[:, [view]], parameters) for view in used])
+
+    def recolored(view: int) -> Float[Tensor, "3 height width"]:
+        return recoloring.recolored(images[[view]], masks[:, [view]], parameters)[0]
+
+    return _each_view(recipe, "recolour", recolored)
+
+
+def carry_out_with_faults(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
+    """Recolour the processed views as a 2D editor might have: the same edit, with every view's faults."""
+
+    def augmented(view: int) -> Float[Tensor, "3 height width"]:
+        faults = [recipe.views[view].faults.get(region.id, Fault()) for region in recipe.regions]
+        own = torch.stack([recoloring.with_outline(m, fault.outline) for m, fault in zip(masks[:, view], faults)])
+        parameters = [fault.parameters or region.parameters for region, fault in zip(recipe.regions, faults)]
+        return recoloring.recolored(images[[view]], own[:, None], parameters)[0]
+
+    return _each_view(recipe, "augment", augmented)
+
+
+def _each_view(recipe: SceneRecipe, text: str, draw: Callable[[int], Float[Tensor, "3 height width"]]) -> Images:
+    return torch.stack([draw(view) for view in track(recipe.processed, text)])

@@ -68,6 +68,13 @@ def test_the_cpu_is_always_a_device():
     assert any(finding.text.startswith("cpu: ") for finding in doctor.devices())
 
 
+def test_the_memory_that_is_free_is_told_where_the_system_tells(monkeypatch):
+    monkeypatch.setattr(doctor, "available_memory", lambda: 3 * 2**30)
+    assert "3.0 GiB of memory free" in next(iter(doctor.devices())).text
+    monkeypatch.setattr(doctor, "available_memory", lambda: None)
+    assert "memory" not in next(iter(doctor.devices())).text
+
+
 def test_failed_plugins_clashes_and_broken_components_are_wrong_a_missing_extra_is_not():
     here = registry(
         offer("rasterizer", "nan"),

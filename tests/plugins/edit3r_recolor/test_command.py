@@ -48,13 +48,14 @@ def _files(folder) -> dict[str, bytes]:
 
 def test_writes_pictures_masks_recipe_and_cameras(scene, tmp_path):
     out = tmp_path / "out"
-    assert _run(scene, out, "--masks", tmp_path / "masks") == 0
+    assert _run(scene, out, "--masks", tmp_path / "masks", "--augment") == 0
     for name in NAMES:
         photo, picture = _pixels(scene / "images" / f"{name}.png"), _pixels(out / "images" / f"{name}.png")
         mask = _pixels(out / "masks" / "1" / f"{name}.png")
         assert np.array_equal(mask, _pixels(tmp_path / "masks" / "1" / f"{name}.png"))
         assert np.array_equal(photo[mask == 0], picture[mask == 0])
         assert np.abs(photo[mask > 0].astype(int) - picture[mask > 0]).mean() > 10
+        assert (out / "augmented" / f"{name}.png").is_file()
     inside = [_pixels(out / "images" / f"{n}.png")[_pixels(out / "masks" / "1" / f"{n}.png") > 0] for n in NAMES]
     assert np.array_equal(*inside)  # one colour before, one colour after, in both views
     recipe = json.loads((out / "recolor.json").read_text())
@@ -70,15 +71,16 @@ def test_cameras_follow_the_pictures_size_and_keep_their_poses(scene, tmp_path):
         assert np.allclose(other.K[:2], one.K[:2] / 2) and np.array_equal(other.c2w, one.c2w)
 
 
-def test_the_classical_segmenter_finds_the_object_and_the_seed_gives_the_same_files_again(scene, tmp_path):
+def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_files(scene, tmp_path):
+    """Colours, masks and faults come from the recipe; the second run needs no segmenter."""
     first, second = tmp_path / "first", tmp_path / "second"
     loose = ("--set", "filter.min_predicted_iou=0", "--set", "filter.min_stability=0.5")
-    assert _run(scene, first, "--seed", 4, *loose) == 0
+    assert _run(scene, first, "--seed", 4, "--augment", *loose) == 0
     box = torch.zeros(SIZE)
     box[12:32, 16:36] = 1
     mask = torch.from_numpy(_pixels(first / "masks" / "1" / "img2.png") > 127)
     assert (mask & (box > 0)).sum() / (mask | (box > 0)).sum() > 0.8
-    assert _run(scene, second, "--seed", 4, *loose) == 0
+    assert _run(scene, second, "--replay", first / "recolor.json", "--augment") == 0
     assert _files(first) == _files(second)
 
 
@@ -109,6 +111,8 @@ def test_files_of_others_are_never_replaced(scene, tmp_path):
         (("--set", "segmenter.sise=1"), "segmenter"),
         (("--segmenter", "clasical"), "Did you mean 'classical'"),
         (("--seed", "-1"), "--seed: must be at least 0"),
+        (("--replay", "missing.json"), "missing.json: cannot be read"),
+        (("--replay", "missing.json", "--masks", "empty"), "leave --masks and --set away"),
     ],
 )
 def test_wrong_use_is_one_sentence_and_leaves_nothing(scene, tmp_path, monkeypatch, capsys, arguments, complaint):
@@ -118,3 +122,10 @@ def test_wrong_use_is_one_sentence_and_leaves_nothing(scene, tmp_path, monkeypat
     assert _run(scene, tmp_path / "out", *arguments) == 2
     assert complaint in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_replay_on_other_photos_is_refused(scene, tmp_path, capsys):
+    assert _run(scene, tmp_path / "out", "--masks", tmp_path / "masks") == 0
+    one = scene / "images" / "img2.png"
+    assert _run(one, tmp_path / "again", "--replay", tmp_path / "out" / "recolor.json") == 2
+    assert "was made for the photos img2, img10; got img2" in capsys.readouterr().err

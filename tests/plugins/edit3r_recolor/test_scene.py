@@ -8,6 +8,7 @@ from edit3r_recolor.scene import (
     RecoloringSettings,
     SceneRecipe,
     carry_out,
+    carry_out_with_faults,
     find_regions,
     given_regions,
     make_recipe,
@@ -85,11 +86,12 @@ def test_pixels_outside_every_region_keep_their_exact_value():
 
 
 def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
-    found, recipe = _recipe(3)
+    found, recipe = _recipe(3, SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0}))
     recipe.save(tmp_path / "recolor.json")
     again = SceneRecipe.load(tmp_path / "recolor.json")
     assert again == recipe
-    assert torch.equal(carry_out(IMAGES, found.masks, again), carry_out(IMAGES, found.masks, recipe))
+    for carried_out in (carry_out, carry_out_with_faults):
+        assert torch.equal(carried_out(IMAGES, found.masks, again), carried_out(IMAGES, found.masks, recipe))
 
 
 def test_the_seed_decides_the_colours():
@@ -100,6 +102,22 @@ def test_the_seed_decides_the_colours():
 def test_a_region_s_colours_do_not_depend_on_how_many_others_there_are():
     fewer = SETTINGS.model_copy(update={"max_objects": 1})
     assert _recipe(0, fewer)[1].regions == _recipe()[1].regions[:1]
+
+
+def test_faults_spoil_the_augmented_pictures_only_near_their_regions():
+    always = SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0})
+    found, recipe = _recipe(0, always)
+    assert all(set(view.faults) == set(view.objects) for view in recipe.views if view.processed)
+    clean, faulty = carry_out(IMAGES, found.masks, recipe), carry_out_with_faults(IMAGES, found.masks, recipe)
+    change = (clean - faulty).abs().amax((0, 1))
+    assert change.max() > 0.01
+    assert not change[:, 28:].any()
+
+
+def test_without_faults_the_augmented_pictures_are_the_plain_ones():
+    never = SETTINGS.model_copy(update={"mask_jitter": 0.0, "palette_jitter": 0.0})
+    found, recipe = _recipe(0, never)
+    assert torch.equal(carry_out(IMAGES, found.masks, recipe), carry_out_with_faults(IMAGES, found.masks, recipe))
 
 
 def test_the_data_s_own_masks_go_through_the_same_filter():
