@@ -52,7 +52,7 @@ def write_folder(
     originals = photos.views.images[0, used][shown]
     columns = {"photo": originals, "regions": _painted(originals, masks[:, used][:, shown]), "result": images[shown]}
     if augmented is not None:
-        columns["with faults"] = augmented[shown]
+        columns["augmented"] = augmented[shown]
     save_pixels(np.asarray(draw_sheet(columns, names=[names[view] for view in shown])), folder / "sheet.png")
 
 
