@@ -1,7 +1,7 @@
 """The before/after sheet: per view the photo, its 2D edit and the 3D result, with captions and the prompt."""
 
-import bisect
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,8 +67,8 @@ def draw_before_after(
     names = names or [f"view {index}" for index in range(views)]
     layout = _layout(views, photos.shape[-2:])
     width = max(layout.body[0], 3 * _LONGEST_CELL // 2) + 2 * _MARGIN
-    lines = [(line, _INK, _TITLE, 8) for line in _wrap(title, _font(_TITLE), width - 2 * _MARGIN)]
-    lines += [(line, _FAINT, _CAPTION, 7) for line in _wrap(subtitle, _font(_CAPTION), width - 2 * _MARGIN)]
+    lines = [(line, _INK, _TITLE, 8) for line in _wrap(title, _TITLE, width - 2 * _MARGIN)]
+    lines += [(line, _FAINT, _CAPTION, 7) for line in _wrap(subtitle, _CAPTION, width - 2 * _MARGIN)]
     top = _MARGIN + sum(size + gap for _, _, size, gap in lines) + (18 if lines else 0)
     sheet = Image.new("RGB", (width, top + layout.body[1] + _MARGIN), _PAPER)
     draw, below = ImageDraw.Draw(sheet), _MARGIN - 6
@@ -92,11 +92,7 @@ def _layout(views: int, image_size: tuple[int, int]) -> _Layout:
     scale = min(_LONGEST_CELL, max(_LONGEST_CELL // 2, max(height, width))) / max(height, width)
     cell = (max(16, round(width * scale)), max(16, round(height * scale)))
     candidates = [_Layout(cell, across, math.ceil(views / across)) for across in range(1, views + 1)]
-    # A gap in the last row counts like a bad shape: prefer full grids.
-    best = min(
-        candidates,
-        key=lambda c: abs(math.log(c.body[0] / c.body[1] / 1.5)) + 0.3 * (c.across * c.down - views) / c.across,
-    )
+    best = min(candidates, key=lambda layout: abs(math.log(layout.body[0] / layout.body[1] / 1.5)))
     shrink = min(1.0, _LARGEST_SHEET / max(best.body))
     return _Layout(tuple(max(16, int(side * shrink)) for side in cell), best.across, best.down)
 
@@ -111,30 +107,21 @@ def _draw_view(
         draw.text((x, y + cell[1] + 4), label, _INK, font)
         x += cell[0] + _GAP
     indent = draw.textlength(f"{COLUMNS[0]}   ", font)
-    draw.text((corner[0] + indent, y + cell[1] + 4), _shorten(name, font, cell[0] - indent), _FAINT, font)
+    if (room := _columns(name, _CAPTION, cell[0] - indent)) > 2:
+        shown = name if len(name) <= room else f"{name[: room - 1]}…"
+        draw.text((corner[0] + indent, y + cell[1] + 4), shown, _FAINT, font)
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.load_default(size)  # Pillow's packaged Aileron: the same on every machine
 
 
-def _shorten(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:
-    """The text, cut with an ellipsis to fit `room` pixels; empty when nothing readable fits."""
-    if font.getlength(text) <= room:
-        return text
-    end = bisect.bisect(range(len(text)), room, key=lambda end: font.getlength(text[:end] + "…")) - 1
-    return text[:end] + "…" if end > 2 else ""
+def _columns(text: str, size: int, room: float) -> int:
+    """How many characters such as those of the text fit into `room` pixels, a little to spare."""
+    beginning = text[:1000] or "x"
+    return int(0.95 * room * len(beginning) / max(1.0, _font(size).getlength(beginning)))
 
 
-def _wrap(text: str, font: ImageFont.FreeTypeFont, room: int) -> list[str]:
-    """Lines of whole words, at most 3; a word too long for a line, and what is left over, is shortened."""
-    lines: list[str] = []
-    for word in text.split():
-        if lines and font.getlength(f"{lines[-1]} {word}") <= room:
-            lines[-1] += f" {word}"
-        elif len(lines) == 3:
-            lines[-1] = _shorten(f"{lines[-1]} {word}", font, room)
-            break
-        else:
-            lines.append(_shorten(word, font, room))
-    return lines
+def _wrap(text: str, size: int, room: float) -> list[str]:
+    """Lines of whole words, at most 3; what is left over is cut with an ellipsis."""
+    return textwrap.wrap(text, max(2, _columns(text, size, room)), max_lines=3, placeholder="…")

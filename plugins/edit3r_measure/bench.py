@@ -3,7 +3,7 @@
 build   folder of photos | generated scenes  ->  manifest.json             (`bench_build`, `bench_proposals`)
 run     manifest, editor, reconstructor      ->  results.jsonl, pictures   (`bench_item`, `bench_metrics`)
 grid    manifest                             ->  the same for all pairs    (`bench_grid`)
-report  folders of results                   ->  tables, a page            (`bench_report`, `bench_page`)
+report  folders of results                   ->  tables, a page            (`bench_report`)
 """
 
 import argparse
@@ -244,11 +244,9 @@ def _grid(args: argparse.Namespace) -> int:
 
 def _print_progress(label: str, progress: "Progress") -> None:
     """Print one line about an item, with the time left."""
-    failure, seconds = progress.row["failure"], progress.seconds_left
-    what = f"failed: {failure[:100]}" if failure else "done"
-    left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-    place = f"  [{progress.done}/{progress.total}] {label}, {progress.key}"
-    print(f"{place}: {what}; about {left} left", file=sys.stderr, flush=True)
+    failure = progress.row["failure"]
+    what = f"{label} failed: {failure[:100]}" if failure else f"{label} done"
+    print(progress.said(what), file=sys.stderr, flush=True)
 
 
 def _declare_report(parser: argparse.ArgumentParser) -> None:
@@ -264,8 +262,7 @@ def _declare_report(parser: argparse.ArgumentParser) -> None:
 def _report(args: argparse.Namespace) -> int:
     from edit3r.console import StageConsole
     from edit3r.reporting import Report, collecting
-    from edit3r_measure.bench_page import write_report
-    from edit3r_measure.bench_report import read_columns
+    from edit3r_measure.bench_report import read_columns, write_report
 
     columns = read_columns(map(Path, args.folders))
     labels = [column.label for column in columns]

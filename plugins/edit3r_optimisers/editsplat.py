@@ -19,8 +19,7 @@ from edit3r.reporting import note, track
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.edits import depths_of, edited, edited_from
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, Scene
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
 
 DEPTH_TOLERANCE = 0.03
 """Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees another surface."""

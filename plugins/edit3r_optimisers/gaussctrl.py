@@ -13,8 +13,7 @@ from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.edits import depths_of, edited, rendered
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, Scene
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
 
 ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
 DEPTH = "edits are not conditioned on the fitted depth"

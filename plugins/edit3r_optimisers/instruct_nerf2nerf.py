@@ -15,8 +15,7 @@ from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.edits import edited_from
 from edit3r_optimisers.fitting import TargetImages, view_at
-from edit3r_optimisers.method import FittingMethod, Scene
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):

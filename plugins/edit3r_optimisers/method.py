@@ -4,18 +4,32 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Shaped
-from torch import Tensor
+from pydantic import Field
 
+from edit3r.config import PartChoice
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.reporting import note
 from edit3r.stage_checks import check_reconstruction, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.fitting import TargetImages, fit
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
+
+
+class MethodSettings(FitSettings):
+    """A fit of the photos, edits, and a fit of the edits."""
+
+    reconstructor: PartChoice = Field(
+        PartChoice(name="classical", settings={"matcher": "posed"}), description="where the first Gaussians come from"
+    )
+    editor: PartChoice = Field(PartChoice(name="recolor"), description="edits; in a run, the run's own takes its place")
+    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="renders while fitting")
+    prompt: str = Field("", description="what to change; in a run, the run's own takes its place")
+    seed: int = Field(0, ge=0, lt=2**31, description="of the edits, in a run the run's own; and of the order of views")
+    points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
+    steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
+    edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
 
 
 @dataclass(frozen=True)
@@ -51,8 +65,7 @@ class FittingMethod(Reconstructor):
         request = request or EditRequest(self.settings.prompt, self.settings.seed)
         results = []
         for item in range(len(views.images)):
-            asked = replace(request, masks=_item(request.masks, item))
-            results.append(self._reconstruct(Scene(_views_of(photos, item), _views_of(views, item), asked)))
+            results.append(self._reconstruct(Scene(photos.scene(item), views.scene(item), request.of_scene(item))))
         scenes, cameras = zip(*results)
         c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
         gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
@@ -99,13 +112,3 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
     order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
     chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
-
-
-def _views_of(views: Views, item: int) -> Views:
-    """Return one item of a batch of views, as a batch of one."""
-    fields = {name: _item(getattr(views, name), item) for name in ("images", "intrinsics", "c2w")}
-    return replace(views, **fields)
-
-
-def _item(tensor: Shaped[Tensor, "batch *shape"] | None, item: int) -> Shaped[Tensor, "1 *shape"] | None:
-    return None if tensor is None else tensor[item : item + 1]

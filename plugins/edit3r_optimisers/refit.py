@@ -7,8 +7,7 @@ from pydantic import Field
 from edit3r.types import Cameras, Gaussians
 from edit3r_optimisers.edits import edited, rendered
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, Scene
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
 
 
 class RefitReconstructor(FittingMethod):

@@ -24,9 +24,8 @@ from edit3r.reporting import warn
 from edit3r.weights import at_hand
 from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.interactive import Glimpse, Picture, find
-from edit3r_segmenters.learned_salience import salience
 from edit3r_segmenters.masks import graph_cut, overlap, reduced, snapped, softened, tidied, to_bytes
-from edit3r_segmenters.salience import MAX_AREA, MIN_AREA, Objectness, measure
+from edit3r_segmenters.salience import MAX_AREA, MIN_AREA, Objectness, measure, salience
 from edit3r_segmenters.stuff import ground, plain, sky
 from edit3r_segmenters.superpixels import Superpixels, background_weights, merge_tree, superpixels
 
@@ -98,16 +97,6 @@ class ClassicalSegmenter(Segmenter):
             return None
         mask = glimpses[0].values > 0.5
         return tidied(mask, mask)
-
-    def segment(
-        self,
-        image: Float[Tensor, "3 height width"],
-        points: Sequence[tuple[float, float]] = (),
-        box: tuple[float, float, float, float] | None = None,
-    ) -> Proposal:
-        if not points and box is None:
-            raise ValueError("ClassicalSegmenter.segment: expected at least one point or a box, got neither")
-        return self.segment_marks(image, Marks(tuple(points), box=box))
 
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         rgb = _to_numpy(image)
