@@ -18,6 +18,7 @@ from edit3r.types import Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
+from edit3r_training.simulated_matching import simulate_match
 
 MOST_SCENES = 64
 SEED = 987_654_321
@@ -73,7 +74,7 @@ def _novel(job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatc
 
 
 def held_out_batches(
-    data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit, match: Match
+    data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit, match: Match = simulate_match
 ) -> list[TrainingBatch]:
     """Return the first scenes, with the same edits and errors every time."""
     size = min(batch_size, len(data))
