@@ -248,8 +248,8 @@ class GaussianHead(Configured, nn.Module, ABC):
     ) -> Gaussians:
         """Gaussians with `view_index` set, for images in [0, 1].
 
-        A head that takes geometry gets what a matcher read from `source`, on the grid of the Gaussians, which need not be
-        the backbone's. They are in its unit of length. `images`, after the edit, and `source`, before it, have that
+        A head that takes geometry gets what a matcher read from `source`, on the grid of the Gaussians, which need not
+        be the backbone's. They are in its unit of length. `images`, after the edit, and `source`, before it, have that
         size, unless the head `takes_photos`.
         """
 

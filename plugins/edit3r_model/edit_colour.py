@@ -186,7 +186,7 @@ def edits_disagree(
 
 def _shared_function(
     source: Float[Tensor, "batch view 3 height width"], change: Float[Tensor, "batch view 3 height width"]
-) -> Float[Tensor, "batch 80 3"]:
+) -> Float[Tensor, "batch 83 3"]:
     """Coefficients of the change as a function of the colour, over the changed pixels of all views.
 
     Robust least squares (Cauchy weights). A channel that an edit drove to 0 or 1 says that the function reaches it,
@@ -197,34 +197,36 @@ def _shared_function(
     features, after = _features(s), s + r
     low, high = after <= _ROUNDED, after >= 1 - _ROUNDED
     changed = (r.abs().amax(-1, keepdim=True) > _CHANGE).expand_as(r)
-    weights = changed.to(r.dtype)
+    counts = ~(low | high)  # a channel that was cut off counts once the function falls short of it
+    goal, weights = r, (changed & counts).to(r.dtype)
     ridge = 1e-6 * torch.eye(features.shape[-1], dtype=r.dtype, device=r.device)
     for _ in range(_FITS):
         weighted = features.mT[:, None] * weights.mT[:, :, None]  # [batch, channel, feature, pixel]
-        moments, target = weighted @ features[:, None] + ridge, weighted @ r.mT[..., None]
+        moments, target = weighted @ features[:, None] + ridge, weighted @ goal.mT[..., None]
         coefficients = torch.linalg.solve(moments, target)[..., 0].mT
         found = s + features @ coefficients
         beyond = (low & (found <= _ROUNDED)) | (high & (found >= 1 - _ROUNDED))
         left = torch.where(beyond, 0, after - found).abs().amax(-1, keepdim=True)
-        weights = changed * ~beyond / (1 + (left / _EXPLAINED).square())
+        counts, goal = counts | ~beyond, torch.where(beyond, found, after) - s
+        weights = (changed & counts) / (1 + (left / _EXPLAINED).square())
     return coefficients.to(source.dtype)
 
 
 def _change_by_function(
-    source: Float[Tensor, "batch view 3 height width"], coefficients: Float[Tensor, "batch 80 3"]
+    source: Float[Tensor, "batch view 3 height width"], coefficients: Float[Tensor, "batch 83 3"]
 ) -> Float[Tensor, "batch view 3 height width"]:
     """The change that the function makes to each pixel, which stays within [0, 1]."""
     change = torch.einsum("bvhwf,bfc->bvchw", _features(source.movedim(2, -1)), coefficients)
     return (source + change).clamp(0, 1) - source
 
 
-def _features(colours: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 80"]:
-    """All products of at most two channels, shared out between the two knots of lightness that lie next."""
+def _features(colours: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 83"]:
+    """All products of at most two channels, shared out between the two next knots of lightness, and each one's root."""
     padded = torch.cat((torch.ones_like(colours[..., :1]), colours), -1)
     products = torch.stack([padded[..., i] * padded[..., j] for i, j in _PRODUCTS], -1)
     knots = torch.arange(_KNOTS, dtype=colours.dtype, device=colours.device)
     near = (1 - ((_KNOTS - 1) * (colours @ colours.new_tensor(_LUMA))[..., None] - knots).abs()).clamp(min=0)
-    return (near[..., None] * products[..., None, :]).flatten(-2)
+    return torch.cat(((near[..., None] * products[..., None, :]).flatten(-2), colours.clamp(min=0).sqrt()), -1)
 
 
 def _spread(maps: Float[Tensor, "batch view height width"], sigma: float) -> Float[Tensor, "batch view height width"]:
