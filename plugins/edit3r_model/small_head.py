@@ -193,7 +193,7 @@ def assemble(
     floating = contradicted(geometry, source.intrinsics)
     logits = torch.logit(torch.where(floating, FLOATING_OPACITY, settings.opacity)) + fine.opacity_correction
     colours, yielding = edited, 1.0
-    if settings.fuse_edits:
+    if settings.fuse_edits and not torch.equal(edited, images):
         near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
         near = near * edits_disagree(edited, images, matches)
         colours = fuse_colours(edited, images, fine, matches, near)
