@@ -22,7 +22,7 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (0.8, 0.99), 1e-8  # of Adam: few steps must do
+BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
 CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
 MORE_STEPS = 0.25  # steps for each photo beyond two, in shares of those for two
 SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
@@ -31,10 +31,10 @@ SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, a
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and when to stop."""
 
-    colour: float = Field(0.045, ge=0, le=1, description="step of the harmonics")
+    colour: float = Field(0.06, ge=0, le=1, description="step of the harmonics")
     opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
-    scale: float = Field(0.18, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.09, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.15, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
     held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels kept out of the loss, to know when to stop")
     patience: int = Field(
         3, ge=1, description="rounds of all views without improvement of those pixels before stopping"
@@ -123,7 +123,7 @@ class RefineRefiner(Refiner):
 
     class Settings(RefineSettings):
         steps: int = Field(
-            40,
+            28,
             ge=0,
             le=10000,
             description="most photometric steps for two views, each towards one; a further view adds a quarter",
