@@ -1,6 +1,7 @@
 """Measured settings of a run: what `--quality` chooses, and the file it is chosen from.
 
-A preset is one measured point. What is chosen lies under everything else the user says. The points are in `edit3r/presets/quality.yaml`, measured as docs/tradeoff.md says.
+A preset is one measured point. What is chosen lies under everything else the user says. The points are in
+`edit3r/presets/quality.yaml`, measured as docs/tradeoff.md says.
 """
 
 from collections.abc import Mapping

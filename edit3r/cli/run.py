@@ -173,7 +173,6 @@ def _masks_or_marks(
     """Masks of all photos, or what is marked on some of them; the packaged pair brings a mask of its own subject."""
     from edit3r.io.masks import load_masks
     from edit3r.reporting import note
-    from edit3r.selection import Selection
 
     if files and len(files) == len(photos.photos):
         return load_masks(files, photos)
