@@ -19,7 +19,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from edit3r.errors import RunError
 from edit3r.io.atomic import atomic_folder
 from edit3r.workers import Workers, read_rows, run_resumable, write_rows
 
@@ -42,7 +41,7 @@ class FakeRunner:
         if chance < DIES:
             os.kill(os.getpid(), signal.SIGKILL)
         if random.Random(key).random() < FAILS:
-            raise RunError("the photos do not show the same scene.")
+            return {"failure": "the photos do not show the same scene."}
         with (self.out / "begun").open("a") as log:
             log.write(f"{key}\n")
         time.sleep(WORK)
@@ -58,7 +57,7 @@ def serve(out: Path, count: int, workers: int, start: int) -> None:
         write_rows(out / "rows.jsonl", [row for row in rows.values() if "died" not in row.get("failure", "")])
     jobs = {f"job-{number:06d}": f"job-{number:06d}" for number in range(count)}
     runner, staff = FakeRunner(out, start), Workers(workers, may_die=True)
-    run_resumable(jobs, runner, out / "rows.jsonl", workers=staff, failures=(RunError,))
+    run_resumable(jobs, runner, out / "rows.jsonl", workers=staff)
 
 
 def supervise(out: Path, count: int, workers: int, kills: int) -> None:

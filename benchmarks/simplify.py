@@ -21,7 +21,6 @@ import torch
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import predict, views_of
 from edit3r_measure.report import markdown_table
-from edit3r_measure.runner import run_resumable
 from edit3r_measure.scene_sources import Scene, SceneOptions, SceneSource, find_scenes
 
 import edit3r
@@ -29,6 +28,7 @@ from edit3r.errors import MatchingError
 from edit3r.io.ply import save_ply
 from edit3r.registry import default_registry
 from edit3r.types import EditRequest, Gaussians, Reconstruction, Views
+from edit3r.workers import run_resumable
 
 SHARES = (0.1, 0.2, 0.33)
 POLISH = {"steps": 10, "colour": 0.015, "opacity": 0.08, "scale": 0.08}  # as `simplify` does after merging

@@ -2,7 +2,7 @@
 
 import types
 from dataclasses import dataclass
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import yaml
 from pydantic.fields import FieldInfo
@@ -12,8 +12,6 @@ from edit3r.config import PartChoice, Settings
 from edit3r.plugins import Offer
 
 BOUNDS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"), ("multiple_of", "multiple of"))
-RUN_KINDS = ("editor", "segmenter", "reconstructor", "rasterizer")
-"""Kinds that are top-level keys of a run's configuration."""
 PART_KINDS = ("backbone", "head", "matcher")
 """Kinds that are keys of a reconstructor."""
 
@@ -82,6 +80,8 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
 def type_in_words(annotation: Any) -> str:
     """A type annotation as a user would say it."""
     origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return type_in_words(arguments[0])
     if origin in (Union, types.UnionType):
         return " or ".join(type_in_words(argument) for argument in arguments)
     if origin is Literal:

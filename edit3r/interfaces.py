@@ -19,6 +19,7 @@ from torch.nn.functional import interpolate
 
 from edit3r.command import Command
 from edit3r.config import Settings
+from edit3r.errors import InputError
 from edit3r.reporting import warn
 from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
 
@@ -113,14 +114,21 @@ class Segmenter(Configured, ABC):
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """All candidate objects, most salient first."""
 
-    @abstractmethod
     def segment(
         self,
         image: Float[Tensor, "3 height width"],
         points: Sequence[tuple[float, float]] = (),
         box: tuple[float, float, float, float] | None = None,
     ) -> Proposal:
-        """The object at `points` (x, y normalised to [0, 1]) or in `box` (x, y, w, h, normalised)."""
+        """The object at `points` (x, y normalised to [0, 1]) or in `box` (x, y, w, h, normalised).
+
+        A segmenter implements this or, to read more than that, `segment_marks`.
+        """
+        if type(self).segment_marks is Segmenter.segment_marks:
+            raise NotImplementedError(f"{type(self).__name__} implements neither segment nor segment_marks")
+        if not points and box is None:
+            raise InputError("segment: give at least one point or a box that says which object is meant.")
+        return self.segment_marks(image, Marks(tuple(points), box=box))
 
     @abstractmethod
     def track(

@@ -6,9 +6,8 @@ written for another API version), it becomes one `PluginFailure` with its reason
 
 import importlib.util
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -52,7 +51,6 @@ class LoadedPlugins:
 
     offers: tuple[Offer, ...]
     failures: tuple[PluginFailure, ...]
-    import_seconds: dict[str, float] = field(default_factory=dict)  # per plugin; shown by `list-plugins --check`
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
@@ -61,17 +59,14 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
     manager.add_hookspecs(hookspecs)
     offers: list[Offer] = []
     failures: list[PluginFailure] = []
-    seconds: dict[str, float] = {}
     for name, version, load in [*_installed(), *_local(local_files)]:
-        started = time.perf_counter()
         try:
             offers += _offers(manager, name, version, load())
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # sys.exit and pytest.skip at module level are no Exceptions
             failures.append(PluginFailure(name, version, _reason(error)))
-        seconds[name] = time.perf_counter() - started
-    return LoadedPlugins(tuple(offers), tuple(failures), seconds)
+    return LoadedPlugins(tuple(offers), tuple(failures))
 
 
 def _installed() -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:

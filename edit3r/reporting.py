@@ -109,6 +109,13 @@ def progress(text: str, done: int, total: int) -> None:
         report.emit("progress", text, done, total)
 
 
+def available_memory() -> int | None:
+    """Memory that programs may still take [bytes]; None where the system does not tell."""
+    table = Path("/proc/meminfo")
+    lines = table.read_text().splitlines() if table.is_file() else []
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")), None)
+
+
 def peak_memory_mb() -> float:
     """Peak resident memory of this process so far [MiB]; 0 where the platform does not tell."""
     status = Path("/proc/self/status")

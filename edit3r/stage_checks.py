@@ -64,6 +64,11 @@ def check_reconstruction(recon: Reconstructor, views: Views, answer: Reconstruct
     if answer.cameras is not None:
         expected, given = list(views.images.shape[:2]), list(answer.cameras.c2w.shape[:2])
         _require(recon, given == expected, f"return one camera per view, {expected}, got {given}")
+    scenes, count = views.images.shape[:2]
+    for name, expected in (("placed", [scenes, count]), ("measured", [scenes, count]), ("fusion", [scenes, count, 3])):
+        tensor = getattr(answer, name)
+        given = expected if tensor is None else list(tensor.shape[: len(expected)])
+        _require(recon, given == expected, f"return {name} for each of its views, {expected}, got {given}")
 
 
 def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> None:

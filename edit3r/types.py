@@ -87,6 +87,12 @@ class Views(_Tensors):
         small = interpolate(self.images.flatten(0, 1), size, mode="bilinear", antialias=True)
         return replace(self, images=small.unflatten(0, self.images.shape[:2]))
 
+    def scene(self, index: int) -> "Views":
+        """One scene of the batch, as a batch of one."""
+        one = slice(index, index + 1)
+        c2w = None if self.c2w is None else self.c2w[one]
+        return replace(self, images=self.images[one], intrinsics=self.intrinsics[one], c2w=c2w)
+
     def select(self, indices: Iterable[int]) -> "Views":
         """The views at `indices`, in that order."""
         index = list(indices)
@@ -114,6 +120,10 @@ class EditRequest(_Tensors):
     def grid_of(self, size: tuple[int, int]) -> tuple[int, int]:
         """(height, width) of the grid of Gaussians over images of `size`."""
         return max(1, round(self.grid * size[0])), max(1, round(self.grid * size[1]))
+
+    def of_scene(self, index: int) -> "EditRequest":
+        """The same request for one scene of the batch."""
+        return self if self.masks is None else replace(self, masks=self.masks[index : index + 1])
 
     def of_views(self, indices: Iterable[int]) -> "EditRequest":
         """The same request for the views at `indices` only."""

@@ -52,6 +52,12 @@ class Progress:
     total: int
     seconds_left: float
 
+    def said(self, what: str) -> str:
+        """One line about the job, what came of it, and the time left."""
+        left = self.seconds_left
+        size, unit = (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
+        return f"  [{self.done}/{self.total}] {self.key}: {what}; about {left / size:.0f} {unit} left"
+
 
 def run_resumable(
     jobs: Mapping[str, Any],
@@ -60,16 +66,15 @@ def run_resumable(
     *,
     workers: Workers = Workers(),
     key_name: str = "key",
-    failures: tuple[type[Exception], ...] = (),
     seconds: float | None = None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
     """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the order of `jobs`.
 
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once and when read back.
-    `function` is pickled to each worker once, so an object may keep what it built at its first call. An error of a type
-    in `failures` becomes the row `{"failure": sentence}`; any other error ends the run and keeps the rows made so far.
-    So does the death of a worker (`Workers.may_die`), which a job can cause that takes all memory.
+    `function` is pickled to each worker once, so an object may keep what it built at its first call. An error ends the
+    run and keeps the rows made so far. So does the death of a worker, which a job can cause that takes all memory; with
+    `Workers.may_die` it becomes the row `{"failure": sentence}`.
     A single worker starts no job after `seconds` of wall time; jobs that did not start are missing in the answer. At
     the end the file holds these rows in order, then rows of other keys, however the work was spread and interrupted.
     """
@@ -79,7 +84,7 @@ def run_resumable(
     already, start = len(jobs) - len(left), time.monotonic()
     end = math.inf if seconds is None else start + seconds
     todo = takewhile(lambda _: time.monotonic() <= end, left.items())
-    with closing(_spread(_Task(function, failures, workers.threads), todo, workers)) as rows:
+    with closing(_spread(_Task(function, workers.threads), todo, workers)) as rows:
         for count, (key, row) in enumerate(rows, start=1):
             found[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
@@ -140,7 +145,6 @@ class _Task:
     """What a worker does with every job; picklable when its function is."""
 
     function: Function
-    failures: tuple[type[Exception], ...]
     threads: int | None
 
     def do(self, job: KeyedJob) -> KeyedRow:
@@ -149,10 +153,7 @@ class _Task:
             import torch
 
             torch.set_num_threads(self.threads)
-        try:
-            return job[0], self.function(job[1])
-        except self.failures as error:
-            return job[0], {"failure": str(error)}
+        return job[0], self.function(job[1])
 
 
 def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
@@ -256,7 +257,7 @@ class _OnRay:
         self._actor = ray.remote(num_cpus=cores)(_Task)
 
     def start(self) -> Any:
-        return self._actor.remote(self._task.function, self._task.failures, self._task.threads)
+        return self._actor.remote(self._task.function, self._task.threads)
 
     def give(self, worker: Any, job: KeyedJob) -> Any:
         return worker.do.remote(job)

@@ -5,13 +5,12 @@ Exits with 1 when something is wrong.
 
 import argparse
 import importlib
-import json
 import os
 import platform
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +19,8 @@ import edit3r
 from edit3r.checks import check_offer
 from edit3r.command import Command
 from edit3r.hookspecs import API_VERSION
-from edit3r.plugins import Offer
 from edit3r.registry import Registry, default_registry, install_hint
+from edit3r.reporting import available_memory
 
 if TYPE_CHECKING:
     from edit3r.reporting import Report
@@ -52,23 +51,21 @@ class DoctorCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--device", metavar="D", help="torch device of the tiny job (default cpu)")
-        parser.add_argument("--json", action="store_true", help="machine-readable output")
         parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.run_config import make_run_config
 
         config = make_run_config({"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})})
-        findings = []
+        area, wrong = "", 0
         for finding in examine(default_registry(tuple(args.plugin)), config):
-            if not args.json:
-                _show(finding, new_area=not findings or findings[-1].area != finding.area)
-            findings.append(finding)
-        wrong = [finding for finding in findings if finding.ok is False]
-        if args.json:
-            print(json.dumps({"findings": [asdict(finding) for finding in findings], "wrong": len(wrong)}, indent=2))
-        else:
-            print(f"\n{len(wrong)} wrong." if wrong else "\nEverything is in order.")
+            if finding.area != area:
+                area = finding.area
+                print(f"{area}:")
+            mark = {True: "ok   ", False: "WRONG", None: "note "}[finding.ok]
+            print(f"  {mark} {finding.text}", flush=True)
+            wrong += finding.ok is False
+        print(f"\n{wrong} wrong." if wrong else "\nEverything is in order.")
         return 1 if wrong else 0
 
 
@@ -79,13 +76,6 @@ class Finding:
     area: str  # "versions", "devices", "plugins", "rasterizers", "tiny job"
     text: str
     ok: bool | None = True  # None: worth knowing, nothing wrong
-
-
-def _show(finding: Finding, new_area: bool) -> None:
-    if new_area:
-        print(f"{finding.area}:")
-    mark = {True: "ok   ", False: "WRONG", None: "note "}[finding.ok]
-    print(f"  {mark} {finding.text}", flush=True)
 
 
 def examine(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
@@ -118,7 +108,9 @@ def devices() -> Iterator[Finding]:
     """What torch can compute on."""
     import torch
 
-    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads")
+    free = available_memory()
+    memory = "" if free is None else f", {free / 2**30:.1f} GiB of memory free"
+    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads{memory}")
     for index in range(torch.cuda.device_count()):
         free, total = (size / 2**30 for size in torch.cuda.mem_get_info(index))
         name = torch.cuda.get_device_name(index)
@@ -150,33 +142,25 @@ def plugins(registry: Registry) -> Iterator[Finding]:
 
 def rasterizers(registry: Registry) -> Iterator[Finding]:
     """Every rasterizer draws one small scene."""
-    for offer in registry.offers("rasterizer"):
-        name = offer.component.name
-        if registry.missing(offer):
-            yield Finding("rasterizers", f"{name}: not here, needs {', '.join(registry.missing(offer))}", None)
-        else:
-            yield _draw(registry, offer)
-
-
-def _draw(registry: Registry, offer: Offer) -> Finding:
     import torch
 
     from edit3r.testing.scenes import cameras_around, gaussian_cloud
 
-    name, needs_gpu = offer.component.name, offer.component.needs_gpu
-    if needs_gpu and not torch.cuda.is_available():
-        return Finding("rasterizers", f"{name}: not here, needs a CUDA GPU", None)
-    device = "cuda" if needs_gpu else "cpu"
-    try:
-        started = time.perf_counter()
-        rasterizer = registry.build("rasterizer", offer.qualified_name)
-        image = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
-        seconds = time.perf_counter() - started
-    except Exception as error:
-        return Finding("rasterizers", f"{name}: {_in_words(error)}", False)
-    if not torch.isfinite(image).all():
-        return Finding("rasterizers", f"{name}: its picture is not finite", False)
-    return Finding("rasterizers", f"{name}: 60 Gaussians on {device} in {seconds:.2f} s, compiling included")
+    for offer in registry.offers("rasterizer"):
+        name, missing, gpu = offer.component.name, registry.missing(offer), offer.component.needs_gpu
+        if missing or (gpu and not torch.cuda.is_available()):
+            yield Finding("rasterizers", f"{name}: not here, needs {', '.join(missing) or 'a CUDA GPU'}", None)
+            continue
+        device, started = "cuda" if gpu else "cpu", time.perf_counter()
+        try:
+            rasterizer = registry.build("rasterizer", offer.qualified_name)
+            image = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
+        except Exception as error:
+            yield Finding("rasterizers", f"{name}: {_in_words(error)}", False)
+            continue
+        told = f"60 Gaussians on {device} in {time.perf_counter() - started:.2f} s, compiling included"
+        finite = bool(torch.isfinite(image).all())
+        yield Finding("rasterizers", f"{name}: {told if finite else 'its picture is not finite'}", finite)
 
 
 def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:

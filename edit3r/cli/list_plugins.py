@@ -10,7 +10,6 @@ from edit3r.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
-SLOW = 0.3  # seconds after which a declaration is told of
 
 
 class ListPluginsCommand(Command):
@@ -33,11 +32,10 @@ class ListPluginsCommand(Command):
         rows = [_row(registry, offer, problems[offer]) for offer in offers]
         failures = [vars(failure) for failure in registry.failures]
         clashes = registry.clashes()
-        slow = _slow_imports(registry) if args.check else []
         if args.json:
-            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes, "slow": slow}, indent=2))
+            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes}, indent=2))
         else:
-            _print_table(rows, failures, [*clashes, *slow])
+            _print_table(rows, failures, clashes)
         broken = failures or clashes or any(problems.values())
         return 1 if args.strict and broken else 0
 
@@ -58,16 +56,6 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "weights": [f"{w.get} ({w.terms})" for w in offer.component.weights if at_hand(w) is None],
         "problem": problem,
     }
-
-
-def _slow_imports(registry) -> list[str]:
-    """A plugin's declaration module should import nothing heavy; every command waits for it."""
-    local = {offer.plugin for offer in registry.offers() if not offer.version}  # one file holds all of those
-    return [
-        f"plugin {name!r} takes {seconds:.1f} s to declare itself; import heavy modules only in the component's module"
-        for name, seconds in registry.plugins.import_seconds.items()
-        if seconds > SLOW and name not in local
-    ]
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()) -> None:

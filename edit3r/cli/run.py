@@ -2,7 +2,6 @@
 
 import argparse
 import gc
-import hashlib
 import types
 import typing
 from contextlib import nullcontext
@@ -128,6 +127,7 @@ def read_photos(
 
     `args` say the marks (images, earlier, mask, point, not_point, box); the photos of a `continued` run are its edits.
     """
+    from edit3r.io.atomic import sha256_of
     from edit3r.io.coverage import choose_photos
     from edit3r.io.images import LoadedPhotos, load_photos
     from edit3r.pipeline import lens_of
@@ -143,7 +143,7 @@ def read_photos(
         read_lens = partial(lens_of, config, registry)
         photos = load_photos(used, fov=config.fov, size=config.size, cameras=cameras, read_lens=read_lens)
     masks = _masks_or_marks(args, given, photos, config)
-    hashes = {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given}
+    hashes = {file: sha256_of(Path(file)) for file in given}
     note_quality(config.model_dump(), len(paths))
     return photos, masks, hashes
 

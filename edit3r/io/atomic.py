@@ -8,6 +8,7 @@ locked is left over, and whoever writes to the same place next removes it.
 
 import ctypes
 import errno
+import hashlib
 import json
 import os
 import re
@@ -28,7 +29,10 @@ try:
 except ImportError:  # Windows: no locks, and abandoned folders are not removed there
     fcntl = None
 
-__all__ = ["MARKER", "atomic_folder", "atomic_write", "check_replaceable", "remove_abandoned", "write_between"]
+__all__ = [
+    *("MARKER", "atomic_folder", "atomic_write", "check_replaceable"),
+    *("remove_abandoned", "sha256_of", "write_between"),
+]
 
 MARKER = ".edit3r-run"
 """In every finished folder: what it holds. Only a folder that holds just that is replaced without being asked to."""
@@ -76,6 +80,15 @@ def write_between(page: Path, start: str, end: str, text: str) -> None:
         raise InputError(f"{page}: has no lines {start!r} and {end!r} to write between.")
     with atomic_write(page) as partial:
         partial.write_text(block.sub(lambda _: f"{start}\n{text}{end}", before), encoding="utf-8")
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file of any size."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 22):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from typing import Any
 from filelock import FileLock
 
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError
-from edit3r.io.atomic import MARKER, atomic_folder, remove_abandoned
+from edit3r.io.atomic import MARKER, atomic_folder, remove_abandoned, sha256_of
 from edit3r.weights import RECORD, Weights, at_hand, find, folder, matches, record_of
 
 BLOCK = 1 << 22  # bytes
@@ -67,15 +67,6 @@ def fetch(
 def unfinished(weights: Weights, chosen: str | Path | None = None) -> Path:
     """The folder of a download that was begun; where it exists, the user has agreed to the licence."""
     return folder(chosen) / f".{weights.name}-{weights.revision[:12] or 'newest'}.download"
-
-
-def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _wrong(weights: Weights, place: Path) -> str:

@@ -4,14 +4,13 @@ Photos of one run may differ in size, shape and camera. Each is scaled to cover 
 middle; intrinsics follow exactly.
 """
 
-import hashlib
 import re
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -21,7 +20,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.errors import InputError
-from edit3r.io.atomic import atomic_write
+from edit3r.io.atomic import atomic_write, sha256_of
 from edit3r.io.coverage import USUAL_FRAMES, VIDEO_SUFFIXES, choose_photos, frame_origins, take_frames
 from edit3r.io.decode import decode, image_size, read_image
 from edit3r.io.framing import Frame, Lens, common_size, frame_for
@@ -83,17 +82,9 @@ class LoadedPhotos:
     photos: tuple[Photo, ...]
 
 
-def load_views(
-    paths: str | Path | Sequence[str | Path],
-    *,
-    fov: float | None = None,
-    cameras: str | Path | None = None,
-    size: int | None = 512,
-    names: Sequence[str] | None = None,
-    most: int | None = None,
-) -> Views:
-    """The views of `load_photos`, without the record."""
-    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names, most=most).views
+def load_views(paths: str | Path | Sequence[str | Path], **options: Any) -> Views:
+    """The views of `load_photos`, which has the same options, without the record."""
+    return load_photos(paths, **options).views
 
 
 def load_photos(
@@ -303,15 +294,8 @@ def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...
 def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
     height, width = frame.source
     focal = (float(intrinsics.normalised[0, 0]) * width, float(intrinsics.normalised[1, 1]) * height)
-    return Photo(name, frame_origins.get(file, str(file)), _sha256(file), frame.source, frame, intrinsics.source, focal)
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        digest = hashlib.sha256()
-        while chunk := stream.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()
+    named = frame_origins.get(file, str(file))
+    return Photo(name, named, sha256_of(file), frame.source, frame, intrinsics.source, focal)
 
 
 def _warn_of_losses(photos: Sequence[Photo], assumed: Sequence[bool]) -> None:

@@ -34,16 +34,14 @@ def load_masks(paths: Sequence[str | Path], photos: LoadedPhotos) -> Float[Tenso
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
-    """One mask file on the view that `frame` cuts from its photo."""
+    """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts from the photo."""
     decoded = decode(path)
     if decoded.transparent:  # a hole may mean black to one program and white to another
         raise InputError(f"{path}: this mask has transparent parts; expected black (keep) and white (may change).")
-    return fitted_mask(_stretched(decoded.pixels.convert("L"), path), frame, path)
-
-
-def fitted_mask(image: Image.Image, frame: Frame, path: Path) -> Float[Tensor, "height width"]:
-    """A grey image, of the photo's shape or the view's size, as the view's mask; `path` is named in errors."""
-    height, width = frame.source
+    image, (height, width) = decoded.pixels.convert("L"), frame.source
+    if image.getextrema() == (0, 1):  # as programs write truth values
+        warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
+        image = image.point(lambda value: 255 * value)
     if image.size != frame.target[::-1]:
         if abs(image.width / image.height * height / width - 1) > SHAPE_TOLERANCE:
             raise InputError(
@@ -52,11 +50,3 @@ def fitted_mask(image: Image.Image, frame: Frame, path: Path) -> Float[Tensor, "
             )
         image = frame.cut(image, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
     return torch.from_numpy(np.array(image, dtype=np.float32) / 255)
-
-
-def _stretched(mask: Image.Image, path: Path) -> Image.Image:
-    """A mask of zeros and ones (out of 255), as programs write truth values, means black and white."""
-    if mask.getextrema() != (0, 1):
-        return mask
-    warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
-    return mask.point(lambda value: 255 * value)

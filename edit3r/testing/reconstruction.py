@@ -146,7 +146,7 @@ class ReconstructorContract(Contract):
         views = self._views(batch=2)
         together = self.reconstruct(views).gaussians
         for item in range(2):
-            alone = self.reconstruct(Views(views.images[item : item + 1], views.intrinsics[item : item + 1])).gaussians
+            alone = self.reconstruct(views.scene(item)).gaussians
             alone, part = _item(alone, 0), _item(together, item)
             fix = "no statistic may be taken across scenes: use LayerNorm or eval-mode BatchNorm, and loop over scenes"
             require_same_gaussians(

@@ -8,7 +8,7 @@ from edit3r.component import KINDS
 from edit3r.config import PartChoice, Settings, make_settings, parse_yaml
 from edit3r.description import settings_lines
 from edit3r.errors import SettingsError
-from edit3r.registry import Registry, install_hint
+from edit3r.registry import Registry
 from edit3r.run_config import DEFAULTS, RunConfig, make_run_config
 
 NOT_IN_FORM = ("prompt", "editor", "reconstructor", "quality", "size")
@@ -114,12 +114,6 @@ def offered(registry: Registry, kind: str) -> dict[str, str]:
             told = "".join(f"; needs {what}" for what, so in needs if so)
             found[offer.component.name] = offer.component.summary + told
     return found
-
-
-def not_installed(registry: Registry, kind: str) -> list[str]:
-    """A sentence for each component that lacks a package."""
-    lacking = [offer for offer in registry.offers(kind) if registry.missing(offer)]
-    return [f"{offer.component.name}: {install_hint(offer)}" for offer in lacking]
 
 
 def _options(annotation: Any) -> tuple[Any, ...]:

@@ -425,8 +425,6 @@ class ScenePage:
                 cls = self.registry.settings_class(self.registry.find(kind, name))
                 ui.label(f"{name}: {offers[name]}").classes("font-medium")
                 self._fields(f"{kind} {name}", forms.form_fields(cls, self.registry))
-        for sentence in forms.not_installed(self.registry, "editor"):
-            _quiet(sentence)
         with ui.expansion("Settings of the run").props("dense"):
             self._fields("run", forms.form_fields(RunConfig, self.registry, forms.NOT_IN_FORM))
 

@@ -4,7 +4,6 @@ The name that the browser tells is a label: what is made of it is never a path. 
 """
 
 import asyncio
-import hashlib
 import os
 import secrets
 import shutil
@@ -13,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from edit3r.errors import Edit3rError, InputError
+from edit3r.io.atomic import sha256_of
 from edit3r.io.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.io.decode import READABLE, decode
 from edit3r.io.images import SUFFIXES, unique_names
@@ -69,10 +69,10 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
         decode(draft)
     except Edit3rError as error:
         raise InputError(str(error).replace(str(draft), _label(name))) from None
-    photos, digest = folder.photos(scene), _digest(draft)
+    photos, digest = folder.photos(scene), sha256_of(draft)
     refuse_unwanted(folder, scene, name, draft.stat().st_size)
     for photo in photos:
-        if photo.stat().st_size == draft.stat().st_size and _digest(photo) == digest:
+        if photo.stat().st_size == draft.stat().st_size and sha256_of(photo) == digest:
             return photo
     stem = unique_names([*(photo.stem for photo in photos), Path(_label(name)).stem])[-1]
     kept = folder.path(scene) / "images" / f"{stem}{Path(_label(name)).suffix.lower()}"
@@ -85,11 +85,6 @@ def remove(folder: JobsFolder, scene: str, index: int) -> None:
     if folder.is_run(scene) or folder.history(scene):
         raise InputError(f"{scene}: edits were made from these photos; begin with new photos to leave one out.")
     folder.photos(scene)[index].unlink()
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.sha256(file.read()).hexdigest()
 
 
 def _label(name: str) -> str:

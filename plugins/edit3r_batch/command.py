@@ -118,11 +118,9 @@ def _run(
 
 def _print_progress(progress: "Progress") -> None:
     """Say what came of a job and how long the others take: on a terminal one line that changes, else a line a job."""
-    row, left = progress.row, progress.seconds_left
+    row = progress.row
     what = f"{NO_RESULT}: {row['failure'][:80]}" if "failure" in row else f"{row['verdict']}, {row['psnr']:.1f} dB"
-    size, unit = (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
-    line = f"  [{progress.done}/{progress.total}] {progress.key}: {what}; about {left / size:.0f} {unit} left"
-    changes = sys.stderr.isatty()
+    line, changes = progress.said(what), sys.stderr.isatty()
     end = "" if changes and progress.done < progress.total else "\n"
     print(f"\r\x1b[K{line}" if changes else line, end=end, file=sys.stderr, flush=True)
 

@@ -28,6 +28,7 @@ class Wish(Settings):
     id: str = Field("", description="name of the job's folder; default: by the number of the line")
     photos: tuple[str, ...] = Field(min_length=1, description="photos, folders or videos")
     cameras: str | None = Field(None, description="file with the photos' cameras")
+    refine_poses: bool = Field(False, description="let the poses of `cameras` move to where the photos want them")
     mask: tuple[str, ...] = Field((), description="masks, one for each photo or for one")
     point: tuple[str, ...] = Field((), description="points on the object, [N:]X,Y")
     not_point: tuple[str, ...] = Field((), description="points on what is not the object")

@@ -80,8 +80,8 @@ class SceneRunner:
                 paths = find_photos([job.path(name) for name in wish.photos], most)
                 config = make_run_config(job.settings)
                 photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks), self.registry)
-                if cameras:
-                    config = with_known_poses(config, photos.views, self.registry)
+                if cameras or wish.refine_poses:
+                    config = with_known_poses(config, photos.views, self.registry, wish.refine_poses)
             result = pipeline.run(photos.views, config, masks=masks, registry=self.registry, report=report)
             results.write(folder, replace(result, records=photos.photos, mask_files=hashes))
         finally:

@@ -156,7 +156,7 @@ def register_editors():
         "GaussCtrl-like depth ControlNet, DDIM inversion, cross-view attention (6 GB)",
         parts=("matcher",),
         licence="Apache-2.0; default weights CreativeML Open RAIL-M",
-        min_views=2,  # to measure depth; one is enough with editor.depth_model
+        min_views=2,  # to measure depth
         citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
         weights=(_STABLE_DIFFUSION, _CONTROLNET),
     )

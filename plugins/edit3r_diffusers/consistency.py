@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.errors import SettingsError
+from edit3r.io.images import to_bytes
 from edit3r.reporting import note
 from edit3r.types import EditRequest, Views
 
@@ -42,19 +43,13 @@ def edit_consistently(mode: Consistency, several: bool, edit: Edit, views: Views
     if mode == "independent" or views.count < 2:
         edited = edit(views, request, ())
     else:
-        scenes = [ways[mode](edit, *_scene(views, request, scene)) for scene in range(len(views.images))]
+        scenes = [ways[mode](edit, views.scene(at), request.of_scene(at)) for at in range(len(views.images))]
         edited = replace(views, images=torch.cat(scenes))
     found = [disagreement(*pair) for pair in zip(views.images, edited.images)]
     measured = [value for value in found if value is not None]
     told = round(float(np.mean(measured)), 4) if measured else f"not measured: fewer than {FEWEST_MATCHES} matches"
     note("editor.consistency", {"mode": mode, "disagreement": told})
     return edited
-
-
-def _scene(views: Views, request: EditRequest, scene: int) -> tuple[Views, EditRequest]:
-    masks = None if request.masks is None else request.masks[scene : scene + 1]
-    one = Views(views.images[scene : scene + 1], views.intrinsics[scene : scene + 1], views.names)
-    return one, replace(request, masks=masks)
 
 
 def _reference_first(edit: Edit, views: Views, request: EditRequest) -> Float[Tensor, "1 view 3 height width"]:
@@ -93,7 +88,7 @@ def disagreement(
     difference over matches, channels and views). None where too few spots are found.
     """
     change = (edited - photos).detach().float().cpu().permute(0, 2, 3, 1).numpy()
-    grey = [cv2.cvtColor(_bytes(photo), cv2.COLOR_RGB2GRAY) for photo in photos]
+    grey = [cv2.cvtColor(to_bytes(photo), cv2.COLOR_RGB2GRAY) for photo in photos]
     smooth = [cv2.blur(np.ascontiguousarray(image), (PATCH, PATCH)) for image in change]
     sift = cv2.SIFT_create()
     points, described = zip(*(sift.detectAndCompute(image, None) for image in grey))
@@ -117,7 +112,3 @@ def _matched(points0, described0, points1, described1) -> Float[np.ndarray, "mat
         return spots
     _, kept = cv2.findFundamentalMat(spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000)
     return spots[kept.ravel().astype(bool)] if kept is not None else spots[:0]
-
-
-def _bytes(image: Float[Tensor, "3 height width"]) -> np.ndarray:
-    return (image.detach().float().cpu().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).contiguous().numpy()

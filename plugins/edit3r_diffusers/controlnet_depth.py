@@ -8,30 +8,33 @@ from dataclasses import replace
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r.cache import remembered
 from edit3r.config import PartChoice
-from edit3r.errors import PromptError
+from edit3r.errors import InputError, PromptError
 from edit3r.interfaces import Editor, Matcher
-from edit3r.io.pretrained import foreign, load_pretrained, pick_device
+from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained, pick_device
+from edit3r.reporting import warn
 from edit3r.types import EditRequest, Views
-from edit3r_diffusers import depth, images, latents, loading
+from edit3r_diffusers import images, latents, loading
 from edit3r_diffusers.attention import look_across_views
 from edit3r_diffusers.loading import DiffusionSettings
+
+FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
 
 
 class ControlNetDepthEditor(Editor):
     """Redraws the photos towards a description (not an instruction), geometry held by depth, views by attention."""
 
+    takes_depth = True
+
     class Settings(DiffusionSettings):
         model: str = Field("stable-diffusion-v1-5/stable-diffusion-v1-5", description="model id, or a saved folder")
         controlnet: str = Field("lllyasviel/control_v11f1p_sd15_depth", description="depth ControlNet for that model")
-        depth_model: str = Field(
-            "", description="network that sees depth in one photo, id or folder; empty: depth measured by the matcher"
-        )
         matcher: PartChoice = Field(PartChoice(name="classical"), description="measures depth from the photos")
         source_prompt: str = Field("", description="what the photos show; guides the inversion")
         guidance: float = Field(7.5, ge=1, le=50, description="how strongly the description is followed")
@@ -45,8 +48,6 @@ class ControlNetDepthEditor(Editor):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
         self._pipeline: Any = None
-        self._depth_model: Any = None
-        self.takes_depth = not settings.depth_model
         self.references = settings.references if settings.cross_view > 0 else 0
 
     @remembered
@@ -62,7 +63,7 @@ class ControlNetDepthEditor(Editor):
             chosen = self.settings
             half = torch.float16
             dtype = loading.pick_dtype(chosen.dtype, pick_device(chosen.device, photos_on, "editor.device"), half)
-            weights = loading.part_weights(chosen.controlnet, "controlnet", chosen)
+            weights = ChosenWeights(chosen.controlnet, "editor.controlnet", local_files_only=chosen.local_files_only)
             controlnet = load_pretrained(foreign("diffusers", "ControlNetModel"), weights, dtype=dtype)
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
             pipeline = loading.load("StableDiffusionControlNetImg2ImgPipeline", chosen, photos_on, half, **parts)
@@ -78,8 +79,7 @@ class ControlNetDepthEditor(Editor):
     ) -> Float[Tensor, "view 3 height width"]:
         photos = views.images[scene]
         size = images.working_size(*photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor)
-        one = Views(views.images[scene : scene + 1], views.intrinsics[scene : scene + 1], views.names)
-        control = depth.control_images(self._disparity(one), size)
+        control = control_images(matched_disparity(self.matcher, views.scene(scene)), size)
         mask = request.masks[scene][:, None] if request.masks is not None else None
         doing = f"editing {len(photos)} views together at {size[1]}x{size[0]}"
         with torch.no_grad(), loading.out_of_memory_told(doing):
@@ -87,15 +87,6 @@ class ControlNetDepthEditor(Editor):
             resized = images.resize(photos.float(), size).to(device, dtype)
             edited = self._denoise(pipeline, resized, control.to(device, dtype), mask, request, doing)
         return images.checked(edited, photos, "the views")
-
-    def _disparity(self, views: Views) -> Float[Tensor, "view h w"]:
-        """Inverse depth of one scene's unedited photos."""
-        if not self.settings.depth_model:
-            return depth.matched_disparity(self.matcher, views)
-        if self._depth_model is None:
-            device = pick_device(self.settings.device, views.images.device, "editor.device")
-            self._depth_model = depth.load_predictor(self.settings.depth_model, self.settings, device)
-        return depth.predicted_disparity(self._depth_model, views.images[0].to(self._depth_model.device))
 
     def _denoise(
         self,
@@ -139,3 +130,24 @@ class ControlNetDepthEditor(Editor):
             ).images
         finally:
             pipeline.unet.set_attn_processor(own_attention)  # the inversion of the next scene looks at each view alone
+
+
+def matched_disparity(matcher: Matcher, views: Views) -> Float[Tensor, "view height width"]:
+    """Take 1 / depth [1 / scene units] of one scene's views from the matcher: one geometry, so views agree."""
+    if views.count < 2:
+        raise InputError(
+            "controlnet-depth measures depth from two or more photos but is to edit one; leave out --edit-views first."
+        )
+    geometry = matcher.match(views)
+    lost = [view for view, found in enumerate(geometry.registered[0].tolist()) if not found]
+    if lost:
+        warn(f"controlnet-depth: views {lost} could not be placed; their depth is filled in, not measured.")
+    return 1 / geometry.depths[0]
+
+
+def control_images(disparity: Float[Tensor, "view h w"], size: tuple[int, int]) -> Float[Tensor, "view 3 height width"]:
+    """Draw grey images in [0, 1] of `size`, near white: disparity stretched between two quantiles of the scene."""
+    values = disparity.double().flatten()
+    far, near = torch.quantile(values[:: max(1, len(values) // 1_000_000)], values.new_tensor([FAR, NEAR]))
+    grey = ((disparity - far) / (near - far).clamp(min=1e-12)).clamp(0, 1).to(disparity.dtype)
+    return F.interpolate(grey[:, None], size, mode="bilinear", antialias=True).expand(-1, 3, -1, -1)

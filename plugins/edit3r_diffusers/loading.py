@@ -99,11 +99,6 @@ def main_weights(settings: DiffusionSettings) -> ChosenWeights:
     return ChosenWeights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
 
 
-def part_weights(model: str, key: str, settings: DiffusionSettings) -> ChosenWeights:
-    """Name the weights of a part beside the main model; `key` is the setting that says which."""
-    return ChosenWeights(model, f"editor.{key}", local_files_only=settings.local_files_only)
-
-
 def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> None:
     """Move a pipeline to the device, or leave the moving to accelerate."""
     if settings.offload != "none" and device.type == "cpu":

@@ -11,8 +11,7 @@ from typing import Any
 from edit3r.errors import SettingsError
 from edit3r.registry import Registry
 from edit3r_measure.bench_item import Method
-from edit3r_measure.bench_page import write_page
-from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_columns, timing, title
+from edit3r_measure.bench_report import CPU, FORMS, Column, mean_of, read_columns, timing, title, write_page
 from edit3r_measure.oracle import ORACLE
 from edit3r_measure.report import format_or_dash, markdown_table, write_text
 

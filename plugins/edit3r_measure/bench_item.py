@@ -4,7 +4,6 @@ What is killed at any moment leaves no result, only images that the next attempt
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from torch import Tensor
 
 import edit3r
@@ -45,7 +44,6 @@ from edit3r_measure.report import make_folder, read_json, write_json
 
 RESULTS = "results.jsonl"
 RUN = "bench-run.json"
-LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
 
 ONE_WORKER = Workers(threads=1)
 
@@ -56,7 +54,11 @@ FAILURES = (MatchingError, PromptError, RunError, PluginError)
 class Method(Settings):
     """One column of the comparison: an editor with a reconstructor, and how they are run."""
 
-    label: str = Field("", description="name of the column and of its folder; default: editor and reconstructor")
+    label: str = Field(
+        "",
+        pattern=r"^([A-Za-z0-9][A-Za-z0-9 ._+-]*)?$",
+        description="name of the column and of its folder; default: editor and reconstructor",
+    )
     editor: PartChoice = Field(description="2D editor; default: 'oracle', the offline stand-in")
     reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
     rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
@@ -73,13 +75,6 @@ class Method(Settings):
         None, description="judge by the edited truth where it is known; default: for the oracle, whose edit it is"
     )
     note: str = Field("", description="what a reader of the table must know about this column")
-
-    @field_validator("label")
-    @classmethod
-    def _usable_as_a_folder(cls, value: str) -> str:
-        if value and not LABEL.fullmatch(value):
-            raise ValueError("must be letters, digits, blanks, dots, dashes, plus signs and underscores")
-        return value
 
     @model_validator(mode="before")
     @classmethod
@@ -153,9 +148,7 @@ class BenchRun:
     metrics: MetricSettings = field(default_factory=MetricSettings)
     scenes: int | None = None  # only the first
     edits: int | None = None  # only the first of each scene
-    types: tuple[str, ...] = ()  # only these
     plugins: tuple[str, ...] = ()  # local plugin files
-    verify: bool = True
     every_error: bool = False  # that a user could cause is a result too
     position: int = 0  # of the method's column in reports
     _built: dict[str, Any] = field(default_factory=dict)
@@ -168,7 +161,7 @@ class BenchRun:
     @cached_property
     def manifest(self) -> Manifest:
         """The part of the manifest that is asked for."""
-        return read_bench_manifest(self.manifest_file).limited(self.scenes, self.edits, self.types)
+        return read_bench_manifest(self.manifest_file).limited(self.scenes, self.edits)
 
     @cached_property
     def networks(self) -> MetricNetworks:
@@ -178,7 +171,7 @@ class BenchRun:
     def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
-        item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
+        item = load_item(self.manifest, record, self.manifest_file.parent, self.registry)
         cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
         failures = (Edit3rError,) if self.every_error else FAILURES
@@ -204,7 +197,7 @@ class BenchRun:
             with report.stage("edit (the renderings)"):
                 images = self._edit_each(item, output.images)
             output = replace(output, images=images, edited=images[: item.inputs])
-        elif self.metrics.order and item.inputs > 2:
+        elif item.inputs > 2:
             # The other inputs come the other way round, with the same 2D edits: the reconstruction alone is asked.
             order = [0, *range(item.inputs - 1, 0, -1)]
             replayed = OracleEditor(output.edited[order], OracleSettings(disagreement=0))
@@ -293,7 +286,6 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
         "method": run.method.model_dump(mode="json"),
         "instruments": run.metrics.model_dump(mode="json"),
         "threads": threads,
-        "verified": run.verify,
     }
     path = make_folder(run.out) / RUN
     if path.is_file():

@@ -156,6 +156,7 @@ def edits_disagree(
     changed pixels of either is not shared, and the view disagrees everywhere. The reference agrees with itself.
     """
     reach = max(1, round(_SPREAD * max(source.shape[-2:])))
+    speck = -(-reach // 5)
     gaps = [torch.zeros_like(source[:, 0, 0])]
     for view in range(1, source.shape[1]):
         before, change = (x[:, [0, view]] for x in (source, edited - source))
@@ -168,7 +169,9 @@ def edits_disagree(
         made, kept = telling & (share > 0.5), telling & (share <= 0.5)
         there = warp(torch.stack((made[:, 0], kept[:, 0]), 1).to(source.dtype), matches.coordinates[:, view]) > 0.5
         opposed = ((there[:, 0] & kept[:, 1]) | (there[:, 1] & made[:, 1])) * matches.inside[:, view]
-        gap = torch.maximum((left[:, 1] / _EXPLAINED - 1).clamp(0, 1), opposed)
+        unexplained = (left[:, 1] / _EXPLAINED - 1).clamp(0, 1)
+        # Thin lines are left out: where an edit ends at white, borders that mix two colours are not what it makes.
+        gap = torch.maximum(dilate(-dilate(-unexplained, speck), speck), opposed)
         gaps.append(torch.where(shared.all(1)[:, None, None], dilate(gap, reach), 1.0))
     return torch.stack(gaps, 1)
 

@@ -5,13 +5,13 @@ import mmap
 import sys
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
 from edit3r.errors import RunError
 from edit3r.interfaces import Backbone
+from edit3r.reporting import available_memory
 
 ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
 
@@ -81,11 +81,7 @@ def available_bytes(device: torch.device) -> int | None:
     """Return the free memory of `device` [bytes], None where the system does not tell."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
-    table = Path("/proc/meminfo")
-    if not table.is_file():
-        return None
-    line = next((x for x in table.read_text().splitlines() if x.startswith("MemAvailable:")), None)
-    return int(line.split()[1]) * 1024 if line else None
+    return available_memory()
 
 
 def check_fits(needed: int, device: torch.device, what: str) -> None:

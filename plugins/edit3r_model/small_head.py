@@ -216,8 +216,12 @@ def fuse_colours(
 ) -> Float[Tensor, "batch view 3 height width"]:
     """Mix the candidates for each pixel's colour; exactly `edited` where it is not `near` a change."""
     shape = source.shape[:2]
-    carried = (source + change_of(decisions.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)).clamp(0, 1)
-    reference = torch.cat((edited[:, :1], (edited - source)[:, :1]), 2).expand(-1, shape[1], -1, -1, -1)
+    change = change_of(decisions.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)
+    # On colours unlike any that the edit met, an affine map goes on for ever: grey beside a green hole would turn pink.
+    made = (edited - source)[:, :1]
+    least, most = made.amin((3, 4), keepdim=True).clamp(max=0), made.amax((3, 4), keepdim=True).clamp(min=0)
+    carried = (source + change.clamp(least, most)).clamp(0, 1)
+    reference = torch.cat((edited[:, :1], made), 2).expand(-1, shape[1], -1, -1, -1)
     warped, change = warp(reference, matches.coordinates).split(3, 2)
     presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
     presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]

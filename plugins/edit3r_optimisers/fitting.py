@@ -10,18 +10,37 @@ from functools import cache, partial
 
 import torch
 from jaxtyping import Float
+from pydantic import Field
 from torch import Tensor
 
+from edit3r.config import Settings
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
 from edit3r.types import Cameras, Gaussians
-from edit3r_optimisers.settings import FitSettings
 
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
+
+
+class FitSettings(Settings):
+    """One fit. Step sizes are those of 3D Gaussian Splatting (Kerbl et al. 2023, section 7 and the
+    authors' released code) unless the description says otherwise; `extent` is a typical distance to the scene."""
+
+    ssim: float = Field(0.2, ge=0, le=1, description="weight of D-SSIM; the rest is the absolute difference")
+    means_rate: float = Field(1.6e-4, ge=0, le=1, description="first step of the centres [extents]")
+    means_rate_end: float = Field(1.6e-6, ge=0, le=1, description="last step of the centres [extents]")
+    colour_rate: float = Field(
+        0.02,
+        ge=0,
+        le=1,
+        description="step of the colours; published 0.0025, for 30000 steps",
+    )
+    opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
+    scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")
+    rotation_rate: float = Field(1e-3, ge=0, le=1, description="step of the quaternions")
 
 
 class TargetImages:

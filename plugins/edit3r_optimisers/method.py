@@ -1,21 +1,38 @@
-"""What the four methods share: one scene at a time, a fit to the photos, edits, and a fit to the edits."""
+"""What the four methods share: one scene at a time, a fit to the photos, edits within the masks, a fit to the edits."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Shaped
+from jaxtyping import Float
+from pydantic import Field
 from torch import Tensor
 
+from edit3r.config import PartChoice
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.reporting import note
-from edit3r.stage_checks import check_reconstruction, errors_named_after
+from edit3r.pipeline import composite
+from edit3r.reporting import note, warn
+from edit3r.stage_checks import check_edit, check_reconstruction, component_name, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r_optimisers.fitting import TargetImages, fit
-from edit3r_optimisers.settings import MethodSettings
+from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
+
+
+class MethodSettings(FitSettings):
+    """A fit of the photos, edits, and a fit of the edits."""
+
+    reconstructor: PartChoice = Field(
+        PartChoice(name="classical", settings={"matcher": "posed"}), description="where the first Gaussians come from"
+    )
+    editor: PartChoice = Field(PartChoice(name="recolor"), description="edits; in a run, the run's own takes its place")
+    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="renders while fitting")
+    prompt: str = Field("", description="what to change; in a run, the run's own takes its place")
+    seed: int = Field(0, ge=0, lt=2**31, description="of the edits, in a run the run's own; and of the order of views")
+    points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
+    steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
+    edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
 
 
 @dataclass(frozen=True)
@@ -51,8 +68,7 @@ class FittingMethod(Reconstructor):
         request = request or EditRequest(self.settings.prompt, self.settings.seed)
         results = []
         for item in range(len(views.images)):
-            asked = replace(request, masks=_item(request.masks, item))
-            results.append(self._reconstruct(Scene(_views_of(photos, item), _views_of(views, item), asked)))
+            results.append(self._reconstruct(Scene(photos.scene(item), views.scene(item), request.of_scene(item))))
         scenes, cameras = zip(*results)
         c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
         gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
@@ -101,11 +117,62 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
 
 
-def _views_of(views: Views, item: int) -> Views:
-    """Return one item of a batch of views, as a batch of one."""
-    fields = {name: _item(getattr(views, name), item) for name in ("images", "intrinsics", "c2w")}
-    return replace(views, **fields)
+@torch.no_grad()
+def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
+    """Edit the views; the answer is held to the editor's contract and confined to the request's masks."""
+    with errors_named_after(editor):
+        answer = editor.edit(views, request)
+    return _confined(editor, views, answer, request)
 
 
-def _item(tensor: Shaped[Tensor, "batch *shape"] | None, item: int) -> Shaped[Tensor, "1 *shape"] | None:
-    return None if tensor is None else tensor[item : item + 1]
+@torch.no_grad()
+def edited_from(
+    editor: Editor,
+    views: Views,
+    start: Float[Tensor, "batch view 3 height width"],
+    request: EditRequest,
+    strength: float,
+) -> Views:
+    """Edit `views`, beginning from the images `start`; `strength` in [0, 1] says how little of them stays.
+
+    An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
+    """
+    if editor.starts_from_images:
+        with errors_named_after(editor):
+            answer = editor.edit_from(views, start, request, strength)
+        return _confined(editor, views, answer, request)
+    warn(
+        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit is mixed with it: "
+        "a stand-in for the partial denoising of the published method."
+    )
+    anew = edited(editor, views, request)
+    mixed = torch.lerp(start.clamp(0, 1), anew.images, strength)
+    return _confined(editor, views, replace(views, images=mixed), request)
+
+
+def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest) -> Views:
+    """Check the editor's answer and keep it inside the request's masks."""
+    check_edit(editor, views, answer)
+    if request.masks is None:
+        return replace(views, images=answer.images)
+    return replace(views, images=composite(views.images, answer.images, request.masks))
+
+
+@torch.no_grad()
+def rendered(gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer) -> Views:
+    """Return the views as the fitted scene shows them."""
+    return replace(photos, images=rasterizer.render(gaussians, cameras).images.clamp(0, 1), c2w=cameras.c2w)
+
+
+@torch.no_grad()
+def depths_of(
+    gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
+) -> tuple[Float[Tensor, "view height width"], Float[Tensor, "view height width"]]:
+    """Return camera z of every pixel of one scene, and its alpha.
+
+    Where a pixel shows nothing, z is the farthest depth of that view.
+    """
+    seen = rasterizer.render(gaussians, cameras)
+    depths, alphas = seen.depths[0, :, 0], seen.alphas[0, :, 0]
+    farthest = depths.amax((1, 2), keepdim=True).clamp(min=1e-6)
+    return torch.where(depths > 0, depths, farthest), alphas

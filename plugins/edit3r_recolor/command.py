@@ -23,7 +23,7 @@ class RecolorCommand(Command):
         add("--out", required=True, metavar="DIR", help="folder for pictures, masks, recolor.json and cameras.json")
         text = "finds and follows the objects (default classical)"
         add("--segmenter", default="classical", metavar="NAME", help=text)
-        text = "the data's own masks instead: a folder per object, or maps of object numbers"
+        text = "the data's own masks instead: a folder per object"
         add("--masks", metavar="DIR", help=text)
         add("--replay", metavar="FILE", help="repeat a recolor.json with the masks beside it")
         add("--augment", action="store_true", help="also write the pictures with an editor's faults")

@@ -1,10 +1,11 @@
 """Recolour an object or the whole image from plain words, the same in every view."""
 
 from dataclasses import asdict, replace
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
-from pydantic import Field, field_validator
+from pydantic import Field
 from torch import Tensor
 
 from edit3r import reporting
@@ -18,15 +19,17 @@ from edit3r_recolor.recoloring import RecolorParameters, RecolorRanges, blend_re
 from edit3r_recolor.regions import choose_region, only_near
 from edit3r_recolor.steps import Sample, apply_step
 
+Share, SomeShare = Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(gt=0, le=1)]
+
 
 class RecolorEditor(Editor):
     """Colour edits without a model: reads the prompt, finds the region, blends softly (section 3.2)."""
 
     class Settings(Settings):
-        point: tuple[float, float] | None = Field(
+        point: tuple[Share, Share] | None = Field(
             None, description="a point [x, y] on the object in the first view, in picture widths and heights"
         )
-        box: tuple[float, float, float, float] | None = Field(
+        box: tuple[Share, Share, SomeShare, SomeShare] | None = Field(
             None, description="a box [x, y, width, height] around the object in the first view, normalised likewise"
         )
         strength: float = Field(1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo")
@@ -34,15 +37,6 @@ class RecolorEditor(Editor):
             RecolorRanges(), description="how strongly a recolouring without a named colour is sampled"
         )
         segmenter: PartChoice = Field(PartChoice(name="auto"), description="finds and follows the object")
-
-        @field_validator("point", "box")
-        @classmethod
-        def _inside_the_image(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
-            if value is not None and not all(0 <= v <= 1 for v in value):
-                raise ValueError("numbers must be in [0, 1], in picture widths and heights")
-            if value is not None and len(value) == 4 and min(value[2:]) <= 0:
-                raise ValueError("width and height must be above 0")
-            return value
 
     def __init__(self, settings: Settings, segmenter: Segmenter) -> None:
         self.settings = settings

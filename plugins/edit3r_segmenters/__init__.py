@@ -66,7 +66,7 @@ def register_segmenters():
     )
     sam2 = Component(
         name="sam2",
-        target="edit3r_segmenters.sam2:Sam2Segmenter",
+        target="edit3r_segmenters.sam:Sam2Segmenter",
         summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights (0.2 to 0.9 GB)",
         requires=("transformers",),
         extra="transformers",
@@ -78,7 +78,7 @@ def register_segmenters():
     )
     sam3 = Component(
         name="sam3",
-        target="edit3r_segmenters.sam3:Sam3Segmenter",
+        target="edit3r_segmenters.sam:Sam3Segmenter",
         summary="SAM3: all that words name without a detector, points, boxes, tracking; gated weights (3.5 GB)",
         requires=("transformers",),
         extra="transformers",

@@ -1,6 +1,6 @@
 """The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else `classical`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxtyping import Float
@@ -44,14 +44,6 @@ class AutoSegmenter(Segmenter):
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         return self.classical.propose(image)
-
-    def segment(
-        self,
-        image: Float[Tensor, "3 height width"],
-        points: Sequence[tuple[float, float]] = (),
-        box: tuple[float, float, float, float] | None = None,
-    ) -> Proposal:
-        return self._picked.segment(image, points, box)
 
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         return self._picked.segment_marks(image, marks)

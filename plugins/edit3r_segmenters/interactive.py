@@ -23,7 +23,6 @@ PART_POWER = 0.7  # weight of how much a candidate is one thing by its colours a
 MOST_AREA = 0.9  # share of the picture above which a region is no object
 SMALLEST = 12  # pixels of a candidate or of a correction
 SEED = 0.5  # share of a click's distance to the outline that surely is as the click says
-MOST_SEED = 6.0  # and at most so many pixels, for clicks that are not in the middle
 
 
 Click = tuple[tuple[int, int], bool]  # row and column, and whether the object is there

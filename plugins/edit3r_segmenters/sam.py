@@ -1,4 +1,4 @@
-"""What SAM2 and SAM3 share: masks of one image by grid, point or box, and tracks through the other views.
+"""SAM2 and SAM3: masks of one image by grid, point, box or words, and tracks through the other views.
 
 transformers' own mask-generation pipeline returns boolean masks and predicted IoU only, dropping stability and
 logits, which the paper's filter and soft blending need; so the grid of the automatic mask generator is here.
@@ -6,7 +6,6 @@ logits, which the paper's filter and soft blending need; so the grid of the auto
 
 import importlib
 from abc import abstractmethod
-from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar
 
@@ -18,13 +17,15 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.cache import fingerprint, remembered
-from edit3r.config import Settings
-from edit3r.errors import InputError, PromptError
-from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.config import PartChoice, Settings
+from edit3r.errors import PromptError
+from edit3r.geometry.cameras import pixel_grid
+from edit3r.interfaces import Detector, Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.io.pretrained import (
     ChosenWeights,
     foreign,
     identity,
+    load_pretrained,
     load_whole_network,
     out_of_memory_told,
     pick_device,
@@ -33,6 +34,7 @@ from edit3r.io.pretrained import (
 from edit3r.reporting import note, progress
 
 STABILITY_OFFSET = 1.0  # logits
+TEXT_LENGTH = 32  # tokens that SAM3's text encoder takes
 MOST_KEPT = 4  # images whose embeddings stay in memory: clicks follow each other on one image
 
 
@@ -85,22 +87,12 @@ class SamSegmenter(Segmenter):
             found = self._candidates(model, self._embed(model, image), size)
             return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
 
-    def segment(
-        self,
-        image: Float[Tensor, "3 height width"],
-        points: Sequence[tuple[float, float]] = (),
-        box: tuple[float, float, float, float] | None = None,
-    ) -> Proposal:
-        return self.segment_marks(image, Marks(tuple(points), box=box))
-
     @remembered
     def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
         points, box, (height, width) = [*marks.positive, *marks.negative], marks.box, image.shape[-2:]
         if box is None and marks.prior is not None:  # where it is expected, as the box around that
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
-        if not marks.positive and box is None:
-            raise InputError("segment: give at least one point or a box that says which object is meant.")
         model = self._model(self.image_class, image.device)
         prompts: dict[str, Tensor] = {}
         if points:
@@ -149,7 +141,8 @@ class SamSegmenter(Segmenter):
         Returns small logits and predicted IoU in [0, 1] of each, best first.
         """
         chosen = self.settings
-        points = point_grid(chosen.points_per_side).to(embeddings[0]) * model.config.prompt_encoder_config.image_size
+        grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=embeddings[0]).flatten(0, 1)
+        points = grid * model.config.prompt_encoder_config.image_size
         found = []
         for some in points.split(chosen.points_per_batch):
             output = model(image_embeddings=embeddings, input_points=some[None, :, None], multimask_output=True)
@@ -221,6 +214,66 @@ class SamSegmenter(Segmenter):
         return Tracks(torch.stack(logits), torch.stack(present))
 
 
+class Sam2Segmenter(SamSegmenter):
+    """SAM2 (Ravi et al. 2024), the paper's segmenter; words become boxes by a detector, and boxes masks."""
+
+    image_class, video_class = "Sam2Model", "Sam2VideoModel"
+    session = "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
+    mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+    threshold_key = "segmenter.detector.box_threshold"
+
+    class Settings(SamSettings):
+        model: str = Field("facebook/sam2.1-hiera-large", description="model id on the hub, or a saved folder")
+        detector: PartChoice = Field(PartChoice(name="grounding-dino"), description="finds what the words name")
+
+    def __init__(self, settings: Settings, detector: Detector) -> None:
+        super().__init__(settings)
+        self.detector = detector
+
+    @remembered
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+        height, width = image.shape[-2:]
+        boxes = [detection.box for detection in self.detector.detect(image, text)]
+        return tuple(self.segment(image, box=(x / width, y / height, w / width, h / height)) for x, y, w, h in boxes)
+
+
+class Sam3Segmenter(SamSegmenter):
+    """SAM3 (Carion et al. 2025): every instance of what a few words name, without a detector.
+
+    Its image processor and its box prompts for concepts need torchvision; neither is used here.
+    """
+
+    image_class, video_class = "Sam3TrackerModel", "Sam3TrackerVideoModel"
+    session = "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:Sam3TrackerVideoInferenceSession"
+    mean = std = (0.5, 0.5, 0.5)
+    threshold_key = "segmenter.min_score"
+
+    class Settings(SamSettings):
+        model: str = Field("facebook/sam3", description="model id on the hub, or a saved folder")
+        min_score: float = Field(0.5, ge=0, le=1, description="least score of what the words name")
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._tokenizer: Any = None
+
+    @remembered
+    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+        if self._tokenizer is None:
+            self._tokenizer = load_pretrained(foreign("transformers", "CLIPTokenizer"), self.weights)
+        model = self._model("Sam3Model", image.device)
+        words = text.strip().lower().removeprefix("the ")  # it was trained on noun phrases such as "yellow school bus"
+        tokens = self._tokenizer(
+            words, return_tensors="pt", padding="max_length", max_length=TEXT_LENGTH, truncation=True
+        ).to(model.device)
+        pixels = self._pixels(image[None].float(), model.config.vision_config.image_size).to(model.device)
+        with torch.no_grad(), self._memory("segmenting"):
+            found = model(pixel_values=pixels, **tokens)
+        scores = found.pred_logits[0].sigmoid() * found.presence_logits[0].sigmoid()
+        best = [index for index in scores.argsort(descending=True).tolist() if scores[index] >= self.settings.min_score]
+        masks = enlarge(found.pred_masks[0, best], tuple(image.shape[-2:])).to(image.device)
+        return tuple(proposal(mask, float(scores[index])) for mask, index in zip(masks, best) if bool((mask > 0).any()))
+
+
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:
     """Make one mask at the photo's size a proposal."""
     inside = logits > 0
@@ -237,17 +290,8 @@ def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:
 
 def boxes_of(inside: Bool[Tensor, "n height width"]) -> Float[Tensor, "n 4"]:
     """Smallest box around each mask: x, y, width, height [pixels]; zeros for an empty one."""
-    (x, width), (y, height) = (_span(inside.any(dim)) for dim in (1, 2))  # columns, rows
-    return torch.stack((x, y, width, height), dim=1).float()
-
-
-def _span(occupied: Bool[Tensor, "n length"]) -> tuple[Tensor, Tensor]:
-    """First occupied index `[n]` and number of indices to the last `[n]`, 0 and 0 when none is."""
-    marks = occupied.int()
-    first = marks.argmax(1)
-    last = marks.shape[1] - 1 - marks.flip(1).argmax(1)
-    some = marks.any(1)
-    return first * some, (last - first + 1) * some
+    boxes = [cv2.boundingRect(mask.byte().numpy(force=True)) for mask in inside]
+    return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
 
 
 def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float) -> list[int]:
@@ -257,13 +301,6 @@ def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap:
     # Scores are raised above its threshold, which drops boxes of score 0 otherwise.
     kept = cv2.dnn.NMSBoxes(boxes.tolist(), (1 + scores).tolist(), score_threshold=0.0, nms_threshold=overlap)
     return [int(index) for index in kept]
-
-
-def point_grid(per_side: int) -> Float[Tensor, "point 2"]:
-    """x, y of the centres of per_side x per_side cells, in [0, 1], row by row."""
-    centres = (torch.arange(per_side) + 0.5) / per_side
-    y, x = torch.meshgrid(centres, centres, indexing="ij")
-    return torch.stack((x, y), dim=-1).flatten(0, 1)
 
 
 def is_present(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from edit3r_editors.mock_diffusion import apply_look, disagreeing, sample_look
+from edit3r_editors.mock_diffusion import with_look
 from edit3r_recolor.api import draw_outline, perturbed, recolored, visible_parameters, with_outline
 from jaxtyping import Float
 from pydantic import Field
@@ -74,9 +74,9 @@ def _edited_one_by_one(
 ) -> Float[Tensor, "view 3 height width"]:
     """What training without recoloring has: images of one scene that a 2D editor edited independently."""
     seeds = rng.integers(2**31, size=len(images) + 1)
-    shared, *own = (sample_look(torch.Generator().manual_seed(int(seed))) for seed in seeds)
-    looks = [disagreeing(shared, look, disagreement) for look in own]
-    return torch.cat([apply_look(image[None], look) for image, look in zip(images, looks)])
+    first, *others = (torch.Generator().manual_seed(int(seed)) for seed in seeds)
+    shared = torch.rand(6, generator=first)
+    return torch.cat([with_look(image[None], shared, own, disagreement) for image, own in zip(images, others)])
 
 
 def _regions(

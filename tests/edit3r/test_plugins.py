@@ -126,13 +126,6 @@ def test_a_helper_that_only_looks_like_a_hook_is_left_alone(installed):
     assert not load_plugins().failures
 
 
-def test_the_time_of_a_slow_declaration_is_measured(installed):
-    installed(slow="import time; time.sleep(0.05)\n" + DECLARATION, quick=DECLARATION)
-    seconds = load_plugins().import_seconds
-    assert seconds["slow"] >= 0.05
-    assert set(seconds) == {"slow", "quick"}
-
-
 def test_a_local_file_loads_only_when_named(installed, tmp_path):
     installed(good=DECLARATION)
     file = tmp_path / "local_thing.py"

@@ -74,6 +74,9 @@ def test_an_edit_that_is_not_one(answer, sentence):
         (gaussians(scales=0 * GOOD.gaussians.scales), "must return scales above 0, got 0"),
         (gaussians(opacities=2 + GOOD.gaussians.opacities), "must return opacities in [0, 1], got 2"),
         (replace(GOOD, cameras=cameras_around(3)), "one camera per view, [1, 2], got [1, 3]"),
+        (replace(GOOD, placed=torch.ones(1, 3, dtype=torch.bool)), "must return placed for each of its views, [1, 2]"),
+        (replace(GOOD, measured=torch.ones(2)), "must return measured for each of its views, [1, 2], got [2]"),
+        (replace(GOOD, fusion=torch.zeros(1, 2, 1, 4, 4)), "must return fusion for each of its views, [1, 2, 3]"),
     ],
 )
 def test_a_reconstruction_that_is_not_one(answer, sentence):

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from edit3r.cli.main import main
 from edit3r.config import PartChoice, Settings
-from edit3r.description import RUN_KINDS, settings_lines, type_in_words, yaml_example
+from edit3r.description import settings_lines, type_in_words, yaml_example
 from edit3r.registry import default_registry
-from edit3r.run_config import make_run_config
+from edit3r.run_config import PART_KEYS, make_run_config
 
 LOCAL = """
 from pydantic import Field
@@ -95,7 +95,7 @@ def test_the_yaml_of_every_component_is_its_defaults(offer):
         pytest.skip(f"needs {', '.join(registry.missing(offer))}")
     settings = registry.settings_class(offer)
     content = yaml.safe_load(yaml_example(offer, settings))
-    if offer.kind in RUN_KINDS:
+    if offer.kind in PART_KEYS:
         make_run_config(content)  # a run accepts it
     if "reconstructor" in content and offer.kind != "reconstructor":
         content = content["reconstructor"]

@@ -1,7 +1,5 @@
 """`edit3r doctor`: everything that is wrong is a finding, never a traceback, and decides the exit code."""
 
-import json
-
 import pytest
 import torch
 
@@ -70,6 +68,13 @@ def test_the_cpu_is_always_a_device():
     assert any(finding.text.startswith("cpu: ") for finding in doctor.devices())
 
 
+def test_the_memory_that_is_free_is_told_where_the_system_tells(monkeypatch):
+    monkeypatch.setattr(doctor, "available_memory", lambda: 3 * 2**30)
+    assert "3.0 GiB of memory free" in next(iter(doctor.devices())).text
+    monkeypatch.setattr(doctor, "available_memory", lambda: None)
+    assert "memory" not in next(iter(doctor.devices())).text
+
+
 def test_failed_plugins_clashes_and_broken_components_are_wrong_a_missing_extra_is_not():
     here = registry(
         offer("rasterizer", "nan"),
@@ -111,5 +116,3 @@ def test_the_exit_code_is_1_only_when_something_is_wrong(ok, code, monkeypatch, 
     monkeypatch.setattr(doctor, "examine", lambda *_: iter([Finding("devices", "some", ok)]))
     assert main(["doctor"]) == code
     assert ("1 wrong." if code else "Everything is in order.") in capsys.readouterr().out
-    assert main(["doctor", "--json"]) == code
-    assert json.loads(capsys.readouterr().out)["wrong"] == code

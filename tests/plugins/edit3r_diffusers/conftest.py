@@ -235,33 +235,6 @@ class TinyModels:
             (folder / "model_index.json").write_text(json.dumps(index))
         return folder
 
-    def depth_anything(self) -> Path:
-        from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation, Dinov2Config
-
-        def make():
-            backbone = Dinov2Config(
-                hidden_size=16,
-                num_hidden_layers=2,
-                num_attention_heads=2,
-                image_size=28,
-                patch_size=14,
-                out_features=["stage1", "stage2"],
-                reshape_hidden_states=False,
-            )
-            config = DepthAnythingConfig(
-                backbone_config=backbone,
-                patch_size=14,
-                reassemble_hidden_size=16,
-                reassemble_factors=[2, 1],
-                neck_hidden_sizes=[8, 8],
-                fusion_hidden_size=8,
-                head_in_index=-1,
-                head_hidden_size=8,
-            )
-            return DepthAnythingForDepthEstimation(config)
-
-        return self._saved("depth-anything", make)
-
     def _saved(self, name: str, make) -> Path:
         folder = self.root / name
         if not folder.is_dir():

@@ -89,11 +89,6 @@ def test_two_scenes_are_edited_apart(build, two_views):
     assert torch.allclose(images[:1], build().edit(two_views, ASK).images, atol=1e-5)
 
 
-def test_one_view_without_a_depth_model_is_refused_with_the_way_out(build, two_views):
-    with pytest.raises(InputError, match=r"editor\.depth_model"):
+def test_one_view_is_refused_with_the_way_out(build, two_views):
+    with pytest.raises(InputError, match="leave out --edit-views first"):
         build().edit(two_views.select([0]), ASK)
-
-
-def test_depth_can_come_from_a_monocular_network(build, tiny, edited, two_views):
-    images = build(depth_model=str(tiny.depth_anything())).edit(two_views.select([0]), ASK).images
-    assert images.shape == (1, 1, 3, 32, 32) and not torch.equal(images[:, 0], edited[:, 0])

@@ -1,5 +1,6 @@
 import pytest
 import torch
+import torch.nn.functional as F
 from edit3r_model.edit_colour import change_of, edits_conflict, edits_disagree, fit_colour_maps
 
 from edit3r.geometry.cameras import pixel_grid
@@ -141,6 +142,17 @@ def test_nothing_gives_way_where_the_reference_does_not_show_the_place():
 
 def test_a_steep_curve_is_one_function_of_colour_too():
     assert not edits_disagree(PAIR**0.55, PAIR, SAME_PLACE).any()
+
+
+def test_borders_that_mix_two_colours_of_an_edit_that_ends_at_white_are_no_disagreement():
+    """Shrunk after the edit, a roof before the sky has pixels of both, and white is not twice the sky."""
+    shown = torch.linspace(0.4, 0.8, 96).expand(1, 2, 3, 96, 96).clone()
+    shown *= torch.tensor([0.7, 0.8, 1.0])[:, None, None]
+    shown[..., 31:, :] *= 0.2
+    small, edited = (F.interpolate(x[0], (64, 64), mode="area")[None] for x in (shown, (2 * shown).clamp(max=1)))
+    places = pixel_grid((64, 64), small).expand(1, 2, -1, -1, -1)
+    same = Correspondences(places, torch.ones(1, 2, 64, 64), torch.zeros(1, 2, 64, 64))
+    assert not edits_disagree(edited, small, same).any()
 
 
 def test_scenes_of_a_batch_do_not_mix():

@@ -1,8 +1,10 @@
 import torch
 from edit3r_model.edit_fusion import EditTransport
 from edit3r_model.small_backbone import convex_upsample
+from edit3r_model.small_head import Decisions, fuse_colours
 
 from edit3r.geometry.cameras import pixel_grid
+from edit3r.geometry.warping import Correspondences
 
 ROWS, COLUMNS, WIDTH = 6, 8, 16
 
@@ -74,3 +76,23 @@ def test_convex_upsampling_stays_between_neighbours_and_picks_the_one_it_is_told
     logits[:, 16:20] = 50.0  # the centre neighbour for all four fine pixels
     nearest = torch.nn.functional.interpolate(values, scale_factor=2, mode="nearest")
     assert torch.allclose(convex_upsample(values, logits), nearest)
+
+
+def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
+    """A dark hole was painted green, the darker the more. Bright bark beside it must not turn pink."""
+    source = torch.full((1, 2, 3, 4, 4), 0.7)
+    source[:, 0] = torch.linspace(0, 0.1, 16).reshape(4, 4)
+    edited = source.clone()
+    edited[:, 0, 1] += 0.6 - 2 * source[:, 0, 1]
+    maps = torch.zeros(1, 2, 12, 4, 4)
+    maps[:, 1, 4], maps[:, 1, 10] = -2, 0.6  # the same function of green: 0.6 - 2 * 0.7 = -0.8 on the bark
+    choice = torch.zeros(1, 2, 3, 4, 4)
+    choice[:, 1, 1] = 1
+    none = torch.zeros(1, 2, 4, 4)
+    decisions = Decisions(none, none, none, none, maps, choice)
+    places = pixel_grid((4, 4), source).expand(1, 2, -1, -1, -1)
+    fused = fuse_colours(edited, source, decisions, Correspondences(places, none, none), torch.ones_like(none))
+    assert torch.equal(fused[:, 1], source[:, 1])
+    dark = torch.cat((source[:, :1], source[:, :1]), 1)
+    fused = fuse_colours(edited, dark, decisions, Correspondences(places, none, none), torch.ones_like(none))
+    assert torch.allclose(fused[:, 1], edited[:, 0], atol=1e-6)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from edit3r_optimisers.fitting import (
+    FitSettings,
     TargetImages,
     TrainableGaussians,
     fit,
@@ -12,7 +13,6 @@ from edit3r_optimisers.fitting import (
     structural_similarity,
     view_at,
 )
-from edit3r_optimisers.settings import FitSettings
 from skimage.metrics import structural_similarity as reference
 
 from edit3r.testing import gaussian_cloud

@@ -84,20 +84,6 @@ def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_fi
     assert _files(first) == _files(second)
 
 
-def test_label_maps_are_masks_too(scene, tmp_path):
-    maps = tmp_path / "labels"
-    maps.mkdir()
-    for name in NAMES:
-        labels = (_pixels(tmp_path / "masks" / "1" / f"{name}.png") > 0) * np.uint8(7)
-        Image.fromarray(labels).save(maps / f"{name}.png")
-    assert _run(scene, tmp_path / "a", "--masks", maps) == 0
-    assert _run(scene, tmp_path / "b", "--masks", tmp_path / "masks") == 0
-    for name in NAMES:
-        assert np.array_equal(
-            _pixels(tmp_path / "a/images" / f"{name}.png"), _pixels(tmp_path / "b/images" / f"{name}.png")
-        )
-
-
 def test_earlier_results_are_replaced_only_when_asked(scene, tmp_path, capsys):
     out, masks = tmp_path / "out", tmp_path / "masks"
     assert _run(scene, out, "--masks", masks) == 0

@@ -8,6 +8,7 @@ import torch
 from edit3r_segmenters.classical import _analyse
 from edit3r_segmenters.interactive import Glimpse, Picture, find
 
+from edit3r.errors import InputError
 from edit3r.interfaces import Marks
 from edit3r.io.images import load_views, packaged_pair
 from edit3r.registry import build
@@ -86,7 +87,7 @@ def test_a_box_gives_the_object_in_it(mask):
 
 
 def test_a_point_or_a_box_is_needed():
-    with pytest.raises(ValueError, match="at least one point or a box"):
+    with pytest.raises(InputError, match="at least one point or a box"):
         SEGMENTER.segment(PICTURE)
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from edit3r_segmenters import sam
-from edit3r_segmenters.sam import is_present, point_grid
+from edit3r_segmenters.sam import is_present
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError, PromptError, RunError
@@ -22,10 +22,6 @@ class Boxes(Detector):
     def detect(self, image, text):
         self.asked.append(text)
         return tuple(Detection(text, 0.9, box) for box in self.boxes)
-
-
-def test_the_grid_has_the_centres_of_its_cells_row_by_row():
-    assert point_grid(2).tolist() == [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]]
 
 
 def test_proposals_have_consistent_fields_best_first(build_sam2, photo):

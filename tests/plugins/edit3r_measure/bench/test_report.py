@@ -5,8 +5,7 @@ import json
 import pytest
 from edit3r_measure.bench_item import BenchRun, Method, run_bench
 from edit3r_measure.bench_metrics import MetricSettings
-from edit3r_measure.bench_page import write_page, write_report
-from edit3r_measure.bench_report import mean_of, read_columns
+from edit3r_measure.bench_report import mean_of, read_columns, write_page, write_report
 
 from edit3r.errors import InputError
 
