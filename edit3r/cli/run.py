@@ -93,7 +93,7 @@ class RunCommand(Command):
             images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
             found = None if continued else find_photos(images, max(USUAL_FRAMES, args.views or 0))
             paths = found or [Path(record.file) for record in continued.records]
-            config = _config(args, len(paths), earlier)
+            config = _config(args, earlier)
             registry = default_registry(tuple(args.plugin))
             check_names(registry, config)
         with collecting(report), report.stage("read photos"):
@@ -171,18 +171,17 @@ def _masks_or_marks(
     args: argparse.Namespace, files: list[str], photos: "LoadedPhotos", config: RunConfig
 ) -> "Tensor | Selection | None":
     """Masks of all photos, or what is marked on some of them; the packaged pair brings a mask of its own subject."""
-    from edit3r.io.masks import load_masks, read_mask
+    from edit3r.io.masks import load_masks
     from edit3r.reporting import note
-    from edit3r.selection import Selection
 
     if files and len(files) == len(photos.photos):
         return load_masks(files, photos)
     marked = selection_from(args, photos)
     usual = not args.images and not args.earlier and config.editor.name == DEFAULTS["editor"]
     if marked is None and usual and DEFAULTS["subject"] in config.prompt.lower():
-        note("selection.mask", "the packaged pair brings a mask of its " + DEFAULTS["subject"])
-        own = Path(__file__).parents[1] / "io" / "motorcycle_mask.png"
-        return Selection(masks={0: read_mask(own, photos.photos[0].frame)})
+        note("selection.mask", "the packaged pair brings masks of its " + DEFAULTS["subject"])
+        own = [str(Path(__file__).parents[1] / "io" / f"motorcycle_mask{side}.png") for side in ("", "_right")]
+        return load_masks(own, photos)
     return marked
 
 
@@ -215,7 +214,7 @@ def _flag_form(field: FieldInfo) -> dict[str, Any]:
     return {"metavar": "TEXT"}
 
 
-def _config(args: argparse.Namespace, photos: int, earlier: "EarlierRun | None" = None) -> RunConfig:
+def _config(args: argparse.Namespace, earlier: "EarlierRun | None" = None) -> RunConfig:
     """Merge what the earlier run hands down, the configuration file, `--set`, and the flags, later over earlier."""
     from edit3r.config import find_config, parse_assignments, read_yaml
 
@@ -230,7 +229,7 @@ def _config(args: argparse.Namespace, photos: int, earlier: "EarlierRun | None" 
         layers.insert(0, _inherited(earlier, layers))
     elif not args.images and not any("prompt" in layer for layer in layers):
         layers.insert(0, {"prompt": DEFAULTS["prompt"]})
-    return make_run_config(*layers, photos=photos)
+    return make_run_config(*layers)
 
 
 def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str, Any]:
@@ -239,7 +238,7 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
     named = [choice.get("name") if isinstance(choice, dict) else choice for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
-    wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
+    wished = any("quality" in layer for layer in layers)
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 

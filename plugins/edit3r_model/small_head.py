@@ -201,7 +201,7 @@ def assemble(
     floating = contradicted(geometry, source.intrinsics)
     logits = math.log(settings.opacity / (1 - settings.opacity)) + fine.opacity_correction
     colours, yielding = edited, 1.0
-    if settings.fuse_edits:
+    if settings.fuse_edits and not torch.equal(edited, images):
         near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
         near = near * edits_disagree(*picked, matches)
         colours = fuse_colours(edited, images, fine, matches, near)
