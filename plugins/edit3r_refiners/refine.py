@@ -35,9 +35,7 @@ class RefineSettings(Settings):
     opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
     scale: float = Field(0.18, ge=0, le=1, description="step of the scales' logarithms")
     centre: float = Field(0.09, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
-    held_back: float = Field(
-        0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state"
-    )
+    held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state")
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
