@@ -23,7 +23,7 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (0.8, 0.99), 1e-8  # of Adam: few steps must do
+BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
 CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
 MORE_STEPS = 16  # most steps for each view beyond two
 SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
@@ -34,11 +34,9 @@ class RefineSettings(Settings):
 
     colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
     opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
-    scale: float = Field(0.18, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.09, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
-    held_back: float = Field(
-        0.1, gt=0, lt=1, description="share of pixels out of the loss, to know the best state"
-    )
+    scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.15, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state")
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
