@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
 
 from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer, Refiner
@@ -22,7 +23,7 @@ from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (0.8, 0.99), 1e-8  # of Adam: few steps must do
+BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
 CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
 MORE_STEPS = 16  # most steps for each view beyond two
 SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
@@ -33,8 +34,8 @@ class RefineSettings(Settings):
 
     colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
     opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
-    scale: float = Field(0.18, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.09, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
+    scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
+    centre: float = Field(0.15, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
     held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state")
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
@@ -82,13 +83,11 @@ def refine(
         image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
             shown = rasterizer.render(variables.gaussians(), cameras.select(view)).images
-        difference = shown.detach() - image
-        errors.append(float(difference.movedim(2, -1)[out].square().mean()))
-        # The gradient of Huber's loss by the image, which torch would find in five passes over it.
-        slope = difference.div_(SQUARED_BELOW).clamp_(-1, 1).mul_(~out[:, :, None]).div_(difference.numel())
+            loss = (smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(2) * ~out).mean()
+        errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
         # Each view pulls the others' surfaces to itself: shorter steps in the end settle between them.
         past = (step / steps - CALM) / (1 - CALM)
-        variables.step(shown, slope, 1 - (1 - LAST_SHARE) * max(0.0, past))
+        variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
         if len(errors) % cameras.count == 0 or step == steps - 1:
             rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
@@ -187,9 +186,8 @@ class _Variables:
             harmonics=self.values["colour"],
         )
 
-    def step(self, shown: Tensor, slope: Tensor, length: float) -> None:
-        """One step by what the image `shown` should change by, its `slope`."""
-        self.optimizer.step(torch.autograd.grad(shown, list(self.values.values()), slope), length)
+    def step(self, loss: Float[Tensor, ""], length: float) -> None:
+        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())), length)
 
 
 def _held_back(
