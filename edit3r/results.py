@@ -23,7 +23,7 @@ from edit3r.io.export import FORMATS, export_scene
 from edit3r.io.images import Pixels, save_pixels, to_bytes
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.run_folder import PluginRecord, RunFolder, RunManifest, WeightsRecord, write_manifest
-from edit3r.io.sheet import draw_before_after
+from edit3r.io.sheet import draw_sheet
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.rendering import path_around, render_one
@@ -146,7 +146,8 @@ def _sheet(result: "RunResult") -> Image.Image:
     if result.left_out is not None:
         subtitle += f"; left out: {', '.join(result.left_out.names)}"
     title = result.request.prompt or "no prompt"
-    return draw_before_after(*_pictures(result), names=result.photos.names, title=title, subtitle=subtitle)
+    columns = dict(zip(("photo", "2D edit", "3D result"), _pictures(result)))
+    return draw_sheet(columns, names=result.photos.names, title=title, subtitle=subtitle)
 
 
 def _manifest(result: "RunResult") -> RunManifest:

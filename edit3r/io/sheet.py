@@ -1,9 +1,8 @@
-"""The before/after sheet: per view the photo, its 2D edit and the 3D result, with captions and the prompt."""
+"""A sheet to look at: of each view its images side by side, such as photo, 2D edit and 3D result, with captions."""
 
 import math
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
@@ -11,102 +10,77 @@ from torch import Tensor
 
 from edit3r.io.images import to_bytes
 
-__all__ = ["COLUMNS", "draw_before_after"]
-
-COLUMNS = ("photo", "2D edit", "3D result")
+__all__ = ["draw_sheet"]
 
 _PAPER, _INK, _FAINT, _RULE = (250, 249, 247), (28, 28, 30), (122, 120, 116), (222, 219, 213)
 _TITLE, _CAPTION = 26, 17  # text sizes [pixels]
-_MARGIN, _GAP, _BLOCK_GAP = 32, 8, 28
+_MARGIN, _GAP, _BLOCK_GAP, _BELOW = 32, 8, 28, 45  # _BELOW: from an image to the next one below it, caption included
 _LONGEST_CELL = 512  # [pixels]; images are reduced to this and enlarged to half of it
 _LARGEST_SHEET = 2600  # [pixels] in either direction; cells shrink for many views
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Where the views lie; all sizes are (width, height) [pixels]."""
-
-    cell: tuple[int, int]  # of every image
-    across: int  # views beside each other
-    down: int  # views below each other
-
-    @property
-    def block(self) -> tuple[int, int]:
-        """Size of one view with its caption."""
-        return len(COLUMNS) * (self.cell[0] + _GAP) - _GAP, self.cell[1] + _CAPTION + 12
-
-    @property
-    def body(self) -> tuple[int, int]:
-        """Size of all views."""
-        return self.across * (self.block[0] + _BLOCK_GAP) - _BLOCK_GAP, self.down * (
-            self.block[1] + 2 * _GAP
-        ) - 2 * _GAP
-
-    def corner(self, view: int) -> tuple[int, int]:
-        """Place of a view's first pixel."""
-        row, column = divmod(view, self.across)
-        return column * (self.block[0] + _BLOCK_GAP), row * (self.block[1] + 2 * _GAP)
-
-
-def draw_before_after(
-    photos: Float[Tensor, "view 3 height width"],
-    edited: Float[Tensor, "view 3 height width"],
-    rendered: Float[Tensor, "view 3 height width"],
+def draw_sheet(
+    columns: Mapping[str, Float[Tensor, "view 3 height width"]],
     *,
     names: Sequence[str] = (),
     title: str = "",
     subtitle: str = "",
 ) -> Image.Image:
-    """The sheet as an image: one block a view, blocks arranged so that the sheet is nearest to 3:2.
-
-    `title` is usually the prompt, `subtitle` names editor and reconstructor.
-    """
-    views = len(photos)
-    if not views or any(len(images) != views for images in (edited, rendered)):
-        raise ValueError(f"the sheet needs as many edits and results as photos, got {len(edited)}, {len(rendered)}")
-    names = names or [f"view {index}" for index in range(views)]
-    layout = _layout(views, photos.shape[-2:])
-    width = max(layout.body[0], 3 * _LONGEST_CELL // 2) + 2 * _MARGIN
+    """Draw images of the same views by caption: one block a view, arranged so that the sheet is nearest to 3:2."""
+    images = list(columns.values())
+    views = len(images[0])
+    if not views or any(len(others) != views for others in images):
+        raise ValueError(f"a sheet needs as many images of each kind as views, got {[len(i) for i in images]}")
+    cell, across = _arranged(views, len(columns), images[0].shape[-2:])
+    body = _extent(views, len(columns), cell, across)
+    width = max(body[0], 3 * _LONGEST_CELL // 2) + 2 * _MARGIN
     lines = [(line, _INK, _TITLE, 8) for line in _wrap(title, _TITLE, width - 2 * _MARGIN)]
     lines += [(line, _FAINT, _CAPTION, 7) for line in _wrap(subtitle, _CAPTION, width - 2 * _MARGIN)]
     top = _MARGIN + sum(size + gap for _, _, size, gap in lines) + (18 if lines else 0)
-    sheet = Image.new("RGB", (width, top + layout.body[1] + _MARGIN), _PAPER)
+    sheet = Image.new("RGB", (width, top + body[1] + _MARGIN), _PAPER)
     draw, below = ImageDraw.Draw(sheet), _MARGIN - 6
     for line, colour, size, gap in lines:
         draw.text((_MARGIN, below), line, colour, _font(size))
         below += size + gap
     if lines:
         draw.line([(_MARGIN, top - 12), (width - _MARGIN, top - 12)], _RULE)
-    indent = (width - layout.body[0]) // 2
-    for index in range(views):
-        x, y = layout.corner(index)
-        _draw_view(
-            sheet, (indent + x, top + y), layout.cell, names[index], [i[index] for i in (photos, edited, rendered)]
-        )
+    block = _extent(1, len(columns), cell, 1)[0] + _BLOCK_GAP
+    for view in range(views):
+        row, place = divmod(view, across)
+        corner = ((width - body[0]) // 2 + place * block, top + row * (cell[1] + _BELOW))
+        captions = {caption: each[view] for caption, each in columns.items()}
+        _draw_view(sheet, corner, cell, names[view] if names else f"view {view}", captions)
     return sheet
 
 
-def _layout(views: int, image_size: tuple[int, int]) -> _Layout:
+def _extent(views: int, columns: int, cell: tuple[int, int], across: int) -> tuple[int, int]:
+    """(width, height) of all views, `across` of them beside each other [pixels]."""
+    block = columns * (cell[0] + _GAP) - _GAP
+    return across * (block + _BLOCK_GAP) - _BLOCK_GAP, math.ceil(views / across) * (cell[1] + _BELOW) - 2 * _GAP
+
+
+def _arranged(views: int, columns: int, image_size: tuple[int, int]) -> tuple[tuple[int, int], int]:
+    """(width, height) of each image [pixels], and how many views stand beside each other."""
     height, width = image_size
     # Small images are enlarged to half a cell, so that captions fit and pixels can be seen.
     scale = min(_LONGEST_CELL, max(_LONGEST_CELL // 2, max(height, width))) / max(height, width)
     cell = (max(16, round(width * scale)), max(16, round(height * scale)))
-    candidates = [_Layout(cell, across, math.ceil(views / across)) for across in range(1, views + 1)]
-    best = min(candidates, key=lambda layout: abs(math.log(layout.body[0] / layout.body[1] / 1.5)))
-    shrink = min(1.0, _LARGEST_SHEET / max(best.body))
-    return _Layout(tuple(max(16, int(side * shrink)) for side in cell), best.across, best.down)
+    extents = {across: _extent(views, columns, cell, across) for across in range(1, views + 1)}
+    across = min(extents, key=lambda across: abs(math.log(extents[across][0] / extents[across][1] / 1.5)))
+    shrink = min(1.0, _LARGEST_SHEET / max(extents[across]))
+    return (max(16, int(cell[0] * shrink)), max(16, int(cell[1] * shrink))), across
 
 
 def _draw_view(
-    sheet: Image.Image, corner: tuple[int, int], cell: tuple[int, int], name: str, images: Sequence[Tensor]
+    sheet: Image.Image, corner: tuple[int, int], cell: tuple[int, int], name: str, images: Mapping[str, Tensor]
 ) -> None:
-    """Draw the images of one view beside each other, each with its caption; the photo's name beside the first."""
+    """Draw the images of one view beside each other, each with its caption; the view's name beside the first."""
     draw, font, (x, y) = ImageDraw.Draw(sheet), _font(_CAPTION), corner
-    for label, image in zip(COLUMNS, images):
+    for caption, image in images.items():
         sheet.paste(Image.fromarray(to_bytes(image)).resize(cell, Image.Resampling.LANCZOS), (x, y))
-        draw.text((x, y + cell[1] + 4), label, _INK, font)
+        draw.text((x, y + cell[1] + 4), caption, _INK, font)
         x += cell[0] + _GAP
-    indent = draw.textlength(f"{COLUMNS[0]}   ", font)
+    indent = draw.textlength(f"{next(iter(images))}   ", font)
     if (room := _columns(name, _CAPTION, cell[0] - indent)) > 2:
         shown = name if len(name) <= room else f"{name[: room - 1]}…"
         draw.text((corner[0] + indent, y + cell[1] + 4), shown, _FAINT, font)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.command import Command
 from edit3r.config import find_config, make_settings, merge, parse_assignments, read_yaml
-from edit3r.errors import SettingsError, suggest
+from edit3r.errors import SettingsError
 from edit3r_measure.report import check_least
 
 if TYPE_CHECKING:
@@ -144,16 +144,13 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=example)
     add("--scenes", type=int, metavar="N", help="only the first N scenes")
     add("--edits", type=int, metavar="N", help="only the first N edits of each scene")
-    add("--types", metavar="A,B", help="only edits of these types: Add, Remove, Modify, Global")
     add("--workers", type=int, default=1, metavar="N", help="processes (default 1); the results are the same")
     add("--ray", action="store_true", help="spread the workers with Ray instead, here or over RAY_ADDRESS")
     add("--threads", type=int, default=1, metavar="N", help="threads of each worker (default 1)")
     add("--clip", default="", metavar="MODEL", help="measure CLIP t2i and direction with this model or folder")
     add("--inception", default="", metavar="FILE", help="measure C-FID and C-KID with inception-2015-12-05.pt")
     add("--lpips", action="store_true", help="measure LPIPS against the truth (extra lpips)")
-    add("--no-order", action="store_true", help="do not reconstruct again with the inputs in another order")
     add("--no-effnet", action="store_true", help="leave out what EfficientNet's features measure")
-    add("--no-verify", action="store_true", help="accept pictures that differ from the manifest's hashes")
     _add_common(parser)
 
 
@@ -170,20 +167,16 @@ def _run_methods(
     """Take each method through the manifest, into a folder of its own inside `--out` or into the `whole_folder`."""
     from edit3r.workers import Workers
     from edit3r_measure.bench_item import BenchRun, run_bench
-    from edit3r_measure.bench_manifest import EDIT_TYPES
     from edit3r_measure.bench_metrics import MetricSettings
 
     check_least(args, workers=1, threads=1, scenes=1, edits=1)
-    types = tuple(args.types.split(",")) if args.types else ()
-    if set(types) - set(EDIT_TYPES):
-        raise SettingsError(f"--types {args.types}: expected some of {', '.join(EDIT_TYPES)}.")
     networks = {"effnet": not args.no_effnet, "inception": args.inception, "clip": args.clip, "lpips": args.lpips}
-    metrics = MetricSettings(**networks, order=not args.no_order)
+    metrics = MetricSettings(**networks)
     workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads)
     out = Path(args.out)
     for position, method in methods:
-        part = {"scenes": args.scenes, "edits": args.edits, "types": types, "plugins": tuple(args.plugin)}
-        how = {"verify": not args.no_verify, "every_error": every_error, "position": position}
+        part = {"scenes": args.scenes, "edits": args.edits, "plugins": tuple(args.plugin)}
+        how = {"every_error": every_error, "position": position}
         place = out if whole_folder else out / method.label
         run = BenchRun(Path(args.manifest), method, place, metrics, **part, **how)
         results = run_bench(run, workers, (lambda _: None) if args.quiet else partial(_print_progress, method.label))
@@ -254,7 +247,6 @@ def _declare_report(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("folders", nargs="+", metavar="DIR", help="folders of edit3r bench run, or folders of such")
     add("--out", metavar="DIR", help="folder for the report (default: report/ in the first folder)")
-    add("--first", metavar="LABEL", help="the method that the others are compared with (default: the first found)")
     add("--pictures", type=int, default=20, metavar="N", help="most edits shown with pictures (default 20)")
     add("--quiet", action="store_true", help="print errors only")
 
@@ -265,11 +257,6 @@ def _report(args: argparse.Namespace) -> int:
     from edit3r_measure.bench_report import read_columns, write_report
 
     columns = read_columns(map(Path, args.folders))
-    labels = [column.label for column in columns]
-    if args.first:
-        if args.first not in labels:
-            raise SettingsError(f"--first {args.first}: no such method.{suggest(args.first, labels)}")
-        columns.sort(key=lambda column: column.label != args.first)
     out = Path(args.out) if args.out else Path(args.folders[0]) / "report"
     with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)):
         table = write_report(columns, out, args.pictures)

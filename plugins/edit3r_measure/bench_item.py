@@ -148,9 +148,7 @@ class BenchRun:
     metrics: MetricSettings = field(default_factory=MetricSettings)
     scenes: int | None = None  # only the first
     edits: int | None = None  # only the first of each scene
-    types: tuple[str, ...] = ()  # only these
     plugins: tuple[str, ...] = ()  # local plugin files
-    verify: bool = True
     every_error: bool = False  # that a user could cause is a result too
     position: int = 0  # of the method's column in reports
     _built: dict[str, Any] = field(default_factory=dict)
@@ -163,7 +161,7 @@ class BenchRun:
     @cached_property
     def manifest(self) -> Manifest:
         """The part of the manifest that is asked for."""
-        return read_bench_manifest(self.manifest_file).limited(self.scenes, self.edits, self.types)
+        return read_bench_manifest(self.manifest_file).limited(self.scenes, self.edits)
 
     @cached_property
     def networks(self) -> MetricNetworks:
@@ -173,7 +171,7 @@ class BenchRun:
     def __call__(self, record: ItemRecord) -> dict[str, Any]:
         """Do one item; a failure of the method is a result, with its sentence."""
         networks = self.networks  # first of all: what is missing shall not be told after minutes
-        item = load_item(self.manifest, record, self.manifest_file.parent, self.registry, self.verify)
+        item = load_item(self.manifest, record, self.manifest_file.parent, self.registry)
         cold = self._built.setdefault("first item", record.id) == record.id
         named, report = (record.id, record.scene, record.type), Report()
         failures = (Edit3rError,) if self.every_error else FAILURES
@@ -199,7 +197,7 @@ class BenchRun:
             with report.stage("edit (the renderings)"):
                 images = self._edit_each(item, output.images)
             output = replace(output, images=images, edited=images[: item.inputs])
-        elif self.metrics.order and item.inputs > 2:
+        elif item.inputs > 2:
             # The other inputs come the other way round, with the same 2D edits: the reconstruction alone is asked.
             order = [0, *range(item.inputs - 1, 0, -1)]
             replayed = OracleEditor(output.edited[order], OracleSettings(disagreement=0))
@@ -288,7 +286,6 @@ def _claim_folder(run: BenchRun, threads: int | None) -> None:
         "method": run.method.model_dump(mode="json"),
         "instruments": run.metrics.model_dump(mode="json"),
         "threads": threads,
-        "verified": run.verify,
     }
     path = make_folder(run.out) / RUN
     if path.is_file():

@@ -94,11 +94,10 @@ class Manifest(Settings):
     made_with: dict[str, str] = Field(default_factory=installed_versions, description="versions of packages")
     notes: dict[str, Any] = Field(default_factory=dict, description="how it was built: detectors, prompts, rejections")
 
-    def limited(self, scenes: int | None, edits: int | None, types: tuple[str, ...] = ()) -> "Manifest":
-        """Return the first `scenes` scenes with the first `edits` edits of each (of these `types`); None: all."""
+    def limited(self, scenes: int | None, edits: int | None) -> "Manifest":
+        """Return the first `scenes` scenes with the first `edits` edits of each; None: all."""
         kept = self.scenes[:scenes]
-        wanted = [item for item in self.items if not types or item.type in types]
-        own = [[item for item in wanted if item.scene == scene.id][:edits] for scene in kept]
+        own = [[item for item in self.items if item.scene == scene.id][:edits] for scene in kept]
         return self.model_copy(update={"scenes": kept, "items": tuple(item for items in own for item in items)})
 
     @property
@@ -172,12 +171,12 @@ class LoadedItem:
         return self.photos.select(range(self.inputs))
 
 
-def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Registry, verify: bool = True) -> LoadedItem:
+def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Registry) -> LoadedItem:
     """Load `item`; `root` is the manifest's folder. Raises InputError when images are not those of the manifest."""
     if item.sample is not None:
-        return _generated(item, item.sample, registry, verify)
+        return _generated(item, item.sample, registry)
     scene = next(scene for scene in manifest.scenes if scene.id == item.scene)
-    return _photographed(scene, item, root, manifest.image_size, verify)
+    return _photographed(scene, item, root, manifest.image_size)
 
 
 def load_sample(record: SampleRecord, registry: Registry) -> SceneSample:
@@ -213,12 +212,12 @@ def change_masks(
     return dilate(changed, max(1, round(MARGIN * photos.shape[-1])))
 
 
-def _generated(item: ItemRecord, record: SampleRecord, registry: Registry, verify: bool) -> LoadedItem:
+def _generated(item: ItemRecord, record: SampleRecord, registry: Registry) -> LoadedItem:
     sample = load_sample(record, registry)
-    if verify and hash_of_sample(sample) != record.sha256:
+    if hash_of_sample(sample) != record.sha256:
         raise InputError(
             f"{item.id}: the scene that {record.dataset!r} makes here is not the manifest's (its pictures differ); "
-            "install the versions under 'made_with', or accept other pictures with --no-verify."
+            "install the versions under 'made_with'."
         )
     order = [*item.inputs, *item.held_back]
     if max(order) >= len(sample.context):
@@ -236,12 +235,12 @@ def _generated(item: ItemRecord, record: SampleRecord, registry: Registry, verif
     )
 
 
-def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int, verify: bool) -> LoadedItem:
+def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int) -> LoadedItem:
     order = [*item.inputs, *item.held_back]
     frames = [scene.frames[index] for index in order]
     folder = root / scene.folder
     known = [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in (*item.masks, *item.truth)]
-    for path, record in known if verify else ():
+    for path, record in known:
         if hash_of_file(path) != record.sha256:
             sentence = "not the picture that the manifest was built with; results would not compare."
             raise InputError(f"{path}: {sentence}")

@@ -85,9 +85,6 @@ class MetricSettings(Settings):
     inception: str = Field("", description="TorchScript file inception-2015-12-05.pt for C-FID and C-KID; '': without")
     clip: str = Field("", description="CLIP model or folder for t2i and direction; '': without")
     lpips: bool = Field(False, description="LPIPS against the truth; needs the extra lpips")
-    order: bool = Field(
-        True, description="reconstruct again with the inputs in another order, where there are over two"
-    )
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ from edit3r.geometry.warping import warp
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note, track
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import depths_of, edited, edited_from
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, depths_of, edited, edited_from
 
 DEPTH_TOLERANCE = 0.03
 """Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees another surface."""
@@ -28,10 +27,9 @@ OWN_WEIGHT = 0.25
 
 
 class EditSplatReconstructor(FittingMethod):
-    """Fuses edits across views and trims attended Gaussians before a second fit (EditSplat, Lee et al. 2025).
+    """First edits are the views it is given, or its own where those are not edited.
 
-    First edits are the views it is given, or its own where those are not edited. Each view is then edited again,
-    starting from what its neighbours' edits look like from there.
+    Each view is then edited again, starting from what its neighbours' edits look like from there.
     """
 
     class Settings(MethodSettings):

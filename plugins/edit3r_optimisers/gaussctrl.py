@@ -1,4 +1,4 @@
-"""The reconstructor `gaussctrl`: all views are edited together, held by depth and aligned to reference views."""
+"""The reconstructor `gaussctrl` (Wu et al. 2024): renders are edited together, held by depth, and fitted."""
 
 from copy import copy
 
@@ -11,9 +11,8 @@ from edit3r.interfaces import Editor, MatchedGeometry, Matcher, Rasterizer, Reco
 from edit3r.reporting import note, warn
 from edit3r.stage_checks import component_name
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import depths_of, edited, rendered
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, depths_of, edited, rendered
 
 ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
 DEPTH = "edits are not conditioned on the fitted depth"
@@ -36,11 +35,10 @@ class FittedGeometry(Matcher):
 
 
 class GaussCtrlReconstructor(FittingMethod):
-    """Edits renders of the fitted scene together and fits them (GaussCtrl, Wu et al. 2024).
+    """Depth and alignment are the editor's to use: `controlnet-depth` does both.
 
-    Depth and alignment are the editor's to use: `controlnet-depth` does both. With another editor the views are edited
-    as that editor edits, and the run says what is missing. It edits by itself: the edited views it is given are not
-    looked at.
+    With another editor the views are edited as that one edits, and the run says what is missing. It edits by itself:
+    the edited views it is given are not looked at.
     """
 
     class Settings(MethodSettings):

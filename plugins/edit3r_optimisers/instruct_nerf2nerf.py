@@ -13,24 +13,21 @@ from pydantic import Field, model_validator
 from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note
 from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_optimisers.edits import edited_from
 from edit3r_optimisers.fitting import TargetImages, view_at
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited_from
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
-    """Updates the images one after the other while Gaussians, instead of a NeRF, are fitted (Haque et al. 2023).
+    """Fits Gaussians instead of a NeRF, and edits by itself: of what it is given it looks at the unedited photos only.
 
-    It edits by itself: the edited views it is given are not looked at, only the photos before editing. Real partial
-    denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which the run says.
+    Real partial denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which
+    the run says.
     """
 
     class Settings(MethodSettings):
         every: int = Field(10, ge=1, description="steps between edits (paper: 10)")
-        views_at_once: int = Field(1, ge=1, description="views edited each time (paper: 1)")
         least_strength: float = Field(0.5, ge=0, le=1, description="least share of a render that an edit redraws")
         most_strength: float = Field(0.98, ge=0, le=1, description="most share of a render that an edit redraws")
-        fresh_noise: bool = Field(True, description="another seed for every edit, as published")
 
         @model_validator(mode="after")
         def _ordered(self) -> "InstructNerf2NerfReconstructor.Settings":
@@ -71,17 +68,12 @@ class DatasetUpdate(TargetImages):
 
     @torch.no_grad()
     def _update(self, gaussians: Gaussians) -> None:
-        """Edit the next views, starting from how the scene shows them now."""
-        count = min(self.settings.views_at_once, self.photos.count)
-        first = self.updates * count
-        # A round of all views may begin and end within one update; a view is edited once then.
-        views = list(dict.fromkeys(view_at(first + k, self.photos.count, self.request.seed) for k in range(count)))
-        start = self.rasterizer.render(gaussians, self.cameras.select(views)).images
-        request = self.request.of_views(views)
-        if self.settings.fresh_noise:
-            request = replace(request, seed=self.request.seed + self.updates)
-        answer = edited_from(self.editor, self.photos.select(views), start, request, self._strength())
-        self.images[views] = answer.images[0]
+        """Edit the next view, starting from how the scene shows it now, by another seed for every edit."""
+        view = [view_at(self.updates, self.photos.count, self.request.seed)]
+        start = self.rasterizer.render(gaussians, self.cameras.select(view)).images
+        request = replace(self.request.of_views(view), seed=self.request.seed + self.updates)
+        answer = edited_from(self.editor, self.photos.select(view), start, request, self._strength())
+        self.images[view] = answer.images[0]
         self.updates += 1
 
     def _strength(self) -> float:

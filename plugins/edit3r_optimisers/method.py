@@ -1,16 +1,19 @@
-"""What the four methods share: one scene at a time, a fit to the photos, edits, and a fit to the edits."""
+"""What the four methods share: one scene at a time, a fit to the photos, edits within the masks, a fit to the edits."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from pydantic import Field
+from torch import Tensor
 
 from edit3r.config import PartChoice
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.reporting import note
-from edit3r.stage_checks import check_reconstruction, errors_named_after
+from edit3r.pipeline import composite
+from edit3r.reporting import note, warn
+from edit3r.stage_checks import check_edit, check_reconstruction, component_name, errors_named_after
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
@@ -112,3 +115,64 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
     order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
     chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
+
+
+@torch.no_grad()
+def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
+    """Edit the views; the answer is held to the editor's contract and confined to the request's masks."""
+    with errors_named_after(editor):
+        answer = editor.edit(views, request)
+    return _confined(editor, views, answer, request)
+
+
+@torch.no_grad()
+def edited_from(
+    editor: Editor,
+    views: Views,
+    start: Float[Tensor, "batch view 3 height width"],
+    request: EditRequest,
+    strength: float,
+) -> Views:
+    """Edit `views`, beginning from the images `start`; `strength` in [0, 1] says how little of them stays.
+
+    An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
+    """
+    if editor.starts_from_images:
+        with errors_named_after(editor):
+            answer = editor.edit_from(views, start, request, strength)
+        return _confined(editor, views, answer, request)
+    warn(
+        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit is mixed with it: "
+        "a stand-in for the partial denoising of the published method."
+    )
+    anew = edited(editor, views, request)
+    mixed = torch.lerp(start.clamp(0, 1), anew.images, strength)
+    return _confined(editor, views, replace(views, images=mixed), request)
+
+
+def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest) -> Views:
+    """Check the editor's answer and keep it inside the request's masks."""
+    check_edit(editor, views, answer)
+    if request.masks is None:
+        return replace(views, images=answer.images)
+    return replace(views, images=composite(views.images, answer.images, request.masks))
+
+
+@torch.no_grad()
+def rendered(gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer) -> Views:
+    """Return the views as the fitted scene shows them."""
+    return replace(photos, images=rasterizer.render(gaussians, cameras).images.clamp(0, 1), c2w=cameras.c2w)
+
+
+@torch.no_grad()
+def depths_of(
+    gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
+) -> tuple[Float[Tensor, "view height width"], Float[Tensor, "view height width"]]:
+    """Return camera z of every pixel of one scene, and its alpha.
+
+    Where a pixel shows nothing, z is the farthest depth of that view.
+    """
+    seen = rasterizer.render(gaussians, cameras)
+    depths, alphas = seen.depths[0, :, 0], seen.alphas[0, :, 0]
+    farthest = depths.amax((1, 2), keepdim=True).clamp(min=1e-6)
+    return torch.where(depths > 0, depths, farthest), alphas

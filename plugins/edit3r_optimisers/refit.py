@@ -5,9 +5,8 @@ from typing import Literal
 from pydantic import Field
 
 from edit3r.types import Cameras, Gaussians
-from edit3r_optimisers.edits import edited, rendered
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene
+from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited, rendered
 
 
 class RefitReconstructor(FittingMethod):

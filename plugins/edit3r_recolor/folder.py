@@ -15,22 +15,21 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
-from PIL import Image, ImageDraw
+from PIL import Image
 from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, Photo, save_image, save_pixels, to_bytes
+from edit3r.io.images import LoadedPhotos, Photo, evenly, save_image, save_pixels
 from edit3r.io.masks import read_mask
+from edit3r.io.sheet import draw_sheet
 from edit3r.types import Cameras
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
 
 RECIPE = "recolor.json"
 MASKS = "masks"
 MOST_ROWS = 12  # views on the sheet
-CELL = 320  # longer side of an image on the sheet [pixels]
 
 
 def write_folder(
@@ -49,7 +48,12 @@ def write_folder(
     if photos.views.c2w is not None:
         cameras = Cameras(photos.views.c2w, photos.views.intrinsics, photos.views.image_size).select(used)
         write_cameras(folder / "cameras.json", posed_cameras(cameras, [f"images/{name}.png" for name in names]))
-    save_sheet(folder / "sheet.png", photos.views.images[0, used], masks[:, used], images, augmented, names)
+    shown = evenly(range(len(used)), MOST_ROWS)
+    originals = photos.views.images[0, used][shown]
+    columns = {"photo": originals, "regions": _painted(originals, masks[:, used][:, shown]), "result": images[shown]}
+    if augmented is not None:
+        columns["augmented"] = augmented[shown]
+    save_pixels(np.asarray(draw_sheet(columns, names=[names[view] for view in shown])), folder / "sheet.png")
 
 
 def write_masks(folder: Path, names: list[str], numbers: list[int], masks: Masks) -> None:
@@ -94,22 +98,6 @@ def _one_object(folder: Path, photos: tuple[Photo, ...]) -> Float[Tensor, "view 
     return torch.stack(list(masks))
 
 
-def save_sheet(
-    path: Path, photos: Images, masks: Masks, images: Images, augmented: Images | None, names: list[str]
-) -> None:
-    """Write the sheet, a row a view of photo, regions, result and augmented result; of many views an even choice."""
-    rows = sorted({int(v) for v in np.linspace(0, len(photos) - 1, min(MOST_ROWS, len(photos)))})
-    columns = [photos, _painted(photos, masks), images] + ([] if augmented is None else [augmented])
-    lines = [torch.cat([_cell(column[row]) for column in columns], -1) for row in rows]
-    sheet = Image.fromarray(to_bytes(torch.cat(lines, -2)))
-    draw = ImageDraw.Draw(sheet)
-    for index, row in enumerate(rows):
-        place = (4, index * lines[0].shape[-2] + 4)
-        draw.rectangle(draw.textbbox(place, names[row]), fill=(0, 0, 0))
-        draw.text(place, names[row], fill=(255, 255, 255))
-    save_pixels(np.asarray(sheet), path)
-
-
 def _painted(photos: Images, masks: Masks) -> Images:
     """Draw grey photos with every region in a colour of its own, the same in all views."""
     shown = 0.6 * photos.mean(1, keepdim=True).expand(-1, 3, -1, -1)
@@ -117,8 +105,3 @@ def _painted(photos: Images, masks: Masks) -> Images:
         colour = shown.new_tensor(colorsys.hsv_to_rgb((number * 0.381966) % 1, 0.8, 1.0))  # golden ratio: far apart
         shown = torch.lerp(shown, colour[:, None, None].expand_as(shown), 0.6 * mask[:, None])
     return shown
-
-
-def _cell(image: Float[Tensor, "3 height width"]) -> Float[Tensor, "3 h w"]:
-    factor = min(1.0, CELL / max(image.shape[-2:]))
-    return F.interpolate(image[None], scale_factor=factor, mode="area")[0] if factor < 1 else image

@@ -26,7 +26,6 @@ from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.interactive import Glimpse, Picture, find
 from edit3r_segmenters.masks import graph_cut, overlap, reduced, snapped, softened, tidied, to_bytes
 from edit3r_segmenters.salience import MAX_AREA, MIN_AREA, Objectness, measure, salience
-from edit3r_segmenters.stuff import ground, plain, sky
 from edit3r_segmenters.superpixels import Superpixels, background_weights, merge_tree, superpixels
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
@@ -34,6 +33,12 @@ SNAP = (0.06, 0.25)  # how far an outline may move in and out when it is refined
 SNAP_FINE = (0.04, 0.04)  # the same for the second time, on the larger image
 CROPS = (0.5, 0.35, 0.25, 0.16)  # sides of the crops around a click [longer sides of the picture]
 WHOLE_SIDE, CROP_SIDE = 320, 160  # what the learned network sees of a picture and of a crop [pixels]
+# Words for stuff that needs no learning: where it lies and what it looks like
+SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
+SKY_LIGHT = 45.0  # least lightness of a sky
+SMOOTH = 0.22  # most edge strength of a sky
+SAME_SKY = 14.0  # colour distance to a piece of sky at the top within which more of it may lie
+HIGHEST_GROUND, SURE_GROUND = 0.3, 0.93  # rows above which there is no ground and below which it is likely, in heights
 MOST_KEPT = 64  # pictures and glimpses that stay in memory between clicks
 Known = TypeVar("Known")
 
@@ -276,3 +281,36 @@ def _proposal(rgb: np.ndarray, mask: np.ndarray, quality: float, like: Float[Ten
 def _to_numpy(image: Float[Tensor, "3 height width"]) -> np.ndarray:
     """Turn an image into float32 RGB `[H, W, 3]`."""
     return np.ascontiguousarray(image.detach().cpu().float().permute(1, 2, 0).numpy())
+
+
+def plain(text: str) -> str:
+    """A name without case, article and other filler: 'the whole picture' is 'picture'."""
+    return " ".join(word for word in text.lower().split() if word not in ("the", "a", "an", "whole", "entire", "all"))
+
+
+def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:
+    """The sky on uint8 RGB `[H, W, 3]` as a bool mask; None where nothing smooth and bright touches the top."""
+    lightness, a, b = cells.colours.T
+    edges = np.bincount(cells.labels.ravel(), cells.edges.ravel()) / cells.areas
+    alike = (lightness > SKY_LIGHT) & ((np.hypot(a, b) < SKY_CHROMA) | (b < -5)) & (edges < SMOOTH)
+    top = np.zeros(len(cells.areas), dtype=bool)
+    top[np.unique(cells.labels[0])] = True
+    seeds = alike & top
+    if not seeds.any():
+        return None
+    distance = np.linalg.norm(cells.colours[:, None] - cells.colours[None, seeds], axis=2).min(1)
+    trimap = np.where(alike & (distance < SAME_SKY), cv2.GC_PR_FGD, cv2.GC_BGD)[cells.labels].astype(np.uint8)
+    trimap[(edges < 2 * SMOOTH)[cells.labels] & (trimap == cv2.GC_BGD)] = cv2.GC_PR_BGD
+    trimap[seeds[cells.labels]] = cv2.GC_FGD
+    return tidied(graph_cut(pixels, trimap), seeds[cells.labels])
+
+
+def ground(pixels: np.ndarray) -> np.ndarray:
+    """The ground on uint8 RGB `[H, W, 3]` as a bool mask: what looks like the picture's lower edge and joins it."""
+    height, width = pixels.shape[:2]
+    trimap = np.full((height, width), cv2.GC_PR_BGD, np.uint8)
+    trimap[: int(HIGHEST_GROUND * height)] = cv2.GC_BGD
+    trimap[int(SURE_GROUND * height) :] = cv2.GC_PR_FGD
+    lowest = np.zeros((height, width), dtype=bool)
+    lowest[-2:] = True
+    return tidied(graph_cut(pixels, trimap, rounds=5), lowest)

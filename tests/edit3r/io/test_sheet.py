@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from edit3r.io.sheet import draw_before_after
+from edit3r.io.sheet import draw_sheet
 
 
 def flat(views, size, colour):
@@ -12,7 +12,8 @@ def flat(views, size, colour):
 def drawn(views, size, **texts):
     """A sheet whose photos are red, edits green and results blue."""
     colours = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
-    return draw_before_after(*(flat(views, size, colour) for colour in colours), **texts)
+    images = (flat(views, size, colour) for colour in colours)
+    return draw_sheet(dict(zip(("photo", "2D edit", "3D result"), images)), **texts)
 
 
 def share(sheet, colour):
@@ -46,5 +47,5 @@ def test_extreme_shapes_are_drawn(size):
 
 
 def test_mismatched_counts_are_an_error():
-    with pytest.raises(ValueError, match="as many edits and results as photos"):
-        draw_before_after(flat(2, (4, 4), [0.0] * 3), flat(1, (4, 4), [0.0] * 3), flat(2, (4, 4), [0.0] * 3))
+    with pytest.raises(ValueError, match="as many images of each kind as views"):
+        draw_sheet({"photo": flat(2, (4, 4), [0.0] * 3), "edit": flat(1, (4, 4), [0.0] * 3)})

@@ -82,9 +82,6 @@ def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(ta
 def test_fresh_noise_is_another_seed_each_time(targets, editor):
     before(targets(), range(0, 9, 3))
     assert [request.seed for _, request in editor.calls] == [5, 6, 7]
-    editor.calls.clear()
-    before(targets(SCHEDULE.model_copy(update={"fresh_noise": False})), range(0, 9, 3))
-    assert [request.seed for _, request in editor.calls] == [5, 5, 5]
 
 
 def test_masks_go_with_their_view_and_confine_it(targets, posed, editor):
@@ -95,8 +92,3 @@ def test_masks_go_with_their_view_and_confine_it(targets, posed, editor):
     assert torch.equal(updated.images[..., 20:], posed.images[0, ..., 20:])
     assert not torch.equal(updated.images[..., :20], posed.images[0, ..., :20])
     assert editor.calls[0][1].masks.shape == (1, 1, 32, 40)
-
-
-def test_several_views_at_once_are_one_call(targets, editor):
-    before(targets(SCHEDULE.model_copy(update={"views_at_once": 3})), [0, 3])
-    assert [views.count for views, _ in editor.calls] == [3, 3]

@@ -32,7 +32,6 @@ def test_a_command_of_commands_lists_them(capsys):
     [
         (["run", "none.json", "--out", "x"], "no such benchmark manifest"),
         (["run", "none.json", "--out", "x", "--workers", "0"], "--workers"),
-        (["run", "none.json", "--out", "x", "--types", "Rotate"], "Add, Remove, Modify, Global"),
         (["run", "none.json", "--out", "x", "--config", "bench/offline", "--recon", "classical"], "leave out"),
         (["run", "none.json", "--out", "x", "--config", "bench/offline", "--only", "best"], "no such method"),
         (["build"], "FOLDER"),
