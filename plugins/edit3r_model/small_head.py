@@ -136,7 +136,8 @@ class EditFusionHead(GaussianHead):
         depths = averaged(geometry, size).depths * depth.detach().exp()
         matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
         fused = [self._fuse(before, after, tokens, matches, view) for view in range(1, before.shape[1])]
-        return Decisions(depth, opacity, scale, *_with_reference(fused))
+        carried = zip(*((found.maps, found.choice) for found in fused))
+        return Decisions(depth, opacity, scale, *(torch.stack([torch.zeros_like(x[0]), *x], 1) for x in carried))
 
     def _tokens(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "batch view channel rows columns"]:
         """The last level as maps, one token for STRIDE x STRIDE pixels."""
@@ -174,12 +175,6 @@ class EditFusionHead(GaussianHead):
             carried,
             torch.cat((warped, inside), 1),
         )
-
-
-def _with_reference(fused: list[FusedEdit]) -> tuple[Tensor, Tensor]:
-    """(maps, choice) of all views: 0 for the reference, which takes nothing from another."""
-    found = zip(*((f.maps, f.choice) for f in fused))
-    return tuple(torch.stack([torch.zeros_like(maps[0]), *maps], 1) for maps in found)
 
 
 def assemble(

@@ -49,13 +49,7 @@ class RecolorTrainer(Trainer):
             description="unit of length: any, as in a simulated matching; baseline: first to last input camera, which "
             "a network that sees images alone can tell",
         )
-        matched: float = Field(
-            0.0,
-            ge=0,
-            le=1,
-            description="share of the geometry that the reconstructor's own matcher reads, once for each scene (about "
-            "half a second for two views of 128 pixels), instead of simulating its errors",
-        )
+        matched: float = Field(0.0, ge=0, le=1, description="share of the geometry that is matched, not simulated")
         precision: Literal["float32", "bfloat16"] = Field(
             "float32", description="of the network's products; weights, renderings and losses stay float32"
         )
