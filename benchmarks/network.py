@@ -172,6 +172,7 @@ def _table(rows: list[Row], args: argparse.Namespace) -> str:
         f"{args.size} size, {args.views} views of {size}, {args.threads} thread(s), random weights, torch "
         f"{torch.__version__}, {_processor()}; best of {args.repeats}.",
         "",
+        f"<!-- figures: python benchmarks/network.py --size {args.size} --write docs/network.md -->",
         "| mode | processor s | plain eager float32, same process, s | faster by | peak memory of the process | "
         "error of means / opacities / scales / harmonics |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
