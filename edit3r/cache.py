@@ -4,7 +4,7 @@ A method marked `@remembered` asks the cache of the current run before it works.
 folder `cache/` of the results, so that `--from` finds the answers again; a program that stays open keeps one `Cache`
 and passes it to every run. Without a cache, `@remembered` does nothing.
 
-Entries are compressed safetensors files, so opening a stranger's folder runs no code. An entry that cannot be read is
+Entries are safetensors files, so opening a stranger's folder runs no code. An entry that cannot be read is
 an error that names the file: deleting `cache/` is always safe.
 """
 
@@ -13,7 +13,6 @@ import functools
 import hashlib
 import inspect
 import json
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -29,8 +28,7 @@ from edit3r.reporting import note
 from edit3r.weights import at_hand
 
 Method = TypeVar("Method", bound=Callable)
-SUFFIX = ".safetensors.z"
-MOST_BYTES = 2**30  # of one entry, uncompressed: more comes from nobody's run
+SUFFIX = ".safetensors"
 
 
 class Cache:
@@ -65,9 +63,9 @@ class Cache:
         folder.mkdir(parents=True, exist_ok=True)
         for entry, (tensors, tree) in self._entries.items():
             contiguous = {name: value.cpu().contiguous() for name, value in tensors.items()}
-            # Masks shrink to a twentieth. The answer's structure travels as text in a tensor of bytes.
+            # The answer's structure travels as text in a tensor of bytes.
             contiguous["tree"] = torch.frombuffer(bytearray(tree.encode()), dtype=torch.uint8)
-            (folder / f"{entry}{SUFFIX}").write_bytes(zlib.compress(save(contiguous), level=1))
+            (folder / f"{entry}{SUFFIX}").write_bytes(save(contiguous))
 
     def _read(self, entry: str) -> tuple[dict[str, Tensor], str] | None:
         from safetensors.torch import load
@@ -76,7 +74,7 @@ class Cache:
         if file is None or not file.is_file():
             return None
         try:
-            tensors = load(zlib.decompressobj().decompress(file.read_bytes(), MOST_BYTES))
+            tensors = load(file.read_bytes())
             tree = bytes(tensors.pop("tree").tolist()).decode()
             _unpack(json.loads(tree), tensors)
         except Exception as error:  # safetensors has no error class of its own

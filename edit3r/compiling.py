@@ -6,6 +6,7 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache, NullCache
+from numba.core.runtime.nrt import rtsys
 
 from edit3r.reporting import warn
 
@@ -16,7 +17,8 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
     """Compile the decorated function as `numba.njit(cache=True, **options)` does, but never fail because of the cache.
 
     Where no folder can be written to, a warning says so and every process compiles anew. Kept code that cannot be read,
-    such as a file that was cut off by a full disk, is compiled again and replaced.
+    such as a file that was cut off by a full disk, is compiled again and replaced. For loops over arrays and numbers:
+    kept code must need no more of numba than its memory, as dictionaries and sets of texts do.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -35,7 +37,9 @@ class _ForgivingCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)
+            # numba would first import all that it can compile, a third of a second: kept code needs its memory alone.
+            rtsys.initialize(target_context)
+            return self._load_overload(sig, target_context)
         except Exception:  # a damaged pickle raises anything
             with suppress(OSError):
                 self.flush()  # an index of nothing

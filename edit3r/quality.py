@@ -28,8 +28,6 @@ class Expected(Settings):
 
     seconds: float = Field(gt=0, description="all stages of a run without an editor, quickest repeats; mean of scenes")
     seconds_first: float = Field(gt=0, description="first run of a process, as a run of the command is; mean of scenes")
-    seconds_middle: float = Field(gt=0, description="middle of the repeats, mean over the scenes")
-    seconds_most: float = Field(gt=0, description="slowest of the repeats, mean over the scenes")
     memory_mb: float = Field(gt=0, description="peak of the process [MiB]")
     start_memory_mb: float = Field(ge=0, description="of which before anything was made [MiB]")
     gaussians: int = Field(ge=0, description="largest number of Gaussians of the scenes")

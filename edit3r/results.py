@@ -6,7 +6,10 @@ import io
 import math
 import os
 import tempfile
+from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,22 +48,18 @@ def write(root: Path, result: "RunResult") -> None:
     folder, report = RunFolder(root), result.report
     wanted = set(result.config.outputs)
     with collecting(report), torch.no_grad():
-        frames: list[Pixels] = []
         with report.stage("render"), ThreadPoolExecutor(1) as pool:
-            # Compresses while the frames are drawn.
-            saving = pool.submit(result.cache.save, root / CACHE) if "cache" in wanted else None
+            # While frames are drawn, all else is written, and the video's frames are coded.
+            others = pool.submit(copy_context().run, _write_others, folder, result)
             if wanted & {"video", "frames"}:
                 path = path_around(result.cameras.select(_good_views(result)), result.rendered, result.config.frames)
                 frames = _frames(result.rasterizer, result.gaussians, path)
-            if saving is not None:
-                saving.result()
+                frames = _written(folder, frames) if "frames" in wanted else frames
+                if "video" in wanted:
+                    save_video(folder.video, frames, VIDEO_FPS)
+                deque(frames, maxlen=0)  # those that no video took
         with report.stage("write files"):
-            _write_images(folder, result, frames if "frames" in wanted else [])
-            _write_scene(folder, result)
-            if "video" in wanted:
-                save_video(folder.video, frames, VIDEO_FPS)
-            if "viewer" in wanted:
-                save_viewer(folder.viewer, result.gaussians, result.cameras, **_look(result))
+            others.result()
             note_views(result.photos)
             note("edits", list(result.prompts))
     write_manifest(folder.manifest, _manifest(result))
@@ -101,10 +100,29 @@ def _good_views(result: "RunResult") -> list[int]:
     return good if len(good) > 1 else list(range(result.cameras.count))
 
 
-def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> list[Pixels]:
+def _frames(rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras) -> Iterator[Pixels]:
     """One image of 8-bit pixels [height, width, 3] for each camera of the path."""
-    cameras = track(range(path.count), "render camera path")
-    return [to_bytes(render_one(rasterizer, gaussians, path.select([index])).images[0, 0]) for index in cameras]
+    for index in track(range(path.count), "render camera path"):
+        yield to_bytes(render_one(rasterizer, gaussians, path.select([index])).images[0, 0])
+
+
+def _written(folder: RunFolder, frames: Iterator[Pixels]) -> Iterator[Pixels]:
+    """The frames, each written as it comes."""
+    for index, frame in enumerate(frames):
+        save_pixels(frame, folder.renders / f"path_{index:04d}.png")
+        yield frame
+
+
+@torch.no_grad()
+def _write_others(folder: RunFolder, result: "RunResult") -> None:
+    """Write all that needs no frames of the camera path."""
+    wanted = result.config.outputs
+    if "cache" in wanted:
+        result.cache.save(folder.root / CACHE)
+    _write_images(folder, result)
+    _write_scene(folder, result)
+    if "viewer" in wanted:
+        save_viewer(folder.viewer, result.gaussians, result.cameras, **_look(result))
 
 
 def _write_scene(folder: RunFolder, result: "RunResult") -> None:
@@ -121,16 +139,15 @@ def _write_scene(folder: RunFolder, result: "RunResult") -> None:
         export_scene(folder.scene.with_suffix(FORMATS[form]), result.gaussians, form)
 
 
-def _write_images(folder: RunFolder, result: "RunResult", frames: list[Pixels]) -> None:
-    jobs = [(frame, folder.renders / f"path_{index:04d}.png") for index, frame in enumerate(frames)]
+def _write_images(folder: RunFolder, result: "RunResult") -> None:
     if "images" in result.config.outputs:
-        jobs += [
+        jobs = [
             (to_bytes(picture), directory / f"{name}.png")
             for pictures, directory in zip(_pictures(result), (folder.inputs, folder.edited, folder.renders))
             for name, picture in zip(result.photos.names, pictures)
         ]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        list(pool.map(lambda job: save_pixels(*job), jobs))
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
+            list(pool.map(lambda job: save_pixels(*job), jobs))
     if "sheet" in result.config.outputs:
         save_pixels(np.asarray(_sheet(result)), folder.before_after)
 

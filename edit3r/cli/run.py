@@ -171,18 +171,17 @@ def _masks_or_marks(
     args: argparse.Namespace, files: list[str], photos: "LoadedPhotos", config: RunConfig
 ) -> "Tensor | Selection | None":
     """Masks of all photos, or what is marked on some of them; the packaged pair brings a mask of its own subject."""
-    from edit3r.io.masks import load_masks, read_mask
+    from edit3r.io.masks import load_masks
     from edit3r.reporting import note
-    from edit3r.selection import Selection
 
     if files and len(files) == len(photos.photos):
         return load_masks(files, photos)
     marked = selection_from(args, photos)
     usual = not args.images and not args.earlier and config.editor.name == DEFAULTS["editor"]
     if marked is None and usual and DEFAULTS["subject"] in config.prompt.lower():
-        note("selection.mask", "the packaged pair brings a mask of its " + DEFAULTS["subject"])
-        own = Path(__file__).parents[1] / "io" / "motorcycle_mask.png"
-        return Selection(masks={0: read_mask(own, photos.photos[0].frame)})
+        note("selection.mask", "the packaged pair brings masks of its " + DEFAULTS["subject"])
+        own = [str(Path(__file__).parents[1] / "io" / f"motorcycle_mask{side}.png") for side in ("", "_right")]
+        return load_masks(own, photos)
     return marked
 
 

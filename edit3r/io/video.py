@@ -45,16 +45,21 @@ def save_video(path: str | Path, frames: Iterable[Frame], fps: float = 24) -> No
         raise InputError(f"{path}: videos are written as .webm.")
     if not 0 < fps <= 1000:
         raise InputError(f"{path}: expected above 0 and at most 1000 frames per second, got {fps}.")
-    images = [Image.fromarray(frame if isinstance(frame, np.ndarray) else to_bytes(frame)) for frame in frames]
-    if not images:
+    sizes: set[tuple[int, int]] = set()
+
+    def image_of(frame: Frame) -> Image.Image:
+        image = Image.fromarray(frame if isinstance(frame, np.ndarray) else to_bytes(frame))
+        sizes.add(image.size)
+        if len(sizes) > 1 or max(image.size) > LARGEST_SIDE:
+            raise InputError(f"{path}: the frames of a video must share one size of at most {LARGEST_SIDE} pixels.")
+        return image
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL, while the next frames are drawn
+        coded = list(pool.map(_vp8_frame, (image_of(frame) for frame in frames)))
+    if not coded:
         raise InputError(f"{path}: a video needs at least one frame.")
-    size = images[0].size
-    if any(image.size != size for image in images) or max(size) > LARGEST_SIDE:
-        raise InputError(f"{path}: the frames of a video must share one size of at most {LARGEST_SIDE} pixels.")
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        content = _webm(list(pool.map(_vp8_frame, images)), size, fps)
     with atomic_write(path) as partial:
-        partial.write_bytes(content)
+        partial.write_bytes(_webm(coded, sizes.pop(), fps))
 
 
 def _vp8_frame(image: Image.Image) -> bytes:

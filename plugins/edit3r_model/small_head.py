@@ -51,10 +51,10 @@ class Decisions:
 class EditFusionHead(GaussianHead):
     """Corrects matched geometry, and draws edits that disagree to the reference's; starts as no correction.
 
-    It reads the last level of any backbone. Images, unedited images and geometry have one size, whatever the grid.
+    It reads the last level of any backbone. The Gaussians lie on the geometry's grid, whatever the images' size.
     """
 
-    takes_geometry = True
+    takes_geometry = takes_photos = True
 
     class Settings(Settings):
         width: int = Field(32, ge=8, le=512, multiple_of=8, description="channels; features of others are projected")
@@ -104,6 +104,11 @@ class EditFusionHead(GaussianHead):
     ) -> Gaussians:
         if source is None or geometry is None:
             raise InputError("edit-fusion needs matched geometry: give the reconstructor a matcher, as edit3r has.")
+        grid = tuple(geometry.depths.shape[-2:])
+        # An edit is a function of colour pixel by pixel; means of several pixels are not.
+        pixels = images, source.images
+        picked = [F.interpolate(x.flatten(0, 1), grid, mode="nearest-exact").unflatten(0, x.shape[:2]) for x in pixels]
+        images, source = Views(images, source.intrinsics).at(grid).images, source.at(grid)
         decisions = self._decide(features, images, source, geometry)
         depth, opacity = self.settings.depth_repair, self.settings.opacity_repair
         counted = replace(
@@ -112,7 +117,7 @@ class EditFusionHead(GaussianHead):
             opacity_correction=opacity * decisions.opacity_correction,
             scale_correction=opacity * decisions.scale_correction,
         )
-        return assemble(images, source, geometry, counted, self.settings)
+        return assemble(images, source, geometry, counted, self.settings, tuple(picked))
 
     def _decide(
         self,
@@ -178,8 +183,12 @@ def assemble(
     geometry: MatchedGeometry,
     decisions: Decisions,
     settings: EditFusionHead.Settings,
+    picked: tuple[Float[Tensor, "batch view 3 height width"], Float[Tensor, "batch view 3 height width"]],
 ) -> Gaussians:
-    """Turn geometry, images and decisions into one Gaussian per pixel, in the frame of view 0."""
+    """Turn geometry, images and decisions into one Gaussian per pixel, in the frame of view 0.
+
+    `picked` are single pixels of the edited and the unedited photos, in which edits are compared.
+    """
     images = source.images
     fine = _at_image_size(decisions, images)
     depths = geometry.depths * fine.depth_correction.exp()
@@ -187,9 +196,9 @@ def assemble(
     floating = contradicted(geometry, source.intrinsics)
     logits = math.log(settings.opacity / (1 - settings.opacity)) + fine.opacity_correction
     colours, yielding = edited, 1.0
-    if settings.fuse_edits:
+    if settings.fuse_edits and not torch.equal(edited, images):
         near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
-        near = near * edits_disagree(edited, images, matches)
+        near = near * edits_disagree(*picked, matches)
         colours = fuse_colours(edited, images, fine, matches, near)
         conflict = edits_conflict(edited, images, matches, near)
         yielding = 1 - (1 - settings.conflict_opacity) * conflict

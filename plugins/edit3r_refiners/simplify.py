@@ -99,7 +99,8 @@ def simplify(
         fewer = _most_visible(fewer, cameras, rasterizer, most)
     merged = kept.count - fewer.count
     images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
-    fewer = refine(fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH).gaussians
+    if settings.polish:
+        fewer = refine(fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH).gaussians
     again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
     psnr = _decibels(float((again - images).square().mean()))
     result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr)

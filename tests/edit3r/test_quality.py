@@ -14,8 +14,6 @@ def point(label, seconds, psnr, count, memory, preset=None, **settings):
         kind: {
             "seconds": seconds * slower / 2,
             "seconds_first": seconds * slower,
-            "seconds_middle": seconds * slower,
-            "seconds_most": seconds * 2,
             "memory_mb": memory,
             "start_memory_mb": 300,
             "gaussians": count,

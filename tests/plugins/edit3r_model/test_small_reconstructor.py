@@ -11,6 +11,7 @@ from edit3r_model.conflict_figure import save_conflict_figure
 from edit3r_model.small_backbone import MatchedUNet
 from edit3r_model.small_head import Decisions, EditFusionHead, assemble
 from edit3r_model.small_reconstructor import SHIPPED, network_grid
+from edit3r_recolor.steps import paint
 from PIL import Image
 from safetensors.torch import save_file
 
@@ -26,7 +27,7 @@ from edit3r.registry import Registry, build
 from edit3r.reporting import Report, collecting
 from edit3r.testing import photograph
 from edit3r.training.checkpoint import WEIGHTS, save_weights
-from edit3r.types import Views
+from edit3r.types import EditRequest, Views
 
 SIZE = (64, 80)
 SCENE = photograph(3, SIZE)
@@ -150,6 +151,17 @@ def test_one_colour_map_in_every_view_gives_the_edited_photos_own_colours_exactl
     assert torch.equal(result.gaussians.opacities[:, :pixels], same)
 
 
+@pytest.mark.parametrize("grid", [1.0, 0.5])
+def test_paint_that_is_alike_in_every_view_is_no_disagreement_on_a_coarser_grid_either(grid):
+    """Grain is mixed on the grid, and the mean of painted pixels is not what paint makes of their mean."""
+    grain = 0.4 * torch.rand(1, 3, 1, *SIZE, generator=torch.Generator().manual_seed(0)) - 0.2
+    views = Views((_photos().images + grain).clamp(0, 1), SCENE.views.intrinsics)
+    painted = paint(views.images[0], torch.ones_like(views.images[0, :, 0]), (0.1, 0.1, 0.9))
+    edited = Views((painted[None] * 255).round() / 255, views.intrinsics)
+    result = _reconstructor()(edited, views, EditRequest("", grid=grid))
+    assert result.fusion is None
+
+
 def test_an_object_recoloured_alike_in_every_view_keeps_each_view_s_own_colours():
     edited = _recoloured(_views(), (0, 1))
     gap = (_colours(_reconstructor()(edited, _views()))[1] - edited.images[0, 1]).abs().amax(0)
@@ -176,7 +188,14 @@ def _opacities(edited: Views) -> torch.Tensor:
     views, zero, choice = _views(), torch.zeros(1, 2, *SIZE), torch.zeros(1, 2, 3, *SIZE)
     choice[:, :, 0] = 1
     decisions = Decisions(zero, zero, zero, torch.zeros(1, 2, 12, *SIZE), choice)
-    made = assemble(edited.images, views, _TrueGeometry().match(views), decisions, EditFusionHead.Settings())
+    made = assemble(
+        edited.images,
+        views,
+        _TrueGeometry().match(views),
+        decisions,
+        EditFusionHead.Settings(),
+        (edited.images, views.images),
+    )
     return made.opacities.reshape(2, *SIZE)
 
 
