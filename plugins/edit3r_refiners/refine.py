@@ -192,8 +192,11 @@ class _Variables:
         )
 
     def step(self, shown: Tensor, slope: Tensor, length: float) -> None:
-        """One step by what the image `shown` should change by, its `slope`."""
-        self.optimizer.step(torch.autograd.grad(shown, list(self.values.values()), slope), length)
+        """One step, where `slope` is the gradient of the loss by the image `shown`."""
+        # As a sum: a gradient that is handed to torch makes it import its symbolic shapes, half a second.
+        with torch.enable_grad():
+            loss = (shown * slope).sum()
+        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())), length)
 
 
 def _held_back(
