@@ -56,7 +56,7 @@ def run(
             read_lens = partial(lens_of, asked, registry or default_registry())
             loaded = load_photos(views, fov=asked.fov, size=asked.size, most=asked.views, read_lens=read_lens)
             views, records = loaded.views, loaded.photos
-        config = make_run_config({"prompt": prompt, **named})
+        config = make_run_config({"prompt": prompt, **named}, photos=views.count)
         result = run_pipeline(
             views, config, masks=masks, components=components, registry=registry, report=own, cache=cache
         )

@@ -236,6 +236,7 @@ class GaussianHead(Configured, nn.Module, ABC):
     """Network from features to one Gaussian per pixel, ordered view-major, then row-major."""
 
     takes_geometry: bool = False  # True: `forward` takes `source` and `geometry` too; others are not given them
+    takes_photos: bool = False  # True: `images` and `source` come at the photos' size, not the grid's
 
     @abstractmethod
     def forward(
@@ -247,8 +248,9 @@ class GaussianHead(Configured, nn.Module, ABC):
     ) -> Gaussians:
         """Gaussians with `view_index` set, for images in [0, 1].
 
-        A head that takes geometry gets everything at the photos' size, which need not be the backbone's: `images` after
-        the edit, `source` before it, and what a matcher read from `source`. Its Gaussians are in that unit of length.
+        A head that takes geometry gets what a matcher read from `source`, on the grid of the Gaussians, which need not
+        be the backbone's. They are in its unit of length. `images`, after the edit, and `source`, before it, have that
+        size, unless the head `takes_photos`.
         """
 
 

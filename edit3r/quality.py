@@ -1,12 +1,14 @@
-"""Measured settings of a run: what `--quality` chooses, and the file it is chosen from.
+"""Measured settings of a run: what `--quality` and the budgets choose, and the file they are chosen from.
 
-A preset is one measured point. What is chosen lies under everything else the user says. The points are in
-`edit3r/presets/quality.yaml`, measured as docs/tradeoff.md says.
+A budget takes the most accurate measured point that fits it. A preset is one point; with a budget that it does not fit,
+the most accurate point that fits and is no slower is taken. What is chosen lies under everything else the user says.
+The points are in `edit3r/presets/quality.yaml`, measured as docs/tradeoff.md says.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 from pydantic import Field
@@ -78,12 +80,55 @@ def write_quality(quality: Quality, path: Path | None = None) -> Path:
     return path
 
 
-def preset_point(name: str, quality: Quality | None = None) -> ShippedPoint:
-    """The measured point that a preset is. Raises SettingsError where none was measured."""
-    point = next((point for point in (quality or read_quality()).points if point.preset == name), None)
-    if point is None:
-        raise SettingsError(f"--quality {name}: no such preset was measured; see docs/tradeoff.md.")
-    return point
+LIMITS = {
+    "seconds": ("budget_ms", "ms", 1000),
+    "gaussians": ("max_gaussians", "Gaussians", 1),
+    "memory_mb": ("max_memory", "MiB", 1),
+}
+"""Cost to the setting that limits it, its unit there, and how many of those one unit of the cost is."""
+
+
+class Wish(Settings):
+    """The four settings of a run that choose a measured point."""
+
+    quality: Literal["fast", "balanced", "best"] | None = Field(None, description="preset")
+    budget_ms: float | None = Field(None, gt=0, description="most time a run may be expected to take [ms]")
+    max_gaussians: int | None = Field(None, ge=1, description="most Gaussians there may be")
+    max_memory: float | None = Field(None, gt=0, description="most memory the process may be expected to take [MiB]")
+
+    @property
+    def is_made(self) -> bool:
+        return bool(self.model_dump(exclude_none=True))
+
+    @property
+    def budgets(self) -> dict[str, float]:
+        """Largest expectation of each kind of cost that still fits."""
+        given = {cost: (getattr(self, name), scale) for cost, (name, _, scale) in LIMITS.items()}
+        return {cost: most / scale for cost, (most, scale) in given.items() if most is not None}
+
+
+def choose(wish: Wish, photos: int, quality: Quality | None = None) -> tuple[ShippedPoint, dict[str, float]]:
+    """The most accurate measured point that fits, and what it is expected to cost (see `expectation`).
+
+    Time, Gaussians and memory beyond the program's own are taken to grow with the number of photos. Raises
+    SettingsError, which says what the least is.
+    """
+    quality = quality or read_quality()
+    if not quality.points:
+        raise SettingsError("--quality: nothing has been measured yet; see docs/tradeoff.md.")
+    costs = [expectation(point, photos / quality.photos) for point in quality.points]
+    limits = wish.budgets
+    if wish.quality is not None:
+        preset = next((i for i, point in enumerate(quality.points) if point.preset == wish.quality), None)
+        if preset is None:
+            raise SettingsError(f"--quality {wish.quality}: no such preset was measured; see docs/tradeoff.md.")
+        if best_within([costs[preset]], [0.0], limits) == 0:
+            return quality.points[preset], costs[preset]
+        limits["seconds"] = min(costs[preset]["seconds"], limits.get("seconds", float("inf")))
+    index = best_within(costs, [point.accuracy for point in quality.points], limits)
+    if index is None:
+        raise SettingsError(_nothing_fits(wish, costs, photos))
+    return quality.points[index], costs[index]
 
 
 def expectation(point: ShippedPoint, scale: float = 1.0) -> dict[str, float]:
@@ -99,13 +144,34 @@ def expectation(point: ShippedPoint, scale: float = 1.0) -> dict[str, float]:
     }
 
 
-def with_quality(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Run settings, completed by the measured point that their `quality` names."""
-    name = settings.get("quality")
-    if name not in PRESETS:
+def _nothing_fits(wish: Wish, costs: list[dict[str, float]], photos: int) -> str:
+    """One sentence: what was wished, and the least that was measured."""
+    for cost, most in wish.budgets.items():
+        least = min(expected[cost] for expected in costs)
+        if least > most:
+            name, unit, scale = LIMITS[cost]
+            way_out = (
+                f"; --gaussians {most:.0f} merges down to it, at an unmeasured loss" if cost == "gaussians" else ""
+            )
+            return (
+                f"{_flag(name)} {most * scale:.0f}: too little for {photos} photos; "
+                f"the least that was measured is {ceil(least * scale)} {unit}{way_out}."
+            )
+    wished = " ".join(f"{_flag(name)} {value}" for name, value in wish.model_dump(exclude_none=True).items())
+    return f"{wished}: no measured setting fits all of these at once for {photos} photos; relax one of them."
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def with_quality(settings: Mapping[str, Any], photos: int) -> dict[str, Any]:
+    """Run settings, completed by the measured point that their quality or budgets choose."""
+    wish = _wish_of(settings)
+    if not wish.is_made:
         return dict(settings)
-    chosen = preset_point(name).settings
-    return merge({key: value for key, value in chosen.items() if _fits(value, settings.get(key))}, settings)
+    point, _ = choose(wish, _used(settings, photos))
+    return merge({key: value for key, value in point.settings.items() if _fits(value, settings.get(key))}, settings)
 
 
 def _fits(chosen: Any, given: Any) -> bool:
@@ -114,23 +180,32 @@ def _fits(chosen: Any, given: Any) -> bool:
     return None in names or names[0] == names[1]
 
 
+def _wish_of(settings: Mapping[str, Any]) -> Wish:
+    return make_settings(Wish, {key: settings[key] for key in Wish.model_fields if key in settings}, where="run")
+
+
+def _used(settings: Mapping[str, Any], photos: int) -> int:
+    """How many of the photos the run uses."""
+    most = settings.get("views")
+    return min(photos, most) if isinstance(most, int) else photos
+
+
 def note_quality(config: Mapping[str, Any], photos: int) -> None:
     """Note for `run.json` which measured point the settings chose, its expected cost, and what differs from it."""
-    if config.get("quality") is None:
+    wish = _wish_of(config)
+    if not wish.is_made:
         return
-    most = config.get("views")
-    photos = min(photos, most) if isinstance(most, int) else photos
-    quality = read_quality()
-    point = preset_point(config["quality"], quality)
-    expected = expectation(point, photos / quality.photos)
+    photos = _used(config, photos)
+    point, expected = choose(wish, photos)
     facts = {
+        "wish": wish.model_dump(exclude_none=True),
         "chosen": point.label,
         "preset": point.preset,
         "settings": point.settings,
         "overridden": [key for key, value in point.settings.items() if not _agrees(config.get(key), value)],
         "expected": {key: round(value, 4) for key, value in expected.items()},
         "expected_for": f"a run without an editor on {photos} photos, on the worse of the measured kinds of scene",
-        "measured": quality.measured,
+        "measured": read_quality().measured,
     }
     note("quality", facts)
 
@@ -143,3 +218,11 @@ def _agrees(final: Any, chosen: Any) -> bool:
     if isinstance(final, Mapping) and isinstance(chosen, str):
         return final.get("name") == chosen
     return final == chosen
+
+
+def best_within(
+    costs: Sequence[Mapping[str, float]], accuracies: Sequence[float], limits: Mapping[str, float]
+) -> int | None:
+    """Index of the most accurate point none of whose costs exceeds its limit, the first of equals; None: none fits."""
+    fitting = [i for i, cost in enumerate(costs) if all(cost[key] <= most for key, most in limits.items())]
+    return max(fitting, key=lambda i: accuracies[i], default=None)

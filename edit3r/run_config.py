@@ -62,7 +62,10 @@ class RunConfig(Settings):
     gaussians: int | Literal["all", "auto"] = Field(
         "auto", description="all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"
     )
-    refine: int = Field(28, ge=0, le=10000, description="most photometric steps, each towards one edited view")
+    max_gaussians: int | None = Field(
+        None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
+    )
+    refine: int = Field(16, ge=0, le=10000, description="most photometric steps, each towards one edited view")
     grid: float = Field(
         0.67,
         gt=0,
@@ -72,6 +75,12 @@ class RunConfig(Settings):
     )
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None, description="measured preset that lies under all other settings (see docs/tradeoff.md)"
+    )
+    budget_ms: float | None = Field(
+        None, gt=0, description="take the best measured settings expected to need no more time [ms], editor left out"
+    )
+    max_memory: float | None = Field(
+        None, gt=0, description="take the best measured settings expected to need no more memory [MiB]"
     )
 
     @field_validator("outputs", "export", mode="before")
@@ -98,9 +107,10 @@ class RunConfig(Settings):
         """The refiners of the run in order: what `gaussians` and `refine` stand for, then those listed."""
         shorthands = DEFAULTS["shorthands"]
         wanted: dict[str, dict[str, Any]] = {}
-        if self.gaussians != "all":
-            before = shorthands["gaussians_before_refine"] if self.refine else {}
-            wanted[shorthands["gaussians"]] = {"gaussians": self.gaussians, **before}
+        if self.gaussians != "all" or self.max_gaussians is not None:
+            fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+            fewer |= shorthands["gaussians_before_refine"] if self.refine else {}
+            wanted[shorthands["gaussians"]] = {k: v for k, v in fewer.items() if v is not None}
         if self.refine:
             wanted[shorthands["refine"]] = {"steps": self.refine}
         listed = [
@@ -110,15 +120,16 @@ class RunConfig(Settings):
         return (*(PartChoice(name=name, settings=settings) for name, settings in wanted.items()), *listed)
 
 
-def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
+def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
     """Merge layers, later over earlier, and validate; a component may be given by name alone in any layer.
 
-    `quality` brings the measured settings of that preset; they lie under all layers.
+    A wish (quality, budget_ms, max_gaussians, max_memory) brings the measured settings that fit it for so many
+    `photos`; they lie under all layers.
     """
     merged: dict[str, Any] = {}
     for layer in layers:
         merged = merge(merged, {key: _named(key, value) for key, value in layer.items()})
-    merged = with_quality(merged)
+    merged = with_quality(merged, photos)
     defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
     for key, default in defaults.items():
         if isinstance(merged.get(key), dict) and "name" not in merged[key] and default is not None:

@@ -52,11 +52,11 @@ class Progress:
     total: int
     seconds_left: float
 
-    def said(self, what: str) -> str:
-        """One line about the job, what came of it, and the time left."""
+    def said(self, what: str, of: str = "") -> str:
+        """One line about the job, in front what it is `of`, with what came of it and the time left."""
         left = self.seconds_left
         size, unit = (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
-        return f"  [{self.done}/{self.total}] {self.key}: {what}; about {left / size:.0f} {unit} left"
+        return f"  [{self.done}/{self.total}] {of}{self.key}: {what}; about {left / size:.0f} {unit} left"
 
 
 def run_resumable(

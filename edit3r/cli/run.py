@@ -93,7 +93,7 @@ class RunCommand(Command):
             images, cameras = (args.images, args.cameras) if args.images else packaged_pair()
             found = None if continued else find_photos(images, max(USUAL_FRAMES, args.views or 0))
             paths = found or [Path(record.file) for record in continued.records]
-            config = _config(args, earlier)
+            config = _config(args, len(paths), earlier)
             registry = default_registry(tuple(args.plugin))
             check_names(registry, config)
         with collecting(report), report.stage("read photos"):
@@ -214,7 +214,7 @@ def _flag_form(field: FieldInfo) -> dict[str, Any]:
     return {"metavar": "TEXT"}
 
 
-def _config(args: argparse.Namespace, earlier: "EarlierRun | None" = None) -> RunConfig:
+def _config(args: argparse.Namespace, photos: int, earlier: "EarlierRun | None" = None) -> RunConfig:
     """Merge what the earlier run hands down, the configuration file, `--set`, and the flags, later over earlier."""
     from edit3r.config import find_config, parse_assignments, read_yaml
 
@@ -229,7 +229,7 @@ def _config(args: argparse.Namespace, earlier: "EarlierRun | None" = None) -> Ru
         layers.insert(0, _inherited(earlier, layers))
     elif not args.images and not any("prompt" in layer for layer in layers):
         layers.insert(0, {"prompt": DEFAULTS["prompt"]})
-    return make_run_config(*layers)
+    return make_run_config(*layers, photos=photos)
 
 
 def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str, Any]:
@@ -238,7 +238,7 @@ def _inherited(earlier: "EarlierRun", layers: list[dict[str, Any]]) -> dict[str,
     named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
     named = [choice.get("name") if isinstance(choice, dict) else choice for choice in named]
     another = any(name not in (None, earlier.reconstructor["name"]) for name in named)
-    wished = any("quality" in layer for layer in layers)
+    wished = any(key in layer for layer in layers for key in ("quality", "budget_ms", "max_gaussians", "max_memory"))
     return frames if another or wished else {**frames, "reconstructor": earlier.reconstructor}
 
 

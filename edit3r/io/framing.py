@@ -3,7 +3,7 @@
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,6 +43,16 @@ class Lens:
         place = cv2.undistortPoints(np.array([[[x, y]]]), matrix, np.array(self.distortion), P=matrix)
         return float(place[0, 0, 0]), float(place[0, 0, 1])
 
+    def is_shown(self, box: tuple[float, float, float, float]) -> bool:
+        """Whether the photo shows all of a box (left, top, right, bottom; shares) of the straightened one."""
+        x, y = (np.linspace(low, high, 65) for low, high in zip(box[:2], box[2:]))
+        sides = [(x, np.full(65, y[0])), (x, np.full(65, y[-1])), (np.full(65, x[0]), y), (np.full(65, x[-1]), y)]
+        rays = (np.concatenate(sides, 1).T - self.centre) / self.focal
+        points = np.concatenate((rays, np.ones((len(rays), 1))), 1)
+        matrix = self._matrix((1, 1)) + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        places = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(self.distortion))[0]
+        return bool((np.abs(places - 0.5) <= 0.5 + 1e-9).all())
+
     def _matrix(self, size: tuple[int, int]) -> np.ndarray:
         """Intrinsics [pixels] of an image of (width, height) in OpenCV's way, which counts from pixel centres."""
         (fx, fy), (cx, cy), (width, height) = self.focal, self.centre, size
@@ -81,6 +91,14 @@ class Frame:
         box = (left * x, top * y, min(right * x, image.width), min(bottom * y, image.height))
         shrinks = self.target[1] < box[2] - box[0]
         return image.resize(self.target[::-1], smooth if shrinks else Image.Resampling.BICUBIC, box=box)
+
+    def through(self, lens: Lens | None) -> "Frame":
+        """The frame of a photo that `lens` took: smaller where corners would be dark that the lens did not show."""
+        centre, half = (np.add(self.box[:2], self.box[2:]) / 2, np.subtract(self.box[2:], self.box[:2]) / 2)
+        sides = np.array(self.source[::-1] * 2)
+        boxes = (np.concatenate((centre - share * half, centre + share * half)) for share in np.linspace(1, 0.5, 101))
+        shown = (box for box in boxes if lens is None or lens.is_shown(tuple(box / sides)))
+        return replace(self, box=tuple(next(shown, np.array(self.box)).tolist()), lens=lens)
 
     def follow(self, intrinsics: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
         """Normalised intrinsics of the crop, from those of the image."""

@@ -117,7 +117,7 @@ def load_photos(
     for file, frame in track(list(zip(files, frames)), "read photos"):
         decoded = decode(file)
         found.append(finder.find(file, decoded))
-        frames[len(images)] = frame = replace(frame, lens=found[-1].lens)
+        frames[len(images)] = frame = frame.through(found[-1].lens)
         images.append(_to_tensor(frame.cut(decoded.pixels)))
     names = _names(files, names)
     photos = tuple(map(_record, names, files, frames, found))
@@ -136,9 +136,12 @@ def _straightened(loaded: LoadedPhotos, files: Sequence[Path], lens: Lens | None
     if lens is None:
         return loaded
     say("lens.straightened", f"it bends straight lines (k1 {lens.distortion[0]:.3f}); the photos are straightened")
-    photos = tuple(replace(photo, frame=replace(photo.frame, lens=lens)) for photo in loaded.photos)
+    photos = tuple(replace(photo, frame=photo.frame.through(lens)) for photo in loaded.photos)
     images = [_to_tensor(photo.frame.cut(decode(file).pixels)) for photo, file in zip(photos, files)]
-    return LoadedPhotos(replace(loaded.views, images=torch.stack(images)[None]), photos)
+    # One lens means photos of one size, of which the frames were all.
+    intrinsics = photos[0].frame.follow(loaded.views.intrinsics[0, 0].double()).to(loaded.views.intrinsics)
+    views = replace(loaded.views, images=torch.stack(images)[None], intrinsics=intrinsics.expand(1, len(images), 3, 3))
+    return LoadedPhotos(views, photos)
 
 
 def find_photos(paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES) -> list[Path]:

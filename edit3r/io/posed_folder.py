@@ -1,6 +1,6 @@
 """A folder of photos with known cameras (`cameras.json`, or nerfstudio's `transforms.json`), as evaluation uses it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,7 @@ class PosedFolder:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
         image = read_image(self.path / camera.file)
-        frame = replace(frame_for((image.height, image.width), (size, size)), lens=camera.lens)
+        frame = frame_for((image.height, image.width), (size, size)).through(camera.lens)
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
         return Photo(np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w)
 

@@ -130,7 +130,7 @@ def _check(job: Job, registry: Registry, checked: set[str]) -> None:
                     raise InputError(f"{other}: no such file.")
         except OSError as error:
             raise InputError(f"{str(path)[:200]}: {error.strerror}.") from None
-    config = make_run_config(job.settings)
+    config = make_run_config(job.settings, photos=count)
     choices = repr((*(getattr(config, kind) for kind in PART_KEYS), *config.all_refiners()))
     if choices not in checked:
         check_names(registry, config)

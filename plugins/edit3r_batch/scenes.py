@@ -78,7 +78,7 @@ class SceneRunner:
             with collecting(report), report.stage("read photos"):
                 most = max(USUAL_FRAMES, int(job.settings.get("views") or 0))
                 paths = find_photos([job.path(name) for name in wish.photos], most)
-                config = make_run_config(job.settings)
+                config = make_run_config(job.settings, photos=len(paths))
                 photos, masks, hashes = read_photos(paths, config, cameras, argparse.Namespace(**marks), self.registry)
                 if cameras or wish.refine_poses:
                     config = with_known_poses(config, photos.views, self.registry, wish.refine_poses)

@@ -1,14 +1,14 @@
-"""Any program as an editor: for each view it is given image files and told where to write the result.
+"""Any program as an editor: it is given image files and told where to write the result.
 
 The command is split into arguments once and never goes through a shell, so a prompt with quotes or semicolons stays
 one argument. Placeholders:
 
-| placeholder          | becomes                                                          |
-|----------------------|------------------------------------------------------------------|
-| `{input}`            | PNG of one view                                                  |
-| `{output}`           | the file to write                                                |
-| `{mask}`             | grey PNG (white may change), all white when the run has no mask  |
-| `{prompt}`, `{seed}` | the prompt as it is, the seed as a number                        |
+| placeholder                   | becomes                                                                     |
+|-------------------------------|-----------------------------------------------------------------------------|
+| `{input}`, `{output}`         | PNG of one view, and the file to write; the program runs once per view      |
+| `{input_dir}`, `{output_dir}` | folder with one PNG per view, and the one for results of the same names     |
+| `{mask}`, `{mask_dir}`        | mask as grey PNG (white may change), all white when the run has none        |
+| `{prompt}`, `{seed}`          | the prompt as it is, the seed as a number                                   |
 """
 
 import shlex
@@ -31,52 +31,60 @@ from edit3r.io.images import save_image
 from edit3r.types import EditRequest, Views
 from edit3r_editors.folder import read_edit, view_names
 
-PLACEHOLDERS = ("input", "mask", "output", "prompt", "seed")
+PER_VIEW, TOGETHER = ("input", "mask", "output"), ("input_dir", "mask_dir", "output_dir")
+PLACEHOLDERS = (*PER_VIEW, *TOGETHER, "prompt", "seed")
 EXAMPLE = '--set editor.command="mytool --in {input} --out {output} --prompt {prompt}"'
 
 
 class CommandEditor(Editor):
-    """Runs `editor.command` once for every view."""
+    """Runs `editor.command` per view, or once for all views when it names folders."""
 
     class Settings(Settings):
-        command: str = Field("", description="program with arguments; {input} {output} {mask} {prompt} {seed}")
+        command: str = Field(
+            "", description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir"
+        )
         timeout: float = Field(600, gt=0, description="time limit of one call [seconds]")
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        arguments, images = parse_command(self.settings.command), torch.empty_like(views.images)
-        for scene in range(len(images)):
-            for view, name in enumerate(reporting.track(view_names(views), "external program")):
-                mask = None if request.masks is None else request.masks[scene, view]
-                images[scene, view] = self._edit_view(arguments, views.images[scene, view], mask, name, request)
-        return replace(views, images=images)
+        masks = torch.ones_like(views.images[:, :, 0]) if request.masks is None else request.masks
+        edited = [self._edit_scene(*scene, view_names(views), request) for scene in zip(views.images, masks)]
+        return replace(views, images=torch.stack(edited))
 
-    def _edit_view(
+    def _edit_scene(
         self,
-        arguments: list[str],
-        image: Float[Tensor, "3 height width"],
-        mask: Float[Tensor, "height width"] | None,
-        name: str,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "view height width"],
+        names: list[str],
         request: EditRequest,
-    ) -> Float[Tensor, "3 height width"]:
-        """Run the program on one view. Raises RunError where it fails or writes nothing."""
+    ) -> Float[Tensor, "view 3 height width"]:
+        """Run the program on the views of one scene. Raises RunError where it fails or does not write a view."""
+        arguments, together = parse_command(self.settings.command)
         with tempfile.TemporaryDirectory(prefix="edit3r-command-") as folder:
-            files = {kind: Path(folder, kind, f"{name}.png") for kind in ("input", "output", "mask")}
-            for file in files.values():
-                file.parent.mkdir()
-            save_image(image, files["input"])
-            save_image((torch.ones_like(image[0]) if mask is None else mask).expand(3, -1, -1), files["mask"])
-            filled = [a.format(**files, prompt=request.prompt, seed=request.seed) for a in arguments]
-            self._call(filled, Path(folder) / "log.txt")
-            if not files["output"].is_file():
-                written = ", ".join(sorted(file.name for file in files["output"].parent.iterdir())) or "nothing"
+            folders = {kind: Path(folder, kind) for kind in PER_VIEW}
+            for made in folders.values():
+                made.mkdir()
+            for name, image, mask in zip(names, images, masks):
+                save_image(image, folders["input"] / f"{name}.png")
+                save_image(mask.expand(3, -1, -1), folders["mask"] / f"{name}.png")
+            if together:
+                calls = [{f"{kind}_dir": made for kind, made in folders.items()}]
+            else:
+                calls = [{kind: made / f"{name}.png" for kind, made in folders.items()} for name in names]
+            for files in reporting.track(calls, "external program"):
+                filled = [a.format(**files, prompt=request.prompt, seed=request.seed) for a in arguments]
+                self._call(filled, Path(folder) / "log.txt")
+            outputs = [folders["output"] / f"{name}.png" for name in names]
+            missing = next((file.name for file in outputs if not file.is_file()), None)
+            if missing is not None:
+                written = ", ".join(sorted(file.name for file in folders["output"].iterdir())) or "nothing"
                 raise RunError(
-                    f"editor.command: {arguments[0]!r} ended without an error but did not write {name}.png; it wrote "
-                    f"{written}. Write a PNG file to the path it is given."
+                    f"editor.command: {arguments[0]!r} ended without an error but did not write {missing}; it wrote "
+                    f"{written}. Write PNG files to the path it is given."
                 )
-            return read_edit(files["output"], image, name)
+            return torch.stack([read_edit(*one) for one in zip(outputs, images, names)])
 
     def _call(self, command: list[str], log: Path) -> None:
         program, limit = command[0], self.settings.timeout
@@ -101,8 +109,8 @@ class CommandEditor(Editor):
             raise RunError(f"editor.command: {program!r} failed with exit code {done.returncode}: {reason}")
 
 
-def parse_command(command: str) -> list[str]:
-    """Split a command into arguments with placeholders. Raises SettingsError where it cannot work."""
+def parse_command(command: str) -> tuple[list[str], bool]:
+    """Split a command into arguments with placeholders; True: one call edits all views. Raises SettingsError."""
     try:
         arguments = shlex.split(command)
         parsed = [part for argument in arguments for part in string.Formatter().parse(argument)]
@@ -115,6 +123,11 @@ def parse_command(command: str) -> list[str]:
     if unknown:
         listed = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)
         raise SettingsError(f"editor.command: unknown placeholder {{{unknown[0]}}}; known are {listed}.")
-    if "output" not in used:
+    together = not set(used).isdisjoint(TOGETHER)
+    if together and not set(used).isdisjoint(PER_VIEW):
+        raise SettingsError(
+            "editor.command: {input}, {output} and {mask} do not go with their _dir forms; use one kind."
+        )
+    if ("output_dir" if together else "output") not in used:
         raise SettingsError(f"editor.command: it must say where to write, for example {EXAMPLE}.")
-    return arguments
+    return arguments, together

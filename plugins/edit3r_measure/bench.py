@@ -238,8 +238,8 @@ def _grid(args: argparse.Namespace) -> int:
 def _print_progress(label: str, progress: "Progress") -> None:
     """Print one line about an item, with the time left."""
     failure = progress.row["failure"]
-    what = f"{label} failed: {failure[:100]}" if failure else f"{label} done"
-    print(progress.said(what), file=sys.stderr, flush=True)
+    what = f"failed: {failure[:100]}" if failure else "done"
+    print(progress.said(what, f"{label}, "), file=sys.stderr, flush=True)
 
 
 def _declare_report(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ What is killed at any moment leaves no result, only images that the next attempt
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from torch import Tensor
 
 import edit3r
@@ -44,6 +45,7 @@ from edit3r_measure.report import make_folder, read_json, write_json
 
 RESULTS = "results.jsonl"
 RUN = "bench-run.json"
+LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
 
 ONE_WORKER = Workers(threads=1)
 
@@ -54,11 +56,7 @@ FAILURES = (MatchingError, PromptError, RunError, PluginError)
 class Method(Settings):
     """One column of the comparison: an editor with a reconstructor, and how they are run."""
 
-    label: str = Field(
-        "",
-        pattern=r"^([A-Za-z0-9][A-Za-z0-9 ._+-]*)?$",
-        description="name of the column and of its folder; default: editor and reconstructor",
-    )
+    label: str = Field("", description="name of the column and of its folder; default: editor and reconstructor")
     editor: PartChoice = Field(description="2D editor; default: 'oracle', the offline stand-in")
     reconstructor: PartChoice = Field(description="reconstructor; default: edit3r")
     rasterizer: PartChoice = Field(description="draws the pictures that are measured; default: auto")
@@ -75,6 +73,13 @@ class Method(Settings):
         None, description="judge by the edited truth where it is known; default: for the oracle, whose edit it is"
     )
     note: str = Field("", description="what a reader of the table must know about this column")
+
+    @field_validator("label")
+    @classmethod
+    def _usable_as_a_folder(cls, value: str) -> str:
+        if value and not LABEL.fullmatch(value):
+            raise ValueError("must be letters, digits, blanks, dots, dashes, plus signs and underscores")
+        return value
 
     @model_validator(mode="before")
     @classmethod

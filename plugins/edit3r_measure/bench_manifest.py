@@ -24,6 +24,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
 from edit3r.geometry.maps import dilate
 from edit3r.interfaces import SceneSample
+from edit3r.io.atomic import sha256_of
 from edit3r.io.images import is_plain_name, load_photos, read_image
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
@@ -165,11 +166,6 @@ class LoadedItem:
     truth: Float[Tensor, "frame 3 height width"] | None  # the edited scene; None: not known
     masks: Float[Tensor, "frame height width"] | None  # where the edit may show; None: everywhere or not known
 
-    @property
-    def given(self) -> Views:
-        """The views that a method gets."""
-        return self.photos.select(range(self.inputs))
-
 
 def load_item(manifest: Manifest, item: ItemRecord, root: Path, registry: Registry) -> LoadedItem:
     """Load `item`; `root` is the manifest's folder. Raises InputError when images are not those of the manifest."""
@@ -201,7 +197,7 @@ def hash_of_file(path: Path) -> str:
     """Return the SHA-256 of a file. Raises InputError when it is not there."""
     if not path.is_file():
         raise InputError(f"{path}: no such file, and the manifest needs it.")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return sha256_of(path)
 
 
 def change_masks(
@@ -242,8 +238,7 @@ def _photographed(scene: SceneRecord, item: ItemRecord, root: Path, size: int) -
     known = [(folder / f.file, f) for f in frames] + [(root / m.file, m) for m in (*item.masks, *item.truth)]
     for path, record in known:
         if hash_of_file(path) != record.sha256:
-            sentence = "not the picture that the manifest was built with; results would not compare."
-            raise InputError(f"{path}: {sentence}")
+            raise InputError(f"{path}: not the picture that the manifest was built with; results would not compare.")
     camera_file = folder / scene.cameras if scene.cameras else None
     files = [folder / record.file for record in frames]
     loaded = load_photos(files, size=size, cameras=camera_file, names=_frame_names(order))

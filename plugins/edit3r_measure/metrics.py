@@ -106,26 +106,16 @@ def blur(image: Image) -> float:
     return float(blur_effect(image, channel_axis=-1))
 
 
-@dataclass(frozen=True)
-class BlurredCopy:
-    """The best that blurring one photo can do as a guess of another."""
-
-    psnr: float  # [dB]
-    ssim: float  # of the same blurred image
-    sigma: float  # [pixels]
-
-
 def best_blurred_copy(
     photos: Iterable[Image], target: Image, covered: Bool[np.ndarray, "height width"] | None = None
-) -> BlurredCopy:
-    """Return the highest PSNR that any photo reaches under any Gaussian blur: what knowing no geometry gives.
+) -> tuple[float, float]:
+    """Return the highest PSNR [dB] that any photo reaches under any Gaussian blur, and the SSIM of that copy.
 
-    The PSNR counts the `covered` pixels only, if given; the SSIM is always that of the whole image.
+    It is what knowing no geometry gives. The PSNR counts the `covered` pixels only, if given, the SSIM all.
     """
-    copies = ((gaussian_filter(photo, (sigma, sigma, 0)), sigma) for photo in photos for sigma in BLURS)
-    scored = ((psnr(copy, target, covered), copy, sigma) for copy, sigma in copies)
-    score, copy, sigma = max(scored, key=lambda item: item[0])
-    return BlurredCopy(score, ssim(copy, target), sigma)
+    copies = (gaussian_filter(photo, (sigma, sigma, 0)) for photo in photos for sigma in BLURS)
+    score, copy = max(((psnr(copy, target, covered), copy) for copy in copies), key=lambda scored: scored[0])
+    return score, ssim(copy, target)
 
 
 # What an edit did. Distances to the unedited photos reward doing nothing; these do not.

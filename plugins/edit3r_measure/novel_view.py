@@ -160,15 +160,15 @@ def _novel_view(scene: Scene, reconstructor: Reconstructor, rasterizer: Rasteriz
     seconds = time.process_time() - start
     shown = predict(reconstruction, rasterizer, first, second, target)
     photos = (first.image, second.image)
-    blurred = best_blurred_copy(photos, target.image)
+    blurred_psnr, blurred_ssim = best_blurred_copy(photos, target.image)
     rotation_error, direction_error = pose_errors(predicted_pose(reconstruction), relative_pose(second, first))
     return {
         "psnr": psnr(shown.image, target.image),
-        "blurred_psnr": blurred.psnr,
+        "blurred_psnr": blurred_psnr,
         "covered_psnr": psnr(shown.image, target.image, shown.covered),
-        "covered_blurred_psnr": best_blurred_copy(photos, target.image, shown.covered).psnr,
+        "covered_blurred_psnr": best_blurred_copy(photos, target.image, shown.covered)[0],
         "ssim": ssim(shown.image, target.image),
-        "blurred_ssim": blurred.ssim,
+        "blurred_ssim": blurred_ssim,
         "coverage": float(shown.covered.mean()),
         "rotation_error": rotation_error,
         "direction_error": direction_error,

@@ -36,7 +36,15 @@ _FITTED = 8_000
 _FITS = 6
 """Rounds of the robust fit."""
 
-_PRODUCTS = tuple(combinations_with_replacement(range(4), 3))
+_PRODUCTS = tuple(combinations_with_replacement(range(4), 2))
+
+_LUMA = (0.299, 0.587, 0.114)
+
+_KNOTS = 8
+"""Places from black to white between which the function changes linearly from one polynomial to the next."""
+
+_ROUNDED = 1.5 / 255
+"""A channel this near to 0 or 1 was cut off there."""
 
 _SPREAD = 0.02
 """How far around a change an edit may be carried [long sides]: outlines and matches are off by some pixels."""
@@ -169,50 +177,56 @@ def edits_disagree(
         made, kept = telling & (share > 0.5), telling & (share <= 0.5)
         there = warp(torch.stack((made[:, 0], kept[:, 0]), 1).to(source.dtype), matches.coordinates[:, view]) > 0.5
         opposed = ((there[:, 0] & kept[:, 1]) | (there[:, 1] & made[:, 1])) * matches.inside[:, view]
-        unexplained = (left[:, 1] / _EXPLAINED - 1).clamp(0, 1)
-        # Thin lines are left out: where an edit ends at white, borders that mix two colours are not what it makes.
-        gap = torch.maximum(dilate(-dilate(-unexplained, speck), speck), opposed)
+        gap = torch.maximum((left[:, 1] / _EXPLAINED - 1).clamp(0, 1), opposed)
+        # Thin lines are left out: outlines of two masks, and borders that mix two colours, are off by a pixel or two.
+        gap = dilate(-dilate(-gap, speck), speck)
         gaps.append(torch.where(shared.all(1)[:, None, None], dilate(gap, reach), 1.0))
     return torch.stack(gaps, 1)
 
 
 def _shared_function(
     source: Float[Tensor, "batch view 3 height width"], change: Float[Tensor, "batch view 3 height width"]
-) -> Float[Tensor, "batch 23 3"]:
-    """Coefficients of the change as a cubic polynomial and roots of the colour, over the changed pixels of all views.
+) -> Float[Tensor, "batch 83 3"]:
+    """Coefficients of the change as a function of the colour, over the changed pixels of all views.
 
-    Robust least squares (Cauchy weights). A channel that an edit drove to 0 or 1 says nothing about the function.
+    Robust least squares (Cauchy weights). A channel that an edit drove to 0 or 1 says that the function reaches it,
+    no more.
     """
     every = max(1, source[0, :, 0].numel() // _FITTED)
     s, r = (x.double().movedim(2, -1).flatten(1, 3)[:, ::every] for x in (source, change))
-    features, after = _monomials(s), s + r
-    inside = (after > 1.5 / 255) & (after < 253.5 / 255)
-    fixed = inside * (r.abs().amax(-1, keepdim=True) > _CHANGE)
-    coefficients = r.new_zeros(len(r), features.shape[-1], 3)
-    weights = fixed.to(r.dtype)
+    features, after = _features(s), s + r
+    low, high = after <= _ROUNDED, after >= 1 - _ROUNDED
+    changed = (r.abs().amax(-1, keepdim=True) > _CHANGE).expand_as(r)
+    counts = ~(low | high)  # a channel that was cut off counts once the function falls short of it
+    goal, weights = r, (changed & counts).to(r.dtype)
     ridge = 1e-6 * torch.eye(features.shape[-1], dtype=r.dtype, device=r.device)
     for _ in range(_FITS):
         weighted = features.mT[:, None] * weights.mT[:, :, None]  # [batch, channel, feature, pixel]
-        moments, target = weighted @ features[:, None] + ridge, weighted @ r.mT[..., None]
+        moments, target = weighted @ features[:, None] + ridge, weighted @ goal.mT[..., None]
         coefficients = torch.linalg.solve(moments, target)[..., 0].mT
-        left = (r - features @ coefficients).abs().amax(-1, keepdim=True)
-        weights = fixed / (1 + (left / _EXPLAINED).square())
+        found = s + features @ coefficients
+        beyond = (low & (found <= _ROUNDED)) | (high & (found >= 1 - _ROUNDED))
+        left = torch.where(beyond, 0, after - found).abs().amax(-1, keepdim=True)
+        counts, goal = counts | ~beyond, torch.where(beyond, found, after) - s
+        weights = (changed & counts) / (1 + (left / _EXPLAINED).square())
     return coefficients.to(source.dtype)
 
 
 def _change_by_function(
-    source: Float[Tensor, "batch view 3 height width"], coefficients: Float[Tensor, "batch 23 3"]
+    source: Float[Tensor, "batch view 3 height width"], coefficients: Float[Tensor, "batch 83 3"]
 ) -> Float[Tensor, "batch view 3 height width"]:
     """The change that the function makes to each pixel, which stays within [0, 1]."""
-    change = torch.einsum("bvhwf,bfc->bvchw", _monomials(source.movedim(2, -1)), coefficients)
+    change = torch.einsum("bvhwf,bfc->bvchw", _features(source.movedim(2, -1)), coefficients)
     return (source + change).clamp(0, 1) - source
 
 
-def _monomials(colours: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 23"]:
-    """All products of at most three channels, the empty one first, and the root of each channel."""
+def _features(colours: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 83"]:
+    """All products of at most two channels, shared out between the two next knots of lightness, and each one's root."""
     padded = torch.cat((torch.ones_like(colours[..., :1]), colours), -1)
-    products = [padded[..., i] * padded[..., j] * padded[..., k] for i, j, k in _PRODUCTS]
-    return torch.cat((torch.stack(products, -1), colours.clamp(min=0).sqrt()), -1)
+    products = torch.stack([padded[..., i] * padded[..., j] for i, j in _PRODUCTS], -1)
+    knots = torch.arange(_KNOTS, dtype=colours.dtype, device=colours.device)
+    near = (1 - ((_KNOTS - 1) * (colours @ colours.new_tensor(_LUMA))[..., None] - knots).abs()).clamp(min=0)
+    return torch.cat(((near[..., None] * products[..., None, :]).flatten(-2), colours.clamp(min=0).sqrt()), -1)
 
 
 def _spread(maps: Float[Tensor, "batch view height width"], sigma: float) -> Float[Tensor, "batch view height width"]:

@@ -115,7 +115,6 @@ class FusedEdit:
 
     maps: Float[Tensor, "batch 12 height width"]  # the carried edit, refined
     choice: Float[Tensor, "batch 3 height width"]  # convex weights of the candidates
-    opacity_correction: Float[Tensor, "batch 1 height width"]  # added to the opacity's logit, <= 0
 
 
 class EditFusion(nn.Module):
@@ -133,7 +132,7 @@ class EditFusion(nn.Module):
         self.coarse = nn.Sequential(ResidualBlock(2 * width), GlobalBlock(2 * width), ResidualBlock(2 * width))
         self.up = Conv2d(2 * width, width, 1)
         self.out = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
-        self.heads = zero_conv(width, 36 + STRIDE**2 * (CANDIDATES + 1))
+        self.heads = zero_conv(width, 36 + STRIDE**2 * CANDIDATES)
         convex_upsample_start(self.heads, first=0)
         with torch.no_grad():
             self.heads.bias[36 : 36 + STRIDE**2] = 2.0  # own colour first
@@ -156,5 +155,5 @@ class EditFusion(nn.Module):
         x = self.fine(self.enter(torch.cat(x, 1)))
         x = self.out(x + upsample_to(self.up(self.coarse(self.down(x))), x))
         heads = self.heads(x)
-        logits, opacity = F.pixel_shuffle(heads[:, 36:], STRIDE).split((CANDIDATES, 1), 1)
-        return FusedEdit(convex_upsample(carried.maps, heads[:, :36]), logits.softmax(1), -F.softplus(opacity - 4))
+        choice = F.pixel_shuffle(heads[:, 36:], STRIDE).softmax(1)
+        return FusedEdit(convex_upsample(carried.maps, heads[:, :36]), choice)

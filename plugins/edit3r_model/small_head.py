@@ -6,6 +6,7 @@ features, colour maps of both images --> EditTransport (reference -> view) --> E
 It decides on the backbone's grid and makes the Gaussians at the images' own resolution and sharpness.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -33,7 +34,7 @@ VISIBLE_CHANGE = 0.05
 MEASURED = 0.5
 """Confidence below which a depth was filled in."""
 FLOATING_OPACITY = 0.02
-"""Before correction, of points that other photos contradict."""
+"""Share of its opacity that a point keeps which other photos contradict."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,6 @@ class Decisions:
     depth_correction: Float[Tensor, "batch view height width"]  # added to log depth, in (-0.7, 0.7)
     opacity_correction: Float[Tensor, "batch view height width"]  # added to the logit
     scale_correction: Float[Tensor, "batch view height width"]  # added to the log scale, in (-0.5, 0.5)
-    disagreement: Float[Tensor, "batch view height width"]  # added to the logit near an edit, <= 0; 0 for the reference
     maps: Float[Tensor, "batch view 12 height width"]  # carried affine colour maps; 0 for the reference
     choice: Float[Tensor, "batch view 3 height width"]  # weights of the candidates, together 1; 0 for the reference
 
@@ -51,10 +51,10 @@ class Decisions:
 class EditFusionHead(GaussianHead):
     """Corrects matched geometry, and draws edits that disagree to the reference's; starts as no correction.
 
-    It reads the last level of any backbone. Images, unedited images and geometry have one size, whatever the grid.
+    It reads the last level of any backbone. The Gaussians lie on the geometry's grid, whatever the images' size.
     """
 
-    takes_geometry = True
+    takes_geometry = takes_photos = True
 
     class Settings(Settings):
         width: int = Field(32, ge=8, le=512, multiple_of=8, description="channels; features of others are projected")
@@ -68,7 +68,7 @@ class EditFusionHead(GaussianHead):
             description="share of the network's depth correction that counts; pictures are better without, training "
             "sets 1, so that losses on the centres move something",
         )
-        opacity_repair: float = Field(0.5, ge=0, le=1, description="share of its corrections of opacity and size")
+        opacity_repair: float = Field(1.0, ge=0, le=1, description="share of its corrections of opacity and size")
         opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
         conflict_opacity: float = Field(
             0.45,
@@ -104,6 +104,11 @@ class EditFusionHead(GaussianHead):
     ) -> Gaussians:
         if source is None or geometry is None:
             raise InputError("edit-fusion needs matched geometry: give the reconstructor a matcher, as edit3r has.")
+        grid = tuple(geometry.depths.shape[-2:])
+        # An edit is a function of colour pixel by pixel; means of several pixels are not.
+        pixels = images, source.images
+        picked = [F.interpolate(x.flatten(0, 1), grid, mode="nearest-exact").unflatten(0, x.shape[:2]) for x in pixels]
+        images, source = Views(images, source.intrinsics).at(grid).images, source.at(grid)
         decisions = self._decide(features, images, source, geometry)
         depth, opacity = self.settings.depth_repair, self.settings.opacity_repair
         counted = replace(
@@ -111,9 +116,8 @@ class EditFusionHead(GaussianHead):
             depth_correction=depth * decisions.depth_correction,
             opacity_correction=opacity * decisions.opacity_correction,
             scale_correction=opacity * decisions.scale_correction,
-            disagreement=opacity * decisions.disagreement,
         )
-        return assemble(images, source, geometry, counted, self.settings)
+        return assemble(images, source, geometry, counted, self.settings, tuple(picked))
 
     def _decide(
         self,
@@ -132,7 +136,8 @@ class EditFusionHead(GaussianHead):
         depths = averaged(geometry, size).depths * depth.detach().exp()
         matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
         fused = [self._fuse(before, after, tokens, matches, view) for view in range(1, before.shape[1])]
-        return Decisions(depth, opacity, scale, *_with_reference(fused))
+        carried = zip(*((found.maps, found.choice) for found in fused))
+        return Decisions(depth, opacity, scale, *(torch.stack([torch.zeros_like(x[0]), *x], 1) for x in carried))
 
     def _tokens(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "batch view channel rows columns"]:
         """The last level as maps, one token for STRIDE x STRIDE pixels."""
@@ -172,35 +177,32 @@ class EditFusionHead(GaussianHead):
         )
 
 
-def _with_reference(fused: list[FusedEdit]) -> tuple[Tensor, Tensor, Tensor]:
-    """(disagreement, maps, choice) of all views: 0 for the reference, which takes nothing from another."""
-    found = zip(*((f.opacity_correction[:, 0], f.maps, f.choice) for f in fused))
-    return tuple(torch.stack([torch.zeros_like(maps[0]), *maps], 1) for maps in found)
-
-
 def assemble(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Views,
     geometry: MatchedGeometry,
     decisions: Decisions,
     settings: EditFusionHead.Settings,
+    picked: tuple[Float[Tensor, "batch view 3 height width"], Float[Tensor, "batch view 3 height width"]],
 ) -> Gaussians:
-    """Turn geometry, images and decisions into one Gaussian per pixel, in the frame of view 0."""
+    """Turn geometry, images and decisions into one Gaussian per pixel, in the frame of view 0.
+
+    `picked` are single pixels of the edited and the unedited photos, in which edits are compared.
+    """
     images = source.images
     fine = _at_image_size(decisions, images)
     depths = geometry.depths * fine.depth_correction.exp()
     matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
     floating = contradicted(geometry, source.intrinsics)
-    logits = torch.logit(torch.where(floating, FLOATING_OPACITY, settings.opacity)) + fine.opacity_correction
+    logits = math.log(settings.opacity / (1 - settings.opacity)) + fine.opacity_correction
     colours, yielding = edited, 1.0
     if settings.fuse_edits and not torch.equal(edited, images):
         near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
-        near = near * edits_disagree(edited, images, matches)
+        near = near * edits_disagree(*picked, matches)
         colours = fuse_colours(edited, images, fine, matches, near)
-        logits = logits + near * fine.disagreement
         conflict = edits_conflict(edited, images, matches, near)
         yielding = 1 - (1 - settings.conflict_opacity) * conflict
-    opacities = torch.sigmoid(logits) * yielding
+    opacities = torch.sigmoid(logits) * torch.where(floating, FLOATING_OPACITY, yielding)
     scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
     cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
     gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacities)
@@ -234,15 +236,10 @@ def fuse_colours(
 
 def _at_image_size(decisions: Decisions, images: Float[Tensor, "batch view 3 height width"]) -> Decisions:
     """The decisions at the images' size, along the images' edges."""
-    single = (
-        decisions.depth_correction,
-        decisions.opacity_correction,
-        decisions.scale_correction,
-        decisions.disagreement,
-    )
+    single = (decisions.depth_correction, decisions.opacity_correction, decisions.scale_correction)
     stacked = torch.cat((torch.stack(single, 2), decisions.maps, decisions.choice), 2)
     fine = guided_upsample(stacked.flatten(0, 1), images.flatten(0, 1)).unflatten(0, images.shape[:2])
-    depth, opacity, scale, disagreement = fine[:, :, :4].unbind(2)
+    depth, opacity, scale = fine[:, :, :3].unbind(2)
     choice = fine[:, :, -decisions.choice.shape[2] :]
     choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
-    return Decisions(depth, opacity, scale, disagreement, fine[:, :, 4:-3], choice)
+    return Decisions(depth, opacity, scale, fine[:, :, 3:-3], choice)

@@ -97,28 +97,33 @@ class Edit3rReconstructor(Reconstructor):
         with torch.no_grad():
             geometry = self.matcher.match(source)
         grid = views.image_size if request is None else request.grid_of(views.image_size)
-        views, source = (geometry.calibrated(shown).at(grid) for shown in (views, source))
+        views, source = (geometry.calibrated(shown) for shown in (views, source))
         measured, geometry = geometry.measured, geometry.at(grid)
         with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
-            reconstruction = self._with_surroundings(reconstruction, views, source, geometry)
+            reconstruction = self._with_surroundings(reconstruction, views.at(grid), source.at(grid), geometry)
         return replace(reconstruction, placed=geometry.registered, measured=measured)
 
     def from_geometry(self, views: Views, source: Views, geometry: MatchedGeometry) -> Reconstruction:
-        """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own."""
+        """Reconstruct from given geometry, differentiably; the trainer calls this with geometry of its own.
+
+        The Gaussians lie on the geometry's grid; the views may be finer.
+        """
         unit = geometry.depths[:, 0].flatten(1).median(1).values
         prior = _in_unit(geometry, unit)
-        cameras = Cameras(prior.c2w, source.intrinsics, source.image_size)
+        cameras = Cameras(prior.c2w, source.intrinsics, tuple(prior.depths.shape[-2:]))
         reconstruction = Reconstruction(self._gaussians(views, source, prior), cameras)
         return _hide_unplaced(_back_from_unit(reconstruction, unit), geometry)
 
     def _gaussians(self, views: Views, source: Views, prior: MatchedGeometry) -> Gaussians:
         """Backbone, then head; only parts that take geometry are given it."""
+        photos = views.images, source
+        views, source = (shown.at(tuple(prior.depths.shape[-2:])) for shown in (views, source))
         size = network_grid(source.image_size, self.settings.network_size, self.backbone.patch_size)
         given = (averaged(prior, size),) if self.backbone.takes_geometry else ()
         features = self.backbone(resize(source.images, size), source.intrinsics, *given)
         if self.head.takes_geometry:
-            return self.head(features, views.images, source, prior)
+            return self.head(features, *(photos if self.head.takes_photos else (views.images, source)), prior)
         from edit3r_model import view_fitting
 
         gaussians = self.head(features, view_fitting.resize(views.images, size))

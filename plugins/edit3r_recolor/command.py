@@ -41,7 +41,7 @@ class RecolorCommand(Command):
         from edit3r.io.images import load_photos
         from edit3r.reporting import Report, collecting, warn
         from edit3r_recolor.folder import write_folder
-        from edit3r_recolor.scene import carry_out, carry_out_with_faults
+        from edit3r_recolor.scene import carry_out
 
         _check(args)
         find = _replayed(args) if args.replay else _found(args)
@@ -57,7 +57,7 @@ class RecolorCommand(Command):
                     warn(f"{left_out}: left out, too few of the objects of the view before were found there.")
                 with report.stage("recolour"):
                     images = carry_out(photos.views.images[0], masks, recipe)
-                    faulty = carry_out_with_faults(photos.views.images[0], masks, recipe) if args.augment else None
+                    faulty = carry_out(photos.views.images[0], masks, recipe, True) if args.augment else None
                 with report.stage("write"):
                     write_folder(folder, photos, masks, recipe, images, faulty)
         if not args.quiet:

@@ -5,7 +5,7 @@ region, drawn once --> soft blend in every view
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -205,27 +205,13 @@ def _draw_faults(view: int, shown: Sequence[RegionRecipe], settings: RecoloringS
     return {number: fault for number, fault in faults.items() if fault != Fault()}
 
 
-def carry_out(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
-    """Recolour the processed views alike."""
-    parameters = [region.parameters for region in recipe.regions]
-
-    def recolored(view: int) -> Float[Tensor, "3 height width"]:
-        return recoloring.recolored(images[[view]], masks[:, [view]], parameters)[0]
-
-    return _each_view(recipe, "recolour", recolored)
-
-
-def carry_out_with_faults(images: Images, masks: Masks, recipe: SceneRecipe) -> Images:
-    """Recolour the processed views as a 2D editor might have: the same edit, with every view's faults."""
-
-    def augmented(view: int) -> Float[Tensor, "3 height width"]:
-        faults = [recipe.views[view].faults.get(region.id, Fault()) for region in recipe.regions]
+def carry_out(images: Images, masks: Masks, recipe: SceneRecipe, with_faults: bool = False) -> Images:
+    """Recolour the processed views alike; `with_faults` as a 2D editor might have: with every view's own faults."""
+    views = []
+    for view in track(recipe.processed, "augment" if with_faults else "recolour"):
+        known = recipe.views[view].faults if with_faults else {}
+        faults = [known.get(region.id, Fault()) for region in recipe.regions]
         own = torch.stack([recoloring.with_outline(m, fault.outline) for m, fault in zip(masks[:, view], faults)])
         parameters = [fault.parameters or region.parameters for region, fault in zip(recipe.regions, faults)]
-        return recoloring.recolored(images[[view]], own[:, None], parameters)[0]
-
-    return _each_view(recipe, "augment", augmented)
-
-
-def _each_view(recipe: SceneRecipe, text: str, draw: Callable[[int], Float[Tensor, "3 height width"]]) -> Images:
-    return torch.stack([draw(view) for view in track(recipe.processed, text)])
+        views.append(recoloring.recolored(images[[view]], own[:, None], parameters)[0])
+    return torch.stack(views)

@@ -30,11 +30,13 @@ def contributions(
     harmonic, divided by the basis function. Grey Gaussians keep every colour away from the clamp at 0.
     """
     grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
-    with torch.enable_grad():
-        images = rasterizer.render(replace(gaussians, harmonics=grey), cameras).images
-        counted = images[:, :, 0] if pixels is None else images[:, :, 0] * pixels
-        (gradient,) = torch.autograd.grad(counted.sum(), grey)
-    return gradient[:, :, 0, 0] / DC
+    weight = torch.zeros_like(gaussians.opacities)
+    for camera in range(cameras.count):  # one at a time: all that one keeps for its gradient is a lot of memory
+        with torch.enable_grad():
+            images = rasterizer.render(replace(gaussians, harmonics=grey), cameras.select([camera])).images
+            counted = images[:, 0, 0] if pixels is None else images[:, 0, 0] * pixels[camera]
+            weight += torch.autograd.grad(counted.sum(), grey)[0][:, :, 0, 0]
+    return weight / DC
 
 
 def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:

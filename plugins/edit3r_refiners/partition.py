@@ -5,7 +5,7 @@ either one cell or the better of its two halvings, left and right or top and bot
 rectangle known, the best choice follows bottom-up, in time linear in the number of pixels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -27,6 +27,7 @@ LEAST_FILL = 0.5  # Gaussians per pixel; an emptier cell joins things that are a
 STILL = 0.25  # steps that move by less than this between the views do no harm [pixels]
 COUNT, WEIGHT = 0, 1
 VALUES = 4  # red, green, blue, disparity
+CHANNELS = 2 + 5 + VALUES + 2 + 2 * VALUES  # as `_pixel_sums` lists them
 
 
 @dataclass(frozen=True)
@@ -170,11 +171,13 @@ def _concatenated(choices: dict[tuple[int, int], Tensor]) -> tuple[Tensor, Tenso
 
 
 def _sum_per_pixel(
-    sums: Float[Tensor, "channel member"], place: Int[Tensor, "member"], shape: tuple[int, int, int]
+    sums: Iterable[Float[Tensor, "member"]], place: Int[Tensor, "member"], shape: tuple[int, int, int]
 ) -> Float[Tensor, "channel view row column"]:
     """Add up what falls on the same pixel; `place` is the flat index in `shape`, (views, rows, columns)."""
-    size = shape[0] * shape[1] * shape[2]
-    return torch.stack([channel.new_zeros(size).index_add_(0, place, channel) for channel in sums]).view(-1, *shape)
+    total = torch.zeros((CHANNELS, *shape), device=place.device)
+    for own, channel in zip(total, sums):
+        own.view(-1).index_add_(0, place, channel)
+    return total
 
 
 def _padded(position: Int[Tensor, "member"], size: int, side: int) -> tuple[Int[Tensor, "member"], int]:
@@ -203,17 +206,19 @@ def _pixel_sums(
     disparity: Float[Tensor, "gaussian"],
     colours: Float[Tensor, "gaussian 3"],
     weight: Float[Tensor, "gaussian"],
-) -> Float[Tensor, "channel gaussian"]:
-    """Return the moments of single Gaussians; those of a cell are their sum.
+) -> Iterator[Float[Tensor, "gaussian"]]:
+    """Yield the moments of single Gaussians, a channel at a time; those of a cell are their sum.
 
     Channels: count, weight, then weighted: 5 moments of (x, y), the four values (colour, disparity), their squares
-    (colour in one), the values by x, by y. Channels come first, so that each is one run of memory.
+    (colour in one), the values by x, by y.
     """
-    values = torch.stack((*colours.unbind(-1), disparity))
-    position = torch.stack((x, y, x * x, y * y, x * y))
-    squares = torch.stack((colours.square().sum(-1), disparity.square()))
-    moments = torch.cat((position, values, squares, values * x, values * y))
-    return torch.cat((torch.ones_like(weight)[None], weight[None], weight * moments))
+    values = (*colours.unbind(-1), disparity)
+    yield torch.ones_like(weight)
+    yield weight
+    for position in (x, y, x * x, y * y, x * y, *values, colours.square().sum(-1), disparity.square()):
+        yield weight * position
+    for place in (x, y):
+        yield from (weight * (value * place) for value in values)
 
 
 def _merging_cost(

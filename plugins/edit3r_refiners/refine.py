@@ -1,8 +1,8 @@
 """Refine Gaussians by photometric steps on the input views; the cameras stay.
 
 Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little towards its image. A
-share of the pixels is held back from the loss. The steps end when those pixels stop getting better, and the best
-state by them is returned: it is never worse on them than the start.
+share of the pixels is held back from the loss; the best state by them is returned: it is never worse on them than the
+start.
 """
 
 import math
@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
 
 from edit3r.config import Settings
 from edit3r.interfaces import Rasterizer, Refiner
@@ -24,21 +25,18 @@ LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
 CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
-MORE_STEPS = 0.25  # steps for each photo beyond two, in shares of those for two
+MORE_STEPS = 16  # most steps for each view beyond two
 SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
 
 
 class RefineSettings(Settings):
-    """Step sizes of Adam, in units that do not depend on the scene, and when to stop."""
+    """Step sizes of Adam, in units that do not depend on the scene, and what is held back."""
 
-    colour: float = Field(0.06, ge=0, le=1, description="step of the harmonics")
+    colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
     opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
     scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
     centre: float = Field(0.15, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
-    held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels kept out of the loss, to know when to stop")
-    patience: int = Field(
-        3, ge=1, description="rounds of all views without improvement of those pixels before stopping"
-    )
+    held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state")
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
@@ -85,20 +83,16 @@ def refine(
         image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
             shown = rasterizer.render(variables.gaussians(), cameras.select(view)).images
-        difference = shown.detach() - image
-        errors.append(float(difference.movedim(2, -1)[out].square().mean()))
-        # The gradient of Huber's loss by the image, which torch would find in five passes over it.
-        slope = difference.div_(SQUARED_BELOW).clamp_(-1, 1).mul_(~out[:, :, None]).div_(difference.numel())
+            loss = (smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(2) * ~out).mean()
+        errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
         # Each view pulls the others' surfaces to itself: shorter steps in the end settle between them.
         past = (step / steps - CALM) / (1 - CALM)
-        variables.step(shown, slope, 1 - (1 - LAST_SHARE) * max(0.0, past))
+        variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
         if len(errors) % cameras.count == 0 or step == steps - 1:
             rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
             if rounds[-1] <= min(rounds):
                 best, taken = _detached(variables.gaussians()), step + 1
-            if len(rounds) - 1 - rounds.index(min(rounds)) >= settings.patience:
-                break
     after = _errors(best, cameras, images, rasterizer, kept_out) if taken else before
     if after[0] >= before[0]:
         best, taken, after = gaussians, 0, before
@@ -123,10 +117,10 @@ class RefineRefiner(Refiner):
 
     class Settings(RefineSettings):
         steps: int = Field(
-            28,
+            16,
             ge=0,
             le=10000,
-            description="most photometric steps for two views, each towards one; a further view adds a quarter",
+            description="most steps for two views, each towards one; a further view adds as many, but at most 16",
         )
 
     def __init__(self, settings: Settings) -> None:
@@ -137,7 +131,8 @@ class RefineRefiner(Refiner):
     ) -> Gaussians:
         """Follow `views` alone: photos that were not edited would pull the edit back out."""
         shown = cameras.select(range(views.count)).at(views.image_size)
-        steps = round(self.settings.steps * (1 + MORE_STEPS * max(0, views.count - 2)))
+        # Two photos settle little between them: more steps only make each view show its own photo.
+        steps = self.settings.steps + max(0, views.count - 2) * min(self.settings.steps, MORE_STEPS)
         refined = refine(gaussians, shown, views.images, rasterizer, steps, self.settings)
         note("refine", refined.facts)
         return refined.gaussians
@@ -191,11 +186,7 @@ class _Variables:
             harmonics=self.values["colour"],
         )
 
-    def step(self, shown: Tensor, slope: Tensor, length: float) -> None:
-        """One step, where `slope` is the gradient of the loss by the image `shown`."""
-        # As a sum: a gradient that is handed to torch makes it import its symbolic shapes, half a second.
-        with torch.enable_grad():
-            loss = (shown * slope).sum()
+    def step(self, loss: Float[Tensor, ""], length: float) -> None:
         self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())), length)
 
 

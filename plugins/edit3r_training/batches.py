@@ -13,7 +13,7 @@ from edit3r.geometry.cameras import unproject
 from edit3r.interfaces import MatchedGeometry, SceneSample
 from edit3r.types import Cameras, Views
 from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
-from edit3r_training.simulated_matching import simulate_match
+from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,31 @@ class TrainingBatch:
 Unit = Literal["matcher", "baseline"]
 """The length that is 1: any, as a simulated matcher's, or the distance from the first to the last input camera."""
 
+Match = Callable[[SceneSample, np.random.Generator], SimulatedMatch]
+"""What is said of the geometry of a sample that comes with depths."""
+
 
 def make_batch(
     samples: Sequence[SceneSample],
     shares: RegimeShares,
     generators: Sequence[np.random.Generator],
     unit: Unit = "matcher",
+    match: Match = simulate_match,
 ) -> TrainingBatch:
-    """Edit every sample, each with its own random numbers; for unit `matcher`, simulate what a matcher would say."""
-    batches = [_batch_of_one(sample, shares, rng, unit) for sample, rng in zip(samples, generators)]
+    """Edit every sample, each with its own random numbers; for unit `matcher`, `match` says what a matcher would."""
+    batches = [_batch_of_one(sample, shares, rng, unit, match) for sample, rng in zip(samples, generators)]
     return _with_tensors(lambda *tensors: torch.cat(tensors), *batches)
 
 
 def _batch_of_one(
-    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator, wished_unit: Unit
+    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator, wished_unit: Unit, match_as: Match
 ) -> TrainingBatch:
     """The batch of one scene."""
     edit, match, unit = edit_sample(sample, shares, rng), None, 1.0
     if wished_unit == "baseline":
         unit = 1 / max(float(sample.context_cameras.c2w[0, -1, :3, 3].norm()), 1e-9)
     elif sample.context_depths is not None:
-        match = simulate_match(sample, rng)
+        match = match_as(sample, rng)
         unit = match.unit  # the matcher cannot know the scene's own
     intrinsics = sample.context_cameras.intrinsics
     return TrainingBatch(

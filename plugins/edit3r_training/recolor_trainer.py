@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from pydantic import Field
@@ -27,6 +28,7 @@ from edit3r.types import Cameras, Gaussians, Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import colour_error, depth_error, opacity_error, pixel_maps
+from edit3r_training.simulated_matching import SimulatedMatch, really_match, simulate_match
 from edit3r_training.validation import held_out_batches, held_out_measures, reconstruct
 
 
@@ -47,6 +49,7 @@ class RecolorTrainer(Trainer):
             description="unit of length: any, as in a simulated matching; baseline: first to last input camera, which "
             "a network that sees images alone can tell",
         )
+        matched: float = Field(0.0, ge=0, le=1, description="share of the geometry that is matched, not simulated")
         precision: Literal["float32", "bfloat16"] = Field(
             "float32", description="of the network's products; weights, renderings and losses stay float32"
         )
@@ -74,6 +77,7 @@ class RecolorRecipe(Recipe):
         super().__init__(job.reconstructor.network)
         self.settings, self.job = settings, job
         self._reference = GeometricReference()
+        self._matches: dict[str, SimulatedMatch | None] = {}  # by sample, where really matched
         self._loader = ThreadPoolExecutor(settings.workers) if settings.workers else None
         self._ahead: dict[int, list[Future[SceneSample]]] = {}  # samples being loaded, by step
 
@@ -90,7 +94,7 @@ class RecolorRecipe(Recipe):
         """Measures of the held-out scenes, and a sheet of images of the first ones."""
         sheet = self.job.out / "sheets" / f"{step:07d}.png" if processes.writes else None
         chosen = self.settings
-        batches = held_out_batches(self.job.validation_data, chosen.regimes, chosen.batch, chosen.unit)
+        batches = held_out_batches(self.job.validation_data, chosen.regimes, chosen.batch, chosen.unit, self._match)
         return held_out_measures(self.job, processes, batches, chosen.score == "renderings", sheet)
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
@@ -98,7 +102,15 @@ class RecolorRecipe(Recipe):
         size, seed = self.settings.batch, self.settings.seed
         generators = [step_generator(seed, step, processes.rank * size + slot) for slot in range(size)]
         samples = self._samples(step, processes)
-        return make_batch(samples, self.settings.regimes, generators, self.settings.unit).to(self.device)
+        return make_batch(samples, self.settings.regimes, generators, self.settings.unit, self._match).to(self.device)
+
+    def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
+        """What is said of a sample's geometry: now and then what the matcher itself says, where it places all views."""
+        if rng.random() >= self.settings.matched:
+            return simulate_match(sample, rng)
+        if sample.name not in self._matches:
+            self._matches[sample.name] = really_match(sample, self.job.reconstructor.matcher)
+        return self._matches[sample.name] or simulate_match(sample, rng)
 
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
         """The samples of a step; with workers, those of the next are begun."""

@@ -14,8 +14,10 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project, unproject
-from edit3r.interfaces import MatchedGeometry, SceneSample
+from edit3r.interfaces import MatchedGeometry, Matcher, SceneSample
+from edit3r.types import Views
 
 Map = Float[np.ndarray, "height width"]
 Where = Bool[np.ndarray, "height width"]
@@ -24,7 +26,7 @@ Image = Float[np.ndarray, "height width 3"]  # sRGB in [0, 1]
 
 @dataclass(frozen=True)
 class SimulatedMatch:
-    """Corrupted geometry and the unit it is in: `depths = true depths * unit` where nothing went wrong."""
+    """Geometry with a matcher's errors and its unit: `depths = true depths * unit` where nothing went wrong."""
 
     geometry: MatchedGeometry  # batch 1
     unit: float
@@ -53,6 +55,16 @@ def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMa
         registered=torch.ones(1, len(true_depths), dtype=torch.bool),
     )
     return SimulatedMatch(geometry, unit)
+
+
+def really_match(sample: SceneSample, matcher: Matcher) -> SimulatedMatch | None:
+    """The matcher's own answer for the sample's context views; None where it does not place them all."""
+    try:
+        geometry = matcher.match(Views(sample.context[None], sample.context_cameras.intrinsics))
+    except MatchingError:
+        return None
+    found, true = (c2w[0, -1, :3, 3].norm() for c2w in (geometry.c2w, sample.context_cameras.c2w))
+    return SimulatedMatch(geometry, float(found / true)) if bool(geometry.registered.all()) else None
 
 
 def seen_by_partner(

@@ -108,6 +108,6 @@ class SceneRegions:
         if not file.is_file():
             return torch.zeros(size, size)
         mask = read_image(file).convert("L")
-        frame = replace(frame_for((mask.height, mask.width), (size, size)), lens=camera.lens)
+        frame = frame_for((mask.height, mask.width), (size, size)).through(camera.lens)
         cut = frame.cut(mask, Image.Resampling.BILINEAR)
         return torch.from_numpy(np.asarray(cut, np.float32) / 255)

@@ -16,8 +16,9 @@ from edit3r.training.processes import Processes
 from edit3r.training.schedule import step_generator
 from edit3r.types import Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
-from edit3r_training.batches import TrainingBatch, Unit, make_batch
+from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
+from edit3r_training.simulated_matching import simulate_match
 
 MOST_SCENES = 64
 SEED = 987_654_321
@@ -72,14 +73,16 @@ def _novel(job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatc
     return {"novel": error, "score": error}
 
 
-def held_out_batches(data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit) -> list[TrainingBatch]:
+def held_out_batches(
+    data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit, match: Match = simulate_match
+) -> list[TrainingBatch]:
     """Return the first scenes, with the same edits and errors every time."""
     size = min(batch_size, len(data))
     batches = []
     for start in range(0, min(len(data), MOST_SCENES) // size * size, size):
         generators = [step_generator(SEED, 0, start + slot) for slot in range(size)]
         samples = [data[start + slot] for slot in range(size)]
-        batches.append(make_batch(samples, shares, generators, unit))
+        batches.append(make_batch(samples, shares, generators, unit, match))
     return batches
 
 

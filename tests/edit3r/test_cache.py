@@ -1,6 +1,5 @@
 """Answers are kept by what they were made from, come back equal, and are computed again when anything differs."""
 
-
 import pytest
 import torch
 from pydantic import Field

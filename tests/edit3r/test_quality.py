@@ -2,8 +2,9 @@ import pytest
 import yaml
 
 from edit3r import quality as presets
+from edit3r.cli.main import main
 from edit3r.errors import SettingsError
-from edit3r.quality import Quality, expectation, note_quality, preset_point, read_quality, write_quality
+from edit3r.quality import Quality, Wish, choose, expectation, note_quality, read_quality, write_quality
 from edit3r.reporting import Report, collecting
 from edit3r.run_config import make_run_config
 
@@ -44,9 +45,57 @@ def shipped(tmp_path, monkeypatch):
     return Quality(**QUALITY)
 
 
+def chosen(points, photos=2, **wish):
+    return choose(Wish(**wish), photos, points)[0].label
+
+
 @pytest.mark.parametrize(("preset", "label"), [("fast", "small"), ("balanced", "middle"), ("best", "large")])
 def test_a_preset_is_its_point(shipped, preset, label):
-    assert preset_point(preset, shipped).label == label
+    assert chosen(shipped, quality=preset) == label
+
+
+@pytest.mark.parametrize(
+    ("wish", "label"),
+    [
+        ({"budget_ms": 3000}, "middle"),  # 2 s on photos, 2.5 s on the other kind
+        ({"budget_ms": 2499}, "small"),
+        ({"budget_ms": 1e9}, "large"),
+        ({"max_gaussians": 950}, "middle auto"),
+        ({"max_memory": 450}, "small"),
+        ({"quality": "best", "max_memory": 600}, "middle"),
+        ({"quality": "fast", "budget_ms": 9000}, "small"),
+        ({"budget_ms": 4000, "max_gaussians": 950, "max_memory": 510}, "middle auto"),
+    ],
+)
+def test_a_budget_takes_the_most_accurate_point_that_fits(shipped, wish, label):
+    assert chosen(shipped, **wish) == label
+
+
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [
+        ({"budget_ms": 1000}, "--budget-ms 1000: too little for 2 photos; the least that was measured is 1250 ms."),
+        (
+            {"max_gaussians": 5},
+            "--max-gaussians 5: too little for 2 photos; the least that was measured is 900 Gaussians; --gaussians 5",
+        ),
+        ({"max_memory": 100}, "--max-memory 100: too little for 2 photos; the least that was measured is 400 MiB."),
+        (
+            {"max_gaussians": 950, "quality": "fast"},
+            "--quality fast --max-gaussians 950: no measured setting fits all of these at once for 2 photos",
+        ),
+    ],
+)
+def test_an_impossible_wish_says_what_the_least_is(shipped, wish, said):
+    with pytest.raises(SettingsError) as error:
+        choose(Wish(**wish), 2, shipped)
+    assert said in str(error.value) and error.value.exit_code == 2
+
+
+def test_the_command_ends_an_impossible_wish_before_it_reads_a_photo(shipped, tmp_path, capsys):
+    assert main(["run", "--budget-ms", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "--budget-ms 1: too little for 2 photos" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_more_photos_are_expected_to_take_more(shipped):
@@ -54,6 +103,7 @@ def test_more_photos_are_expected_to_take_more(shipped):
     assert six["seconds"] == 3 * two["seconds"] and six["gaussians"] == 3 * two["gaussians"]
     assert six["memory_mb"] == 300 + 3 * (two["memory_mb"] - 300)  # the program itself does not grow
     assert six["psnr"] == two["psnr"]
+    assert chosen(shipped, photos=4, budget_ms=3000) == "small"
 
 
 def test_what_the_user_says_lies_over_the_preset(shipped):
@@ -68,12 +118,25 @@ def test_another_component_gets_none_of_the_presets_settings(shipped):
     assert config.size == 128
 
 
+def test_the_limit_on_gaussians_stays_a_limit_of_the_run(shipped):
+    config = make_run_config({"max_gaussians": 5000})
+    assert config.size == 256 and config.max_gaussians == 5000
+
+
+def test_photos_that_are_left_out_do_not_count(shipped):
+    assert make_run_config({"budget_ms": 3000, "views": 2}, photos=10).size == 256
+
+
+def test_no_wish_changes_nothing():
+    assert make_run_config({"seed": 3}) == make_run_config({"seed": 3}, photos=99)
+
+
 def test_the_manifest_tells_what_was_chosen_expected_and_overridden(shipped):
     config = make_run_config({"quality": "fast", "size": 300})
     with collecting(Report()) as report:
         note_quality(config.model_dump(), 2)
     told = report.notes["quality"]
-    assert told["chosen"] == "small" and told["preset"] == "fast"
+    assert told["wish"] == {"quality": "fast"} and told["chosen"] == "small" and told["preset"] == "fast"
     assert told["overridden"] == ["size"]
     assert told["expected"]["seconds"] == 1.25 and told["expected"]["psnr"] == 19
 
@@ -85,8 +148,8 @@ def test_the_manifest_says_nothing_without_a_wish(shipped):
 
 
 def test_an_unmeasured_installation_says_so():
-    with pytest.raises(SettingsError, match="no such preset was measured"):
-        preset_point("fast", Quality(measured={}, points=[]))
+    with pytest.raises(SettingsError, match="nothing has been measured"):
+        choose(Wish(quality="fast"), 2, Quality(measured={}, points=[]))
 
 
 def test_a_wrong_wish_is_one_sentence(shipped):

@@ -103,6 +103,18 @@ def test_a_straightened_photo_shows_what_a_pinhole_would(place):
     assert middle == pytest.approx(place, abs=1.5e-3)
 
 
+@pytest.mark.parametrize("k1, dark", [(0.1, True), (-0.1, False)])
+def test_a_straightened_photo_has_no_dark_corners(k1, dark):
+    lens, white = Lens((0.9, 1.2), (0.5, 0.5), (k1, 0, 0, 0, 0)), Image.new("RGB", (400, 300), "white")
+    assert (np.asarray(lens.straightened(white)).min() == 0) == dark
+    frame = frame_for((300, 400), (150, 200)).through(lens)
+    assert np.asarray(frame.cut(white)).min() >= 250
+    assert (frame.cropped > 0) == dark and frame.cropped < 0.15
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]], dtype=torch.float64)
+    wider = (1 - frame.cropped) ** -0.5  # the crop is centred, so all angles and the middle stay
+    assert torch.allclose(frame.follow(intrinsics).diagonal()[:2], wider * intrinsics.diagonal()[:2])
+
+
 @pytest.mark.parametrize(
     "change", [{"focal": (0.0, 1.0)}, {"centre": (float("nan"), 0.5)}, {"distortion": (1e3, 0, 0, 0, 0)}]
 )

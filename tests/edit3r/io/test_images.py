@@ -299,6 +299,8 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
     assert torch.equal(
         found.views.images[0, 1], torch.from_numpy(np.array(straight, np.float32) / 255).permute(2, 0, 1)
     )
+    wide = load_photos(files, read_lens=lambda views: Lens(lens.focal, lens.centre, (0.1, 0.0, 0.0, 0.0, 0.0)))
+    assert (wide.views.intrinsics[..., 0, 0] > plain.views.intrinsics[..., 0, 0]).all()  # cropped: no dark corners
     assert torch.equal(load_photos(files, read_lens=lambda views: None).views.images, plain.views.images)
 
     def never(views):

@@ -21,6 +21,14 @@ import sys
 from PIL import Image, ImageOps
 ImageOps.invert(Image.open(sys.argv[1])).save(sys.argv[2])
 """
+INVERT_FOLDER = """
+import sys
+from pathlib import Path
+from typing import ClassVar
+from PIL import Image, ImageOps
+for file in Path(sys.argv[1]).iterdir():
+    ImageOps.invert(Image.open(file)).save(Path(sys.argv[2]) / file.name)
+"""
 
 
 def program(tmp_path: Path, code: str, arguments: str) -> str:
@@ -33,8 +41,9 @@ def edit(command: str, prompt: str = "", seed: int = 0, masks=None, **settings) 
     return build("editor", "command", command=command, **settings).edit(VIEWS, EditRequest(prompt, seed, masks)).images
 
 
-def test_the_program_edits_each_view(tmp_path):
-    edited = edit(program(tmp_path, INVERT, "{input} {output}"))
+@pytest.mark.parametrize("code, arguments", [(INVERT, "{input} {output}"), (INVERT_FOLDER, "{input_dir} {output_dir}")])
+def test_the_program_edits_each_view(tmp_path, code, arguments):
+    edited = edit(program(tmp_path, code, arguments))
     assert torch.allclose(edited, 1 - VIEWS.images, atol=1 / 255)
 
 
@@ -85,6 +94,7 @@ def test_a_missing_program_is_an_error():
         ("", "needs a program"),
         ("tool {input}", "must say where to write"),
         ("tool {input} {out}", r"unknown placeholder \{out\}"),
+        ("tool {input} {output_dir}", "do not go with their _dir forms"),
         ("tool 'open {input} {output}", "cannot be split"),
         ("tool {input {output}", "editor.command"),
     ],
@@ -95,7 +105,8 @@ def test_a_command_that_cannot_work_is_a_settings_error(command, message):
 
 
 def test_braces_written_twice_stay():
-    assert parse_command("tool '{{\"a\": 1}}' {input} {output}")[1].format() == '{"a": 1}'
+    arguments, together = parse_command("tool '{{\"a\": 1}}' {input} {output}")
+    assert arguments[1].format() == '{"a": 1}' and not together
 
 
 @pytest.mark.skipif(shutil.which("cp") is None, reason="copies files with cp")

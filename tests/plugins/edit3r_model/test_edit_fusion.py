@@ -89,7 +89,7 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     choice = torch.zeros(1, 2, 3, 4, 4)
     choice[:, 1, 1] = 1
     none = torch.zeros(1, 2, 4, 4)
-    decisions = Decisions(none, none, none, none, maps, choice)
+    decisions = Decisions(none, none, none, maps, choice)
     places = pixel_grid((4, 4), source).expand(1, 2, -1, -1, -1)
     fused = fuse_colours(edited, source, decisions, Correspondences(places, none, none), torch.ones_like(none))
     assert torch.equal(fused[:, 1], source[:, 1])

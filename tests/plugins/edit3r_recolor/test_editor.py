@@ -251,5 +251,5 @@ def test_a_prompt_it_cannot_read_is_an_error():
 
 
 def test_a_point_outside_the_picture_is_a_settings_error():
-    with pytest.raises(SettingsError, match=r"editor\.point.*\[0, 1\]"):
+    with pytest.raises(SettingsError, match=r"editor\.point.*less than or equal to 1"):
         build("editor", "recolor", point=[3, 0.5])

@@ -8,7 +8,6 @@ from edit3r_recolor.scene import (
     RecoloringSettings,
     SceneRecipe,
     carry_out,
-    carry_out_with_faults,
     find_regions,
     given_regions,
     make_recipe,
@@ -90,8 +89,9 @@ def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
     recipe.save(tmp_path / "recolor.json")
     again = SceneRecipe.load(tmp_path / "recolor.json")
     assert again == recipe
-    for carried_out in (carry_out, carry_out_with_faults):
-        assert torch.equal(carried_out(IMAGES, found.masks, again), carried_out(IMAGES, found.masks, recipe))
+    for faults in (False, True):
+        first, second = (carry_out(IMAGES, found.masks, one, faults) for one in (again, recipe))
+        assert torch.equal(first, second)
 
 
 def test_the_seed_decides_the_colours():
@@ -108,7 +108,7 @@ def test_faults_spoil_the_augmented_pictures_only_near_their_regions():
     always = SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0})
     found, recipe = _recipe(0, always)
     assert all(set(view.faults) == set(view.objects) for view in recipe.views if view.processed)
-    clean, faulty = carry_out(IMAGES, found.masks, recipe), carry_out_with_faults(IMAGES, found.masks, recipe)
+    clean, faulty = carry_out(IMAGES, found.masks, recipe), carry_out(IMAGES, found.masks, recipe, with_faults=True)
     change = (clean - faulty).abs().amax((0, 1))
     assert change.max() > 0.01
     assert not change[:, 28:].any()
@@ -117,7 +117,7 @@ def test_faults_spoil_the_augmented_pictures_only_near_their_regions():
 def test_without_faults_the_augmented_pictures_are_the_plain_ones():
     never = SETTINGS.model_copy(update={"mask_jitter": 0.0, "palette_jitter": 0.0})
     found, recipe = _recipe(0, never)
-    assert torch.equal(carry_out(IMAGES, found.masks, recipe), carry_out_with_faults(IMAGES, found.masks, recipe))
+    assert torch.equal(carry_out(IMAGES, found.masks, recipe), carry_out(IMAGES, found.masks, recipe, with_faults=True))
 
 
 def test_the_data_s_own_masks_go_through_the_same_filter():

@@ -15,7 +15,8 @@ from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 from edit3r_training.validation import held_out_batches, held_out_measures
 
 from edit3r.errors import MatchingError, PluginError, SettingsError
-from edit3r.interfaces import Dataset, TrainingJob
+from edit3r.geometry.cameras import scale_poses
+from edit3r.interfaces import Dataset, MatchedGeometry, Matcher, TrainingJob
 from edit3r.registry import build
 from edit3r.reporting import Report, collecting, warn
 from edit3r.testing import TrainerContract
@@ -42,6 +43,41 @@ def _job(out, **changes) -> TrainingJob:
     losses = {"mse": (1.0, build("loss", "mse")), "geometry": (0.1, build("loss", "geometry", samples=32))}
     job = TrainingJob(reconstructor, build("rasterizer", "torch"), data, data, losses, out)
     return replace(job, **changes)
+
+
+class _TrueMatcher(Matcher):
+    """Gives the true geometry of one sample, in a unit a third as long, and counts how often it is asked."""
+
+    def __init__(self, sample, places: bool = True) -> None:
+        self.sample, self.places, self.asked = sample, places, 0
+
+    def match(self, views):
+        self.asked += 1
+        assert torch.equal(views.images[0], self.sample.context)
+        if not self.places:
+            raise MatchingError("nothing matches.")
+        cameras, depths = self.sample.context_cameras, self.sample.context_depths[None]
+        c2w = scale_poses(cameras.c2w, torch.full((1, 1), 3.0))
+        return MatchedGeometry(c2w, 3 * depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("places", [True, False])
+def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_unit(tmp_path, places):
+    job = _job(tmp_path)
+    sample = job.train_data[0]
+    matcher = job.reconstructor.matcher = _TrueMatcher(sample, places)
+    job = replace(job, train_data=_StopAt([sample], at=-1, number=0))
+    recipe = RecolorRecipe(_trainer(batch=2, matched=1.0).settings, job)
+    first, second = (recipe._batch(step, Processes()) for step in range(2))
+    assert matcher.asked == 1  # once for a scene, however often it is drawn
+    for batch in (first, second):
+        exact = torch.allclose(batch.geometry.depths, batch.depths, rtol=1e-5)
+        assert exact == places  # what cannot be placed is simulated
+    if places:
+        assert torch.allclose(first.depths, 3 * sample.context_depths.expand_as(first.depths))
+        assert torch.allclose(first.context_cameras.c2w, first.geometry.c2w)
+    RecolorRecipe(_trainer(batch=2).settings, job)._batch(0, Processes())
+    assert matcher.asked == 1  # not asked for: simulated
 
 
 def _weights(job) -> dict:

@@ -112,7 +112,7 @@ def test_poses_are_known_for_measuring_and_apart_from_what_a_method_is_given(pos
     out = build(posed, "--no-vetting")
     manifest = read_bench_manifest(out)
     item = load_item(manifest, manifest.items[0], out.parent, default_registry())
-    assert item.photos.c2w is None and item.given.count == 2
+    assert item.photos.c2w is None and item.inputs == 2
     angles = item.cameras.c2w[0, :, 0, 2].arcsin().rad2deg()
     assert np.allclose(angles, [0, 12, 6], atol=0.01)
 
