@@ -30,8 +30,8 @@ _ALIKE = 0.1
 _EXPLAINED = 3 / 255
 """What one function of colour may leave of an edit [sRGB]: images of 8 bits round before and after."""
 
-_FITTED = 8_000
-"""Pixels that the function is fitted to, at least."""
+_FITTED = 4_000
+"""Changed pixels that the function is fitted to, at least, where there are so many."""
 
 _FITS = 6
 """Rounds of the robust fit."""
@@ -187,29 +187,33 @@ def edits_disagree(
 def _shared_function(
     source: Float[Tensor, "batch view 3 height width"], change: Float[Tensor, "batch view 3 height width"]
 ) -> Float[Tensor, "batch 83 3"]:
-    """Coefficients of the change as a function of the colour, over the changed pixels of all views.
+    """Coefficients of the change as a function of the colour, over the changed pixels of all views of each scene."""
+    return torch.stack([_fitted(s, r) for s, r in zip(*(x.movedim(2, -1).flatten(1, 3) for x in (source, change)))])
 
-    Robust least squares (Cauchy weights). A channel that an edit drove to 0 or 1 says that the function reaches it,
-    no more.
+
+def _fitted(colours: Float[Tensor, "pixel 3"], change: Float[Tensor, "pixel 3"]) -> Float[Tensor, "83 3"]:
+    """Robust least squares (Cauchy weights).
+
+    A channel that an edit drove to 0 or 1 says that the function reaches it, no more.
     """
-    every = max(1, source[0, :, 0].numel() // _FITTED)
-    s, r = (x.double().movedim(2, -1).flatten(1, 3)[:, ::every] for x in (source, change))
+    changed = (change.abs().amax(-1) > _CHANGE).nonzero()[:, 0]
+    some = changed[:: max(1, len(changed) // _FITTED)]
+    s, r = colours[some].double(), change[some].double()
     features, after = _features(s), s + r
     low, high = after <= _ROUNDED, after >= 1 - _ROUNDED
-    changed = (r.abs().amax(-1, keepdim=True) > _CHANGE).expand_as(r)
     counts = ~(low | high)  # a channel that was cut off counts once the function falls short of it
-    goal, weights = r, (changed & counts).to(r.dtype)
+    goal, weights = r, counts.to(r.dtype)
     ridge = 1e-6 * torch.eye(features.shape[-1], dtype=r.dtype, device=r.device)
     for _ in range(_FITS):
-        weighted = features.mT[:, None] * weights.mT[:, :, None]  # [batch, channel, feature, pixel]
-        moments, target = weighted @ features[:, None] + ridge, weighted @ goal.mT[..., None]
+        weighted = features.mT * weights.mT[:, None]  # [channel, feature, pixel]
+        moments, target = weighted @ features + ridge, weighted @ goal.mT[..., None]
         coefficients = torch.linalg.solve(moments, target)[..., 0].mT
         found = s + features @ coefficients
         beyond = (low & (found <= _ROUNDED)) | (high & (found >= 1 - _ROUNDED))
         left = torch.where(beyond, 0, after - found).abs().amax(-1, keepdim=True)
         counts, goal = counts | ~beyond, torch.where(beyond, found, after) - s
-        weights = (changed & counts) / (1 + (left / _EXPLAINED).square())
-    return coefficients.to(source.dtype)
+        weights = counts / (1 + (left / _EXPLAINED).square())
+    return coefficients.to(colours.dtype)
 
 
 def _change_by_function(
