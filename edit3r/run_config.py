@@ -65,7 +65,7 @@ class RunConfig(Settings):
     max_gaussians: int | None = Field(
         None, ge=1, description="take the best measured settings with so few Gaussians, and never leave more"
     )
-    refine: int = Field(16, ge=0, le=10000, description="most photometric steps, each towards one edited view")
+    refine: int = Field(28, ge=0, le=10000, description="most photometric steps, each towards one edited view")
     grid: float = Field(
         0.67,
         gt=0,

@@ -4,6 +4,7 @@ A value is a layer of run settings (as in `edit3r run --config`). A point is the
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -49,18 +50,22 @@ def read_plan(path: str | Path = SHIPPED) -> SweepPlan:
     return plan
 
 
-def make_points(plan: SweepPlan, names: Sequence[str] | None = None) -> dict[str, dict[str, Any]]:
+def make_points(plan: SweepPlan, names: Sequence[str] | None = None, grid: bool = False) -> dict[str, dict[str, Any]]:
     """Return run settings by label: the base, the combinations, and every value of each knob alone.
 
-    `names` restricts that to some knobs. Points with the same settings are measured once.
+    `names` restricts that to some knobs. With `grid`, every combination of the knobs' values instead. Points with the
+    same settings are measured once.
     """
     for name in names or ():
         if name not in plan.knobs:
             known = ", ".join(plan.knobs)
             raise SettingsError(f"--knobs {name}: no such knob.{suggest(name, plan.knobs)} Knobs: {known}.")
     knobs = {name: knob for name, knob in plan.knobs.items() if names is None or name in names}
-    alone = [{name: value} for name, knob in knobs.items() for value in knob.values]
-    choices = [{}, *(c for c in plan.combinations if set(c) <= set(knobs)), *alone]
+    if grid:
+        choices = [dict(zip(knobs, values)) for values in product(*(knob.values for knob in knobs.values()))]
+    else:
+        alone = [{name: value} for name, knob in knobs.items() for value in knob.values]
+        choices = [{}, *(c for c in plan.combinations if set(c) <= set(knobs)), *alone]
     points: dict[str, dict[str, Any]] = {}
     for choice in choices:
         settings = _settings(plan, choice)

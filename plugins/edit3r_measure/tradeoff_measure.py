@@ -28,7 +28,7 @@ from edit3r.config import merge
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.interfaces import LossInputs, Rasterizer
 from edit3r.io.cameras import read_scene_cameras
-from edit3r.io.images import evenly
+from edit3r.io.images import evenly, save_image
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder, installed_versions
 from edit3r.registry import Registry, default_registry
@@ -52,6 +52,7 @@ class Job:
     edited: Mapping[str, Any]  # laid over the settings to edit with true edits, {folder} is where they are
     scene: str = ""  # scene folder
     settings: Mapping[str, Any] = field(default_factory=dict)  # run settings of the point
+    image: str = ""  # where to leave the novel view as PNG
     perceptual: Sequence[str] = ()  # losses to try, in order
     warm_up: int = 1  # runs before those that count
     repeats: int = 3  # runs that count
@@ -68,6 +69,11 @@ class Sweep:
     root: Path
     job: Job  # what all measurements share
     threads: int | None = None  # None: as many as the libraries take by themselves
+    seconds: float | None = None  # no measurement starts after that much wall time; None: no limit
+
+    def image(self, key: str) -> Path:
+        """Return the file of the novel view of one measurement."""
+        return self.root / "pictures" / f"{key}.png"
 
     def key(self, settings: Mapping[str, Any], fingerprint: str) -> str:
         """Return a hash that is the same for measurements that would measure the same thing.
@@ -83,22 +89,24 @@ class Sweep:
     def measure(self, points: Mapping[str, Mapping[str, Any]], scenes: Sequence[SceneFolder]) -> list[dict[str, Any]]:
         """Measure all points (settings by label) on all scenes, each pair in a fresh process.
 
-        What `measurements.jsonl` has from earlier sweeps is not measured again.
+        What `measurements.jsonl` has from earlier sweeps is not measured again. Fewer measurements are returned if
+        the time ran out.
         """
         fingerprints = [(scene, scene.fingerprint()) for scene in scenes]
         keyed = [(self.key(points[label], mark), label, scene) for label in points for scene, mark in fingerprints]
         found = run_resumable(
-            {key: (label, points[label], scene) for key, label, scene in keyed},
+            {key: (key, label, points[label], scene) for key, label, scene in keyed},
             self._measure_pair,
             self.root / "measurements.jsonl",
+            seconds=self.seconds,
             on_done=lambda state: progress("measure", state.done, state.total),
         )
         labels = {key: label for key, label, _ in keyed}
         return [{**row, "label": labels[key]} for key, row in found.items()]
 
-    def _measure_pair(self, pair: tuple[str, Mapping[str, Any], SceneFolder]) -> dict[str, Any]:
-        label, settings, scene = pair
-        job = replace(self.job, settings=settings, scene=str(scene.path.resolve()))
+    def _measure_pair(self, pair: tuple[str, str, Mapping[str, Any], SceneFolder]) -> dict[str, Any]:
+        key, label, settings, scene = pair
+        paths = {"scene": str(scene.path.resolve()), "image": str(self.image(key).resolve())}
         return {
             "label": label,
             "settings": settings,
@@ -106,7 +114,7 @@ class Sweep:
             "kind": scene.kind,
             "threads": self.threads,
             "measured_at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            **in_fresh_process(job, self.threads),
+            **in_fresh_process(replace(self.job, settings=settings, **paths), self.threads),
         }
 
 
@@ -191,6 +199,8 @@ def _scores(job: Job, scene: SceneFolder, registry: Registry, work: Path) -> dic
         "coverage": float(view.covered.mean()),
         **perceptual_distance(registry, job.perceptual, view.image, target.image),
     }
+    Path(job.image).parent.mkdir(parents=True, exist_ok=True)
+    save_image(torch.from_numpy(view.image).permute(2, 0, 1), job.image)
     if scene.edited is not None:
         folder = json.dumps(str(scene.edited))[1:-1]
         edited = json.loads(json.dumps(job.edited).replace("{folder}", folder))
@@ -217,17 +227,19 @@ def perceptual_distance(
     image: Float[np.ndarray, "height width 3"],
     target: Float[np.ndarray, "height width 3"],
 ) -> dict[str, Any]:
-    """Return the distance by the first of the losses that can be had here, and its name."""
+    """Return the distance by the first of the losses that can be had here, its name, and what the others lack."""
+    told: dict[str, Any] = {"perceptual": None, "perceptual_by": None, "perceptual_missing": {}}
     for name in names:
         try:
             loss = registry.build("loss", name)
-        except MissingDependencyError:
+        except MissingDependencyError as error:
+            told["perceptual_missing"][name] = str(error)
             continue
         rendered, wished = (torch.from_numpy(x).permute(2, 0, 1)[None, None] for x in (image, target))
         with torch.no_grad():
             distance = float(loss(LossInputs(rendered=rendered, target=wished)))
-        return {"perceptual": distance, "perceptual_by": name}
-    return {}
+        return {**told, "perceptual": distance, "perceptual_by": name}
+    return told
 
 
 def main(job: str, answer: str) -> None:

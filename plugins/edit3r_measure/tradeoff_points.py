@@ -3,19 +3,24 @@
 A point is one choice of run settings. A cost is smaller-is-better (seconds), an accuracy larger-is-better (dB).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import fmean, median
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from edit3r.io.decode import read_image
 from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
+from edit3r_measure.metrics import psnr
 from edit3r_measure.report import grouped
 from edit3r_measure.tradeoff_knobs import SweepPlan
 
 APART = 1.5
 """How many times as quick each preset is as the next, at least."""
 
-DIGITS = {"psnr": 2, "ssim": 4, "seconds": 3, "seconds_first": 3}
+DIGITS = {"psnr": 2, "ssim": 4, **dict.fromkeys(("seconds", "seconds_first"), 3)}
 """Digits after the point that presets are shipped with; other figures are whole numbers."""
 
 Measurement = Mapping[str, Any]
@@ -49,7 +54,7 @@ class Figures:
 
     cpu: Spread  # all stages of one run [s]: over the repeats, then the mean over the scenes
     wall: Spread  # the same
-    first: float  # processor seconds of the first run of a process: what a run of the command takes
+    first: Mapping[str, float]  # the first run of a process, by clock: what a run of the command takes [s]
     stages: Mapping[str, float]  # processor seconds of each stage, median of the repeats
     memory_mb: float  # peak of the process, largest of the scenes [MiB]
     start_memory_mb: float  # of which the program took before it made anything
@@ -62,11 +67,11 @@ class Figures:
     perceptual: float | None
     uptake: float | None
     leak: float | None
+    distance: float | None = None  # PSNR of its novel views against those of the most accurate point [dB]
 
-    @property
-    def seconds(self) -> float:
-        """The time to rank by: the quickest repeats', which others disturbed least."""
-        return self.cpu.least
+    def seconds(self, clock: str) -> float:
+        """Return the time to rank by, of "cpu" or "wall": the quickest repeats', which others disturbed least."""
+        return getattr(self, clock).least
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,27 @@ def summarize(measurements: Sequence[Measurement]) -> list[MeasuredPoint]:
     return points
 
 
+def with_distances(
+    points: Sequence[MeasuredPoint], measurements: Sequence[Measurement], image: Callable[[str], Path]
+) -> list[MeasuredPoint]:
+    """Fill in `Figures.distance`; `image` is a measurement's key to the file of its novel view.
+
+    The most accurate point of a kind of scene has none, nor has a point whose files are gone.
+    """
+    for kind in points[0].kinds if points else ():
+        files = {(m["label"], m["scene"]): image(m["key"]) for m in measurements if m["kind"] == kind}
+        views = {at: np.asarray(read_image(f), np.float32) / 255 for at, f in files.items() if f.is_file()}
+        best = max(points, key=lambda point: point.kinds[kind].psnr).label
+        filled = []
+        for point in points:
+            scenes = [scene for label, scene in views if label == point.label != best and (best, scene) in views]
+            decibels = [psnr(views[point.label, scene], views[best, scene]) for scene in scenes]
+            figures = replace(point.kinds[kind], distance=fmean(decibels) if decibels else None)
+            filled.append(replace(point, kinds={**point.kinds, kind: figures}))
+        points = filled
+    return list(points)
+
+
 def _figures(group: Sequence[Measurement]) -> Figures:
     runs = [[run for run in m["runs"] if not run["warm_up"]] for m in group]
     times = {
@@ -97,7 +123,7 @@ def _figures(group: Sequence[Measurement]) -> Figures:
     }
     return Figures(
         **times,
-        first=fmean(sum(m["runs"][0]["cpu"].values()) for m in group),
+        first={clock: fmean(sum(m["runs"][0][clock].values()) for m in group) for clock in times},
         stages=_stages(runs),
         memory_mb=max(m["memory_mb"] for m in group),
         start_memory_mb=min(m["start_memory_mb"] for m in group),
@@ -176,7 +202,7 @@ def _most_accurate(points: Sequence[ShippedPoint], slower: ShippedPoint, apart: 
 
 
 def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], plan: SweepPlan) -> Quality:
-    """Return the content of the shipped file: all points, quickest first, with the presets.
+    """Return the content of the shipped file: all points, quickest first by `measured["clock"]`, with the presets.
 
     Only what `plan.shipped` names is a preset's business; a point that differs from the base elsewhere (in the number
     of photos, say) is measured but not shipped.
@@ -185,7 +211,7 @@ def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], p
     for point in points:
         shipped = {key: value for key, value in point.settings.items() if key in plan.shipped}
         if _of_the_user(point.settings, plan) == _of_the_user(plan.base, plan):
-            expected = {kind: _expected(figures) for kind, figures in point.kinds.items()}
+            expected = {kind: _expected(figures, measured["clock"]) for kind, figures in point.kinds.items()}
             exact.append(ShippedPoint(label=point.label, settings=shipped, expected=expected))
     presets = {point.label: preset for preset, point in choose_presets(exact, APART).items()}
     rounded = [
@@ -205,10 +231,11 @@ def _of_the_user(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]
     return {key: value for key, value in settings.items() if key not in plan.shipped}
 
 
-def _expected(figures: Figures) -> Expected:
+def _expected(figures: Figures, clock: str) -> Expected:
+    seconds: Spread = getattr(figures, clock)
     return Expected(
-        seconds=figures.cpu.least,
-        seconds_first=figures.first,
+        seconds=seconds.least,
+        seconds_first=figures.first[clock],
         memory_mb=figures.memory_mb,
         start_memory_mb=figures.start_memory_mb,
         gaussians=figures.most_gaussians,

@@ -1,5 +1,6 @@
 """The table of a sweep with the words around it, in Markdown, and its plot: time against accuracy."""
 
+import math
 import os
 import platform
 import re
@@ -18,19 +19,23 @@ from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
 
 START, END = "<!-- tradeoff: written by edit3r tradeoff --page -->", "<!-- end of tradeoff -->"
 STAGES = ("reconstruct", "simplify", "refine", "render", "write files")
+CLOCKS = {"cpu": "processor time", "wall": "time"}
+PANEL, LINE = 260, 9  # about the height of all points, and of a line of text [typographic points]
+NAMES = 0.6  # room for names, left of the points, against the width of these
 
 
 def report(
     points: Sequence[MeasuredPoint],
     measurements: Sequence[Mapping[str, Any]],
     measured: Mapping[str, Any],
+    clock: str,
     presets: Mapping[str, str],
 ) -> str:
     """Return everything that a sweep found; `presets` is label to preset."""
-    parts = [_statement(measurements, measured)]
+    parts = [_statement(measurements, measured, clock)]
     for kind in points[0].kinds if points else ():
         scenes = list(dict.fromkeys(m["scene"] for m in measurements if m["kind"] == kind))
-        parts.append(f"**{kind}** ({', '.join(scenes)})\n\n{_table(points, kind, presets)}")
+        parts.append(f"**{kind}** ({', '.join(scenes)})\n\n{_table(points, kind, clock, presets)}")
     parts.append("\n".join(_remarks(measurements)))
     return "\n\n".join(parts) + "\n"
 
@@ -61,7 +66,7 @@ def describe_machine(threads: int | None) -> dict[str, Any]:
     }
 
 
-def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any]) -> str:
+def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str) -> str:
     """Return a paragraph on the machine, how busy it was, and the command."""
     versions = ", ".join(f"{name} {version}" for name, version in measured["versions"].items())
     runs = [run for m in measurements for run in m.get("runs", ()) if not run["warm_up"]]
@@ -73,15 +78,15 @@ def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str,
     return (
         f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; {versions}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1]))) if days else 'nothing measured'}{busy}{shared}. "
-        "Ranked by processor time, that of the quickest repeat; "
+        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat; "
         f"measured by `{measured['command']}`."
     )
 
 
-def _table(points: Sequence[MeasuredPoint], kind: str, presets: Mapping[str, str]) -> str:
-    rows = sorted(points, key=lambda p: p.kinds[kind].seconds)
+def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> str:
+    rows = sorted(points, key=lambda p: p.kinds[kind].seconds(clock))
     figures = [point.kinds[kind] for point in rows]
-    on_front = front([f.seconds for f in figures], [f.psnr for f in figures])
+    on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in STAGES if any(name in f.stages for f in figures)]
     cells = [
         [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages).values()]
@@ -95,7 +100,7 @@ def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
     return {
         "processor s": _seconds(f.cpu),
         "wall s": _seconds(f.wall),
-        "first run, processor s": f"{f.first:.2f}",
+        "first run, processor s": f"{f.first['cpu']:.2f}",
         **{f"{stage} s": f"{f.stages.get(stage, 0):.2f}" for stage in stages},
         "peak MiB": f"{f.memory_mb:.0f}",
         "Gaussians": f"{f.gaussians:,.0f}",
@@ -103,6 +108,7 @@ def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
         "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to {f.psnr_of_scenes.most:.2f})",
         "SSIM": f"{f.ssim:.3f}",
         "perceptual": format_or_dash(f.perceptual, ".3f"),
+        "dB to the best": format_or_dash(f.distance, ".1f"),
         "uptake": format_or_dash(f.uptake, ".2f"),
         "leak": format_or_dash(f.leak, ".4f"),
     }
@@ -122,13 +128,14 @@ def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
     used = {m["perceptual_by"] for m in measurements if m.get("perceptual_by")}
     if used:
         lines.append(f"- Perceptual distance: the loss {' and '.join(sorted(used))}; smaller is closer.")
-    return lines
+    missing = {name: why for m in measurements for name, why in m.get("perceptual_missing", {}).items()}
+    return lines + [f"- No perceptual distance by {name}: {why}" for name, why in sorted(missing.items())]
 
 
 # The plot.
 
 
-def plot(points: Sequence[MeasuredPoint], presets: Mapping[str, str], file: Path) -> None:
+def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str], file: Path) -> None:
     """Write a panel for each kind of scene; `presets` is label to preset.
 
     Raises MissingDependencyError without matplotlib.
@@ -140,16 +147,58 @@ def plot(points: Sequence[MeasuredPoint], presets: Mapping[str, str], file: Path
     kinds = list(points[0].kinds)
     figure = Figure(figsize=(6.5 * len(kinds), 5), layout="constrained")
     for axis, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds):
-        times, accuracies = [p.kinds[kind].seconds for p in points], [p.kinds[kind].psnr for p in points]
-        drawn = sorted(zip(times, accuracies, [p.label for p in points], front(times, accuracies)))
-        axis.step(*zip(*(row[:2] for row in drawn if row[3])), where="post", color="tab:blue", linewidth=1)
-        for seconds, accuracy, label, on in drawn:
-            preset = presets.get(label)
-            colour = "tab:red" if preset else "tab:blue" if on else "0.6"
-            axis.plot(seconds, accuracy, "*" if preset else "o", ms=15 if preset else 5, color=colour)
-            text = f"{preset}: {label}" if preset else label
-            axis.annotate(text, (seconds, accuracy), (6, -9), textcoords="offset points", fontsize=7, color=colour)
-        title = "processor time of a run without an editor, quickest repeat [s]"
-        axis.set(xscale="log", xlabel=title, ylabel="novel view PSNR [dB]", title=kind)
-        axis.grid(alpha=0.3, which="both")
+        _draw_panel(axis, points, kind, clock, presets)
     figure.savefig(file, dpi=110)
+
+
+def _draw_panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> None:
+    times = [getattr(p.kinds[kind], clock) for p in points]
+    accuracies = [p.kinds[kind].psnr for p in points]
+    on_front = front([t.least for t in times], accuracies)
+    line = sorted((t.least, a, p.label) for p, t, a, on in zip(points, times, accuracies, on_front) if on)
+    axis.step(*list(zip(*line))[:2], where="post", color="tab:blue", linewidth=1, label="front")
+    for point, time, accuracy, on in zip(points, times, accuracies, on_front):
+        preset = presets.get(point.label)
+        look = {"fmt": "*", "ms": 15, "color": "tab:red"} if preset else {"fmt": "o", "ms": 5}
+        spread = [[0], [time.most - time.least]]
+        axis.errorbar(time.least, accuracy, xerr=spread, lw=1, **{"color": "tab:blue" if on else "0.6", **look})
+    _label_axes(axis, kind, clock, min(t.least for t in times), max(t.most for t in times))
+    _name_points(axis, line, presets, max(accuracies) - min(accuracies))
+
+
+def _label_axes(axis: Any, kind: str, clock: str, quickest: float, slowest: float) -> None:
+    """Make the axis of times [s] logarithmic, with room for names on the left."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    time = f"{CLOCKS[clock]} of a run without an editor, quickest to slowest repeat [s]"
+    axis.set(xscale="log", xlabel=time, ylabel="novel view PSNR [dB]", title=kind)
+    axis.margins(y=0.1)
+    axis.set_xlim(quickest * (quickest / slowest) ** NAMES, slowest * 1.3)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: f"{seconds:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower right", fontsize=8)
+
+
+def _name_points(
+    axis: Any, on_front: Sequence[tuple[float, float, str]], presets: Mapping[str, str], span: float
+) -> None:
+    """Write the names of (seconds, dB, label), quickest first, to the left, where no point can be, and none on another.
+
+    Points off the front are named in the table.
+    """
+    top = -math.inf
+    for index, (seconds, accuracy, label) in enumerate(on_front):
+        preset = presets.get(label)
+        at = accuracy / max(span, 1e-9) * PANEL  # [typographic points]
+        top = max(at + 3, top + LINE)
+        axis.annotate(
+            f"{preset}: {label}" if preset else label,
+            (seconds, accuracy),
+            xytext=(10 if index == 0 else -8, top - at),
+            textcoords="offset points",
+            ha="left" if index == 0 else "right",
+            fontsize=7,
+            color="tab:red" if preset else "tab:blue",
+        )

@@ -117,7 +117,7 @@ class RefineRefiner(Refiner):
 
     class Settings(RefineSettings):
         steps: int = Field(
-            16,
+            28,
             ge=0,
             le=10000,
             description="most steps for two views, each towards one; a further view adds as many, but at most 16",

@@ -59,6 +59,11 @@ def test_named_knobs_alone_are_turned(plan):
     assert list(make_points(plan(), ["planes"])) == ["base", "planes few"]
 
 
+def test_a_grid_is_every_combination(plan):
+    labels = list(make_points(plan(), grid=True))
+    assert labels == ["size 128, planes few", "size 512, planes few"]
+
+
 @pytest.mark.parametrize(
     ("changes", "names", "said"),
     [

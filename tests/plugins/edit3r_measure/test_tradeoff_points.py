@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from edit3r_measure.tradeoff_knobs import SweepPlan
 from edit3r_measure.tradeoff_points import (
@@ -11,14 +12,16 @@ from edit3r_measure.tradeoff_points import (
     make_quality,
     on_every_front,
     summarize,
+    with_distances,
 )
 from edit3r_measure.tradeoff_report import END, START, plot, report, write_into_page
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
-from edit3r.quality import Expected, ShippedPoint
+from edit3r.quality import Expected, ShippedPoint, best_within
 
-MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "command": "x"}
+MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "clock": "cpu", "command": "x"}
 FEW = st.integers(0, 6)  # few values, so that ties happen
 
 
@@ -55,6 +58,7 @@ def measurement():
             "ssim": 0.5,
             "perceptual": None,
             "perceptual_by": None,
+            "perceptual_missing": {"lpips": "install it"},
             **others,
         }
 
@@ -66,8 +70,8 @@ def test_time_is_the_middle_repeat_and_the_spread_is_kept(measurement):
     figures = point.kinds["photos"]
     assert figures.cpu == Spread(2.0, 3.0, 6.0)  # means over the two scenes; the warm-up does not count
     assert figures.wall == Spread(4.0, 6.0, 12.0)
-    assert figures.first == 99.0
-    assert figures.seconds == 2.0  # ranked by the repeats that were disturbed least
+    assert figures.first == {"cpu": 99.0, "wall": 99.0}
+    assert figures.seconds("cpu") == 2.0  # ranked by the repeats that were disturbed least
     assert figures.stages == {"edit": pytest.approx(0.75), "render": pytest.approx(2.25)}
 
 
@@ -87,6 +91,15 @@ def test_uptake_is_known_where_the_truth_is(measurement):
     rows = [measurement(), measurement(scene="p", kind="procedural", uptake=0.9, leak=0.01)]
     kinds = summarize(rows)[0].kinds
     assert kinds["photos"].uptake is None and kinds["procedural"].uptake == 0.9
+
+
+def test_the_distance_is_to_the_novel_view_of_the_most_accurate_point(measurement, tmp_path):
+    rows = [measurement("low", psnr=10.0), measurement("high", psnr=20.0)]
+    for row, value in zip(rows, (0, 51)):  # 0.2 apart: 10 log10(1 / 0.04) dB
+        Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(tmp_path / f"{row['key']}.png")
+    low, high = with_distances(summarize(rows), rows, lambda key: tmp_path / f"{key}.png")
+    assert low.kinds["photos"].distance == pytest.approx(13.979, abs=1e-3)
+    assert high.kinds["photos"].distance is None
 
 
 def presets_of(rows, **plan):
@@ -121,19 +134,20 @@ def test_a_point_that_changes_what_is_the_users_is_not_shipped(measurement):
     assert [point.label for point in quality.points] == ["base"]
 
 
-def test_the_report_hides_neither_spread_nor_failure(measurement):
+def test_the_report_hides_neither_spread_nor_failure_nor_a_missing_distance(measurement):
     rows = [measurement(), {**measurement("odd"), "failure": "too dark"}, measurement("other", repeatable=False)]
-    text = report(summarize(rows), rows, MEASURED, {"base": "fast"})
+    text = report(summarize(rows), rows, MEASURED, "cpu", {"base": "fast"})
     assert "2.00 (1.00 to 4.00)" in text and "| base | fast | yes |" in text
     assert "odd failed on s0: too dark" in text
     assert "other on s0: repeats did not leave the same scene." in text
+    assert "No perceptual distance by lpips: install it" in text
     assert "Ranked by processor time" in text and "wall time 2.00 times the processor time" in text
 
 
 def test_the_plot_names_the_presets(measurement, tmp_path):
     pytest.importorskip("matplotlib")
     rows = [measurement(name, kind=kind, scene=kind) for name in ("a", "b") for kind in ("photos", "procedural")]
-    plot(summarize(rows), {"a": "fast"}, tmp_path / "plot.svg")
+    plot(summarize(rows), "cpu", {"a": "fast"}, tmp_path / "plot.svg")
     text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
     assert "<!-- fast: a -->" in text and "<!-- b -->" in text and "<!-- procedural -->" in text
 
@@ -233,3 +247,23 @@ def test_the_best_is_at_the_largest_size_of_photos_although_a_smaller_one_scores
     points = [rated("a", 1, 10), rated("b", 2, 11), rated("c", 4, 12), rated("d", 5, 13)]
     points = [p.model_copy(update={"settings": full if p.label == "c" else small}) for p in points]
     assert choose_presets(points, apart=2)["best"].label == "c"
+
+
+def test_within_limits_the_most_accurate_is_taken():
+    costs = [{"s": 1, "g": 10}, {"s": 2, "g": 5}, {"s": 3, "g": 30}]
+    assert best_within(costs, [1, 2, 3], {}) == 2
+    assert best_within(costs, [1, 2, 3], {"s": 2.5}) == 1
+    assert best_within(costs, [1, 2, 3], {"s": 1.5, "g": 10}) == 0
+    assert best_within(costs, [1, 2, 3], {"g": 4}) is None
+    assert best_within(costs, [2, 2, 1], {}) == 0
+
+
+@given(st.lists(st.tuples(FEW, FEW, FEW), max_size=10), FEW)
+def test_what_is_taken_fits_and_nothing_better_does(points, most):
+    costs = [{"s": s} for s, _, _ in points]
+    accuracies = [a for _, a, _ in points]
+    index = best_within(costs, accuracies, {"s": most})
+    fitting = [a for (s, a, _) in points if s <= most]
+    assert (index is None) == (not fitting)
+    if index is not None:
+        assert costs[index]["s"] <= most and accuracies[index] == max(fitting)

@@ -86,6 +86,11 @@ def test_a_line_that_a_kill_cut_short_is_measured_again(scene, tmp_path, process
     assert len(read_rows(file)) == 2
 
 
+def test_no_measurement_starts_after_the_time_is_up(scene, tmp_path, processes):
+    assert Sweep(tmp_path, JOB, seconds=0.0).measure(POINTS, [scene]) == []
+    assert processes == []
+
+
 def test_a_key_follows_content_and_not_names(tmp_path):
     sweep = Sweep(tmp_path, JOB)
     key = sweep.key({"size": 8}, "x")
@@ -116,18 +121,19 @@ def test_what_is_not_covered_counts_for_neither():
     assert score.uptake is None and score.leak is None
 
 
-def test_a_perceptual_distance_that_cannot_be_had_is_left_out(monkeypatch):
+def test_a_perceptual_distance_that_cannot_be_had_is_said(monkeypatch):
     from edit3r.errors import MissingDependencyError
 
     class Nothing:
         def build(self, kind, name):
             raise MissingDependencyError(f"{kind} {name} is not here")
 
-    assert perceptual_distance(Nothing(), ["x"], np.zeros((4, 4, 3)), np.zeros((4, 4, 3))) == {}
+    distance = perceptual_distance(Nothing(), ["x"], np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
+    assert distance["perceptual"] is None and distance["perceptual_missing"] == {"x": "loss x is not here"}
 
 
 KNOBS = """
-base: {editor: none, reconstructor: edit3r, rasterizer: numba, frames: 2, size: 80}
+base: {editor: none, reconstructor: edit3r, rasterizer: numba, frames: 2}
 unedited: {editor: none}
 edited: {editor: {name: folder, path: "{folder}"}, edit_views: first}
 datasets: {procedural: {image_size: 96, context: 2, targets: 1, edit: recolor, angles: [6, 10], seed: 4, textures: 8}}
@@ -138,20 +144,21 @@ knobs: {size: {about: pixels, values: {"80": {size: 80}}}}
 def test_the_command_measures_a_run_in_its_own_process(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     (tmp_path / "knobs.yaml").write_text(KNOBS, encoding="utf-8")
-    argv = ["tradeoff", "--data", "procedural", "--knobs", str(tmp_path / "knobs.yaml"), "--scenes", "1"]
+    argv = ["tradeoff", "--data", "procedural", "--knobs", str(tmp_path / "knobs.yaml"), "--grid", "--scenes", "1"]
     argv += ["--warm-up", "0", "--repeats", "1", "--threads", "1", "--out", str(tmp_path / "out")]
     assert main(argv) == 0
     (base,) = map(json.loads, (tmp_path / "out" / "measurements.jsonl").read_text().splitlines())
     assert base["psnr"] > 15 and base["uptake"] > 0.5 and 0 <= base["leak"] < 0.05
     assert base["memory_mb"] > base["start_memory_mb"] > 50 and base["ply_bytes"] > 1000
     assert {"render", "write files"} <= set(base["runs"][0]["cpu"])
-    assert "| base |" in (tmp_path / "out" / "tradeoff.md").read_text()
+    assert "| size 80 |" in (tmp_path / "out" / "tradeoff.md").read_text()
     assert main([*argv, "--update-presets"]) == 2  # resumes; one point is no choice
     assert "the presets stay as they are" in capsys.readouterr().err
 
 
 def test_a_run_that_ends_in_a_sentence_is_measured_as_that_sentence(scene, tmp_path):
-    answer = measure(Job({}, {}, str(scene.path), {"reconstructor": "nobody"}))
+    files = {"scene": str(scene.path), "image": str(tmp_path / "x.png")}
+    answer = measure(Job({}, {}, settings={"reconstructor": "nobody"}, **files))
     assert list(answer) == ["failure"] and answer["failure"].startswith("no reconstructor named 'nobody'.")
 
 
