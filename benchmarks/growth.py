@@ -77,12 +77,17 @@ def plot(rows: list[dict[str, float]], axis: str, file: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib import pyplot, ticker
 
     figure, left = pyplot.subplots(figsize=(5, 3.4), layout="constrained")
     right = left.twinx()
     for side, cost, colour in ((left, "seconds", "tab:blue"), (right, "mb", "tab:orange")):
         side.loglog([row[axis] for row in rows], [row[cost] for row in rows], "o-", color=colour)
+        for scale in (side.xaxis, side.yaxis):  # plain numbers, few of them
+            low, high = scale.get_data_interval()
+            scale.set_major_locator(ticker.LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5)))
+            scale.set_major_formatter(ticker.EngFormatter(sep=""))
+            scale.set_minor_locator(ticker.NullLocator())
         side.set_ylabel(f"{'processor seconds' if cost == 'seconds' else 'peak MiB'}", color=colour)
     left.set_xlabel(AXES[axis])
     left.set_title(f"time ~ n^{exponent(rows, axis, 'seconds'):.2f}, memory ~ n^{exponent(rows, axis, 'mb'):.2f}")
