@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -82,9 +82,17 @@ class LoadedPhotos:
     photos: tuple[Photo, ...]
 
 
-def load_views(paths: str | Path | Sequence[str | Path], **options: Any) -> Views:
-    """The views of `load_photos`, which has the same options, without the record."""
-    return load_photos(paths, **options).views
+def load_views(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+    most: int | None = None,
+) -> Views:
+    """The views of `load_photos`, without the record."""
+    return load_photos(paths, fov=fov, cameras=cameras, size=size, names=names, most=most).views
 
 
 def load_photos(
