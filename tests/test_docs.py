@@ -201,6 +201,8 @@ def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
     name = folder.name.removeprefix("edit3r_").replace("_", "-")
     settings = {"steps": 3} if kind == "trainer" else {}
     run_all_claims(contract_for(kind, name, (folder,), **settings))
+    for module in [module for module in sys.modules if module.split(".")[0] == folder.name]:
+        del sys.modules[module]  # else `new-plugin` takes it for installed in the tests that follow
 
 
 @pytest.mark.parametrize("page", LOCAL_FILES)

@@ -63,7 +63,7 @@ def killed_at(step, folder, act):
 def contents(folder):
     """Every file of the folder and what it holds, but for what differs from run to run: times, random states."""
     skipped = {"run.json", "log.jsonl", "last.pt", atomic.MARKER}
-    files = [path for path in folder.rglob("*") if path.is_file()]
+    files = [path for path in folder.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
     return {str(path.relative_to(folder)): path.read_bytes() for path in files if path.name not in skipped}
 
 
