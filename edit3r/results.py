@@ -209,11 +209,12 @@ def summary(out: Path, result: "RunResult") -> str:
     folder = RunFolder(out)
     seconds = sum(stage.seconds for stage in result.report.stages)
     height, width = result.cameras.image_size
-    preset = result.report.notes.get("quality", {}).get("preset") or "default"
+    quality = result.report.notes.get("quality")
+    named = "default" if quality is None else quality["preset"] or f"measured ({quality['chosen']})"
     size = f"{width}x{height}"
-    if preset != "default" and result.config.size < RunConfig.model_fields["size"].default:
+    if quality is not None and result.config.size < RunConfig.model_fields["size"].default:
         size = f"photos reduced to {size}"
-    made = f"{preset} settings, {size}: {result.gaussians.count:,} Gaussians from "
+    made = f"{named} settings, {size}: {result.gaussians.count:,} Gaussians from "
     made += f"{result.photos.count} photos in {seconds:.1f} s"
     places = {
         "look first   {}": folder.before_after,

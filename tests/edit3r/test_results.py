@@ -16,6 +16,7 @@ from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.interfaces import Reconstructor
 from edit3r.io.images import save_image
 from edit3r.reporting import warn
+from edit3r.results import summary
 from edit3r.run_config import OUTPUTS, make_run_config
 from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
@@ -106,6 +107,21 @@ def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
 def test_a_run_writes_further_formats_of_its_scene(result, tmp_path):
     exporting = replace(result, config=result.config.model_copy(update={"export": ("glb",)}))
     assert "scene.glb" in names(exporting.save(tmp_path / "out"))
+
+
+@pytest.mark.parametrize(
+    ("quality", "named"),
+    [
+        (None, "default settings, 32x24:"),
+        ({"preset": "fast", "chosen": "size 256"}, "fast settings, photos reduced to 32x24:"),
+        ({"preset": "", "chosen": "size 192"}, "measured (size 192) settings, photos reduced to 32x24:"),
+    ],
+)
+def test_the_last_lines_name_the_settings_that_were_chosen(result, tmp_path, quality, named):
+    smaller = replace(result, config=result.config.model_copy(update={"size": 192}))
+    if quality is not None:
+        smaller.report.notes["quality"] = quality
+    assert named in summary(tmp_path, smaller)
 
 
 def test_a_notebook_shows_the_sheet_and_the_viewer(result):
