@@ -106,7 +106,8 @@ class RecolorRecipe(Recipe):
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
         """What is said of a sample's geometry: now and then what the matcher itself says, where it places all views."""
-        if rng.random() >= self.settings.matched:
+        # No draw where nothing is matched: recipes without it keep their random numbers.
+        if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
         if sample.name not in self._matches:
             self._matches[sample.name] = really_match(sample, self.job.reconstructor.matcher)
