@@ -8,7 +8,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
@@ -23,18 +23,17 @@ from edit3r.registry import build, default_registry
 from edit3r.stage_checks import component_name, require_matchable
 from edit3r.types import Views
 from edit3r_matching.calibration import calibrate, contradiction
-from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images, cross_matrix, triangulate
+from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import (
     FeatureSettings,
     FoundFeatures,
-    PairView,
     Registration,
     agreeing_pairs,
     find_features,
+    pairs_by_poses,
     register,
 )
-from edit3r_matching.relative_pose import Matches
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 
@@ -44,8 +43,6 @@ LEAST_DISTORTION = 0.03
 """Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight photos too."""
 LEAST_GAIN = 0.05
 """Share of the points' distance from their pixels that a distortion must explain before it is believed."""
-LEAST_MATCHES = 8
-"""Matches on the known epipolar lines that two posed views must share for one to help the other's depth."""
 
 
 class ClassicalMatcher(Matcher):
@@ -199,15 +196,11 @@ class PosedMatcher(Matcher):
         """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
         poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
-        features, pairs = find_features(images, self.settings), {}
+        features = find_features(images, self.settings)
         if self.settings.refine_poses:
             poses = self._refined(images, features, poses)
             c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
-        for (a, b), indices in features.indices.items():
-            matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
-            kept = self._agreeing(matches, pose)
-            if kept.sum() >= LEAST_MATCHES:
-                pairs[a, b] = PairView.of(matches, indices, kept, pose)
+        pairs = pairs_by_poses(images, features, dict(enumerate(poses)), self.settings.threshold)
         placed = np.array([any(view in pair for pair in pairs) for view in range(len(images))])
         if not placed[0]:
             raise MatchingError(
@@ -236,12 +229,6 @@ class PosedMatcher(Matcher):
             "the distance between the cameras",
         )
         return tuple(moved[view] for view in range(len(poses)))
-
-    def _agreeing(self, matches: Matches, pose: Pose) -> Bool[np.ndarray, "match"]:
-        """Matches near the epipolar line that the known `pose` gives, with their points in front of both cameras."""
-        near = _epipolar_distance(matches, pose) * matches.focal <= self.settings.threshold
-        depth, other = triangulate(matches.rays_a, matches.rays_b, pose)
-        return near & (depth > 0) & (other > 0)
 
 
 class AutoMatcher(Matcher):
@@ -277,12 +264,6 @@ def best_at_hand() -> str:
     """The name of the best weights of Depth Anything 3 that can be used here and now; 'part' without any."""
     usable = (name for name in ("da3-base", "da3-small") if default_registry().ready("matcher", "da3", name))
     return next(usable, "part")
-
-
-def _epipolar_distance(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
-    """Distance of each second ray's point (z = 1) from the line that the first one and the pose give."""
-    lines = matches.rays_a @ (cross_matrix(pose.translation) @ pose.rotation).T
-    return np.abs((lines * matches.rays_b).sum(-1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=-1), 1e-12)
 
 
 def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:

@@ -6,7 +6,7 @@ further view is placed on the points it shares with the views already there (PnP
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Literal
@@ -20,7 +20,15 @@ from edit3r import config, weights
 from edit3r.errors import MatchingError
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, rays_through, triangulate
 from edit3r_matching.features import Keypoints, detect, match
-from edit3r_matching.relative_pose import MIN_INLIERS, Matches, TwoViewPose, estimate_pose, log_false_alarms
+from edit3r_matching.relative_pose import (
+    MIN_INLIERS,
+    Matches,
+    TwoViewPose,
+    agreeing,
+    estimate_pose,
+    log_chance,
+    log_false_alarms,
+)
 
 __all__ = [
     "FeatureSettings",
@@ -29,6 +37,7 @@ __all__ = [
     "Registration",
     "agreeing_pairs",
     "find_features",
+    "pairs_by_poses",
     "register",
 ]
 
@@ -217,10 +226,10 @@ def register(
         reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
         raise MatchingError(f"the photos could not be placed relative to each other ({reasons}). {ADVICE}")
     pair, (_, partner) = max(first, key=lambda item: item[0].usefulness)
-    growing = _IncrementalRegistration(images, features.keypoints, pairs, threshold, seed)
+    growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
-    growing.adjust(free_focal)
+    growing.settle(free_focal)
     return growing.result()
 
 
@@ -240,6 +249,23 @@ def agreeing_pairs(
     while wrong := _most_contradicted(pairs):
         failures[wrong] = f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show another motion"
     return pairs, failures
+
+
+def pairs_by_poses(
+    images: Sequence[CalibratedImage], features: FoundFeatures, poses: dict[int, Pose], threshold: float
+) -> dict[tuple[int, int], PairView]:
+    """What every two views with known `poses` share: matches within `threshold` [pixels], where chance gives fewer.
+
+    More pairs than show a motion of their own: two that share a wall alone may show a wrong one on right matches.
+    """
+    pairs = {}
+    for (a, b), indices in features.indices.items():
+        if a in poses and b in poses:
+            matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
+            kept = agreeing(matches, pose, threshold)
+            if log_chance(len(matches), int(kept.sum()), matches.chance * threshold) <= -MIN_LOG_EVIDENCE:
+                pairs[a, b] = PairView.of(matches, indices, kept, pose)
+    return pairs
 
 
 def _most_contradicted(pairs: dict[tuple[int, int], PairView]) -> tuple[int, int] | None:
@@ -333,7 +359,7 @@ class _IncrementalRegistration:
     """The growing reconstruction: poses, and the 3D point of each keypoint that has one (NaN: none yet)."""
 
     images: Sequence[CalibratedImage]
-    keypoints: Sequence[Keypoints]
+    features: FoundFeatures
     pairs: dict[tuple[int, int], PairView]
     threshold: float  # [pixels at a long side of 256]
     seed: int
@@ -343,7 +369,7 @@ class _IncrementalRegistration:
 
     def start(self, partner: int, pair: PairView) -> None:
         """Place view 0 and its best partner."""
-        self.points = [np.full((len(keys), 3), np.nan) for keys in self.keypoints]
+        self.points = [np.full((len(keys), 3), np.nan) for keys in self.features.keypoints]
         self.poses = {0: Pose.identity(), partner: pair.pose}
         self._triangulate_with(partner)
 
@@ -359,24 +385,29 @@ class _IncrementalRegistration:
                 self.poses[view] = pose
                 self._triangulate_with(view)
 
-    def adjust(self, free_focal: bool) -> None:
-        """Settle the poses of three and more views together; two are settled by their epipolar geometry already."""
+    def settle(self, free_focal: bool) -> None:
+        """Adjust three and more views together, then once more on all matches that agree with what was found.
+
+        Two are settled by their epipolar geometry already.
+        """
         if len(self.poses) < 3:
             return
         from edit3r_matching.bundle_adjustment import adjust
 
-        threshold = 2 * self.threshold * max(self.images[0].size) / 256
-        matches = {pair: view.indices for pair, view in self.pairs.items()}
-        points = [keys.points for keys in self.keypoints]
-        self.poses, self.zoom = adjust(self.images, points, matches, self.poses, threshold, free_focal)
+        limit = self.threshold * max(self.images[0].size) / 256
+        points = [keys.points for keys in self.features.keypoints]
+        for _ in range(2):
+            matches = {pair: view.indices for pair, view in self.pairs.items()}
+            self.poses, zoom = adjust(self.images, points, matches, self.poses, 2 * limit, free_focal)
+            self.zoom, self.images = self.zoom * zoom, [image.zoomed(zoom) for image in self.images]
+            self.pairs = pairs_by_poses(self.images, self.features, self.poses, limit)
 
     def result(self) -> Registration:
         """What was placed."""
         views = range(len(self.images))
         poses = tuple(self.poses.get(view, Pose.identity()) for view in views)
         placed = np.array([view in self.poses for view in views])
-        pairs = {key: replace(pair, matches=pair.matches.zoomed(self.zoom)) for key, pair in self.pairs.items()}
-        return Registration(poses, placed, pairs, self.zoom)
+        return Registration(poses, placed, self.pairs, self.zoom)
 
     def _known_points(self, view: int) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
         """Keypoint indices of `view` whose match in a placed view has a 3D point, and those points."""
@@ -396,7 +427,7 @@ class _IncrementalRegistration:
         """PnP with RANSAC, refined on its inliers; None when too few points agree."""
         if len(indices) < MIN_INLIERS:
             return None
-        intrinsics, pixels = self.images[view].intrinsics, self.keypoints[view].points[indices]
+        intrinsics, pixels = self.images[view].intrinsics, self.features.keypoints[view].points[indices]
         threshold = 2 * self.threshold * max(self.images[view].size) / 256
         cv2.setRNGSeed(self.seed)
         found, turn, shift, inliers = cv2.solvePnPRansac(

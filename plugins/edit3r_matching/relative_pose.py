@@ -31,7 +31,9 @@ if _SET is not None:
 __all__ = [
     "Matches",
     "TwoViewPose",
+    "agreeing",
     "estimate_pose",
+    "log_chance",
     "log_false_alarms",
     "refine",
     "rough_pose",
@@ -160,6 +162,11 @@ def _support(
     return float((1 - (errors[inliers] / threshold) ** 2).sum()), inliers
 
 
+def agreeing(matches: Matches, pose: Pose, threshold: float) -> Bool[np.ndarray, "match"]:
+    """Matches within `threshold` [pixels] of the epipolar geometry of `pose`, their points in front of both cameras."""
+    return _support(matches, pose, threshold, in_front=True)[1]
+
+
 def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
     """Minimise the robust Sampson error over rotation and translation direction, reselecting inliers in between."""
     for _ in range(_REFINEMENT_ROUNDS):
@@ -207,6 +214,11 @@ def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
         return np.inf
     choose = _log_binomial(matches, inliers) + _log_binomial(inliers, 5)
     return float((np.log(10 * (matches - 5)) + choose + (inliers - 5) * np.log(min(chance, 1.0))) / np.log(10))
+
+
+def log_chance(matches: int, inliers: int, chance: float) -> float:
+    """log10 of how likely `inliers` of random `matches`, at most, agree with one motion that is known."""
+    return (_log_binomial(matches, inliers) + inliers * math.log(min(chance, 1.0))) / math.log(10)
 
 
 def _log_binomial(n: int, k: int) -> float:
