@@ -17,7 +17,7 @@ from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, pro
 from edit3r_matching.registration import MIN_PARALLAX
 from edit3r_matching.relative_pose import pycolmap
 
-__all__ = ["adjust", "adjust_poses"]
+__all__ = ["adjust"]
 
 ROUNDS = 2
 """Adjustments, each on the points that agree with the poses so far."""
@@ -31,21 +31,6 @@ MOST_ZOOM = 1.25
 Tracks = list[dict[int, int]]  # view: keypoint, of each track
 
 
-def adjust_poses(
-    images: Sequence[CalibratedImage],
-    keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
-    matches: dict[tuple[int, int], Int[np.ndarray, "match 2"]],
-    poses: dict[int, Pose],
-    threshold: float,
-) -> dict[int, Pose]:
-    """Return better `poses` (world to camera, the first of them the frame) of the views that have one.
-
-    `matches` are pairs of keypoint indices of two views that agree on an epipolar geometry. `threshold` is how far a
-    point may be off its pixel [pixels]. The unit of length stays that of the poses given.
-    """
-    return adjust(images, keypoints, matches, poses, threshold)[0]
-
-
 def adjust(
     images: Sequence[CalibratedImage],
     keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
@@ -54,9 +39,11 @@ def adjust(
     threshold: float,
     free_focal: bool = False,
 ) -> tuple[dict[int, Pose], float]:
-    """Return better `poses`, as `adjust_poses` does, and the factor by which the focal lengths of all images change.
+    """Return better `poses` (world to camera, the first the frame), and by what factor all focal lengths change.
 
-    The factor is 1 unless `free_focal`, which asks for images of one size and one lens.
+    `matches` are pairs of keypoint indices of two views that agree on an epipolar geometry. `threshold` is how far a
+    point may be off its pixel [pixels]. The unit of length stays that of the poses given. The factor is 1 unless
+    `free_focal`, which asks for images of one size and one lens.
     """
     placed, start, zoom = sorted(poses), poses, 1.0
     tracks = join_tracks({pair: found for pair, found in matches.items() if set(pair) <= set(placed)}, keypoints)

@@ -45,16 +45,12 @@ def measure_depths(
         depths = np.concatenate([registration.shared_depths(view, other) for other in around[view]])
         raw[view] = sweep_depth(small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes)
     measured = {view: _measured(small[view], around[view], view, raw) for view in raw}
-    maps = [_blank(image.size) for image in images]
+    maps = [(np.ones(image.size, np.float32), np.zeros(image.size, np.float32)) for image in images]
     for view in raw:
         inverse = _completed(small[view], around[view], view, raw, measured)
         maps[view] = upsample_depth(inverse, measured[view], small[view].pixels, images[view].pixels)
     inverse, confidence = zip(*maps)
     return np.stack(inverse), np.stack(confidence)
-
-
-def _blank(size: tuple[int, int]) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
-    return np.ones(size, np.float32), np.zeros(size, np.float32)
 
 
 def _neighbours(

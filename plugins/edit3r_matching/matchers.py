@@ -31,7 +31,6 @@ from edit3r_matching.registration import (
     Registration,
     agreeing_pairs,
     find_features,
-    pairs_by_poses,
     register,
 )
 
@@ -200,26 +199,20 @@ class PosedMatcher(Matcher):
         if self.settings.refine_poses:
             poses = self._refined(images, features, poses)
             c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
-        pairs = pairs_by_poses(images, features, dict(enumerate(poses)), self.settings.threshold)
-        placed = np.array([any(view in pair for pair in pairs) for view in range(len(images))])
-        if not placed[0]:
-            raise MatchingError(
-                "view 0 shares too few features with the other photos on the lines that the known poses give; "
-                "look whether poses and photos belong together."
-            )
-        maps = measure_depths(images, Registration(poses, placed, pairs), self.settings)
+        registration = Registration.on_poses(images, features, dict(enumerate(poses)), self.settings.threshold)
+        maps = measure_depths(images, registration, self.settings)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
-        return c2w, 1 / inverse, confidence, torch.from_numpy(placed)
+        return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered)
 
     def _refined(
         self, images: Sequence[CalibratedImage], features: FoundFeatures, poses: Sequence[Pose]
     ) -> tuple[Pose, ...]:
         """The poses settled on what the photos have in common; the first, and the unit of length, stay."""
-        from edit3r_matching.bundle_adjustment import adjust_poses
+        from edit3r_matching.bundle_adjustment import adjust
 
         points, limit = [keypoints.points for keypoints in features.keypoints], max(images[0].size) / 256
         matches = {pair: view.indices for pair, view in agreeing_pairs(images, features, 1.0, 0)[0].items()}
-        moved = adjust_poses(images, points, matches, dict(enumerate(poses)), 2 * limit)
+        moved, _ = adjust(images, points, matches, dict(enumerate(poses)), 2 * limit)
         turns = [np.linalg.norm(cv2.Rodrigues(moved[v].rotation @ pose.rotation.T)[0]) for v, pose in enumerate(poses)]
         places = np.stack([[pose.inverse().translation for pose in some] for some in (poses, moved.values())])
         steps = np.linalg.norm(places[1] - places[0], axis=1) / max(np.linalg.norm(places[0], axis=1).max(), 1e-12)

@@ -24,10 +24,10 @@ from edit3r_matching.relative_pose import (
     MIN_INLIERS,
     Matches,
     TwoViewPose,
-    agreeing,
     estimate_pose,
     log_chance,
     log_false_alarms,
+    support,
 )
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
     "Registration",
     "agreeing_pairs",
     "find_features",
-    "pairs_by_poses",
     "register",
 ]
 
@@ -52,7 +51,9 @@ MIN_LOG_EVIDENCE = 6.0
 MIN_PARALLAX = 0.4
 """Median angle between rays to the same point below which depth cannot be read [degrees]."""
 ENOUGH_PARALLAX = 5.0
-"""Angle beyond which more does not make a better first pair [degrees]."""
+"""Angle beyond which more does not make a better pair [degrees]."""
+MOST_PARALLAX = 30.0
+"""Angle beyond which surfaces look less and less alike, however many points match [degrees]."""
 LEARNED_INLIERS = 30
 """Agreeing matches below which a pose that SIFT alone does not show is not believed."""
 LEARNED_NOISE = 4.0
@@ -89,8 +90,9 @@ class PairView:
 
     @property
     def usefulness(self) -> float:
-        """Number of matches, each counted by how well its depth can be read."""
-        return float(np.minimum(self.parallax / ENOUGH_PARALLAX, 1).sum())
+        """Number of matches, each counted by how well its depth can be read, and the surface around it compared."""
+        readable, alike = self.parallax / ENOUGH_PARALLAX, (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2
+        return float(np.minimum(np.minimum(readable, alike), 1).sum())
 
 
 @dataclass(frozen=True)
@@ -102,15 +104,42 @@ class Registration:
     pairs: dict[tuple[int, int], PairView]  # (a, b) with a < b
     zoom: float = 1.0  # factor by which the focal lengths of all images changed
 
+    @staticmethod
+    def on_poses(
+        images: Sequence[CalibratedImage],
+        features: "FoundFeatures",
+        poses: dict[int, Pose],
+        threshold: float,
+        zoom: float = 1.0,
+    ) -> "Registration":
+        """Views of known `poses` and what they share: matches within `threshold` [pixels], where chance gives fewer.
+
+        These are more pairs than show a motion of their own: two views that share a wall alone may show a wrong one on
+        right matches. Views that share nothing are not registered. Raises MatchingError when view 0 is one of them.
+        """
+        pairs = {}
+        for (a, b), indices in features.indices.items():
+            if a in poses and b in poses:
+                matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
+                _, kept = support(matches, pose, threshold)
+                if log_chance(len(matches), int(kept.sum()), matches.chance * threshold) <= -MIN_LOG_EVIDENCE:
+                    pairs[a, b] = PairView.of(matches, indices, kept, pose)
+        views = range(len(images))
+        placed = np.array([any(view in pair for pair in pairs) for view in views])
+        if not placed[0]:
+            raise MatchingError(
+                "view 0 shares too few features with the other photos on the lines that the known poses give; "
+                "look whether poses and photos belong together."
+            )
+        return Registration(tuple(poses.get(view, Pose.identity()) for view in views), placed, pairs, zoom)
+
     def relative(self, a: int, b: int) -> Pose:
         """From view a's frame to view b's."""
         return self.poses[b].after(self.poses[a].inverse())
 
     def shared_depths(self, a: int, b: int) -> Float[np.ndarray, "match"]:
-        """Camera z in view a of the points matched with view b; [] when the two share none."""
-        pair = self.pairs.get((min(a, b), max(a, b)))
-        if pair is None:
-            return np.zeros(0)
+        """Camera z in view a of the points matched with view b, one of its neighbours."""
+        pair = self.pairs[min(a, b), max(a, b)]
         rays = (pair.matches.rays_a, pair.matches.rays_b) if a < b else (pair.matches.rays_b, pair.matches.rays_a)
         depth, other = triangulate(*rays, self.relative(a, b))
         return depth[(depth > 0) & (other > 0)]
@@ -229,8 +258,7 @@ def register(
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
-    growing.settle(free_focal)
-    return growing.result()
+    return growing.settled(free_focal)
 
 
 def agreeing_pairs(
@@ -249,23 +277,6 @@ def agreeing_pairs(
     while wrong := _most_contradicted(pairs):
         failures[wrong] = f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show another motion"
     return pairs, failures
-
-
-def pairs_by_poses(
-    images: Sequence[CalibratedImage], features: FoundFeatures, poses: dict[int, Pose], threshold: float
-) -> dict[tuple[int, int], PairView]:
-    """What every two views with known `poses` share: matches within `threshold` [pixels], where chance gives fewer.
-
-    More pairs than show a motion of their own: two that share a wall alone may show a wrong one on right matches.
-    """
-    pairs = {}
-    for (a, b), indices in features.indices.items():
-        if a in poses and b in poses:
-            matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
-            kept = agreeing(matches, pose, threshold)
-            if log_chance(len(matches), int(kept.sum()), matches.chance * threshold) <= -MIN_LOG_EVIDENCE:
-                pairs[a, b] = PairView.of(matches, indices, kept, pose)
-    return pairs
 
 
 def _most_contradicted(pairs: dict[tuple[int, int], PairView]) -> tuple[int, int] | None:
@@ -363,7 +374,6 @@ class _IncrementalRegistration:
     pairs: dict[tuple[int, int], PairView]
     threshold: float  # [pixels at a long side of 256]
     seed: int
-    zoom: float = 1.0
     poses: dict[int, Pose] = field(default_factory=dict)
     points: list[Float[np.ndarray, "keypoint 3"]] = field(default_factory=list)
 
@@ -385,29 +395,26 @@ class _IncrementalRegistration:
                 self.poses[view] = pose
                 self._triangulate_with(view)
 
-    def settle(self, free_focal: bool) -> None:
-        """Adjust three and more views together, then once more on all matches that agree with what was found.
+    def settled(self, free_focal: bool) -> Registration:
+        """What was placed; three and more views adjusted together, and again on all matches that agree with that.
 
         Two are settled by their epipolar geometry already.
         """
-        if len(self.poses) < 3:
-            return
+        views, images, poses, zoom = range(len(self.images)), self.images, self.poses, 1.0
+        placed = np.array([view in poses for view in views])
+        found = Registration(tuple(poses.get(view, Pose.identity()) for view in views), placed, self.pairs)
+        if len(poses) < 3:
+            return found
         from edit3r_matching.bundle_adjustment import adjust
 
-        limit = self.threshold * max(self.images[0].size) / 256
+        limit = self.threshold * max(images[0].size) / 256
         points = [keys.points for keys in self.features.keypoints]
         for _ in range(2):
-            matches = {pair: view.indices for pair, view in self.pairs.items()}
-            self.poses, zoom = adjust(self.images, points, matches, self.poses, 2 * limit, free_focal)
-            self.zoom, self.images = self.zoom * zoom, [image.zoomed(zoom) for image in self.images]
-            self.pairs = pairs_by_poses(self.images, self.features, self.poses, limit)
-
-    def result(self) -> Registration:
-        """What was placed."""
-        views = range(len(self.images))
-        poses = tuple(self.poses.get(view, Pose.identity()) for view in views)
-        placed = np.array([view in self.poses for view in views])
-        return Registration(poses, placed, self.pairs, self.zoom)
+            matches = {pair: view.indices for pair, view in found.pairs.items()}
+            poses, change = adjust(images, points, matches, poses, 2 * limit, free_focal)
+            images, zoom = [image.zoomed(change) for image in images], zoom * change
+            found = Registration.on_poses(images, self.features, poses, limit, zoom)
+        return found
 
     def _known_points(self, view: int) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
         """Keypoint indices of `view` whose match in a placed view has a 3D point, and those points."""

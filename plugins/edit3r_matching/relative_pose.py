@@ -31,7 +31,6 @@ if _SET is not None:
 __all__ = [
     "Matches",
     "TwoViewPose",
-    "agreeing",
     "estimate_pose",
     "log_chance",
     "log_false_alarms",
@@ -39,6 +38,7 @@ __all__ = [
     "rough_pose",
     "sharp_support",
     "signed_support",
+    "support",
 ]
 
 MIN_INLIERS = 12
@@ -91,7 +91,7 @@ def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose 
         return None
     # The epipolar geometry does not tell the sign of the translation; points in front of both cameras do.
     signed = [Pose(pose.rotation, sign * pose.translation) for sign in (1, -1)]
-    scored = [(*_support(matches, pose, threshold, in_front=True), pose) for pose in signed]
+    scored = [(*support(matches, pose, threshold), pose) for pose in signed]
     _, inliers, pose = max(scored, key=lambda item: item[0])
     return TwoViewPose(pose, inliers, log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold))
 
@@ -125,9 +125,7 @@ def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
     """Score of `pose` with the sign of its translation for which more points lie in front of both cameras."""
-    return max(
-        _support(matches, Pose(pose.rotation, sign * pose.translation), threshold, in_front=True)[0] for sign in (1, -1)
-    )
+    return max(support(matches, Pose(pose.rotation, sign * pose.translation), threshold)[0] for sign in (1, -1))
 
 
 def sharp_support(matches: Matches, pose: Pose, threshold: float) -> float:
@@ -150,21 +148,12 @@ def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     return matches.focal * (matches.rays_b * lines_b).sum(1) / np.sqrt(gradient + 1e-18)
 
 
-def _support(
-    matches: Matches, pose: Pose, threshold: float, in_front: bool = False
-) -> tuple[float, Bool[np.ndarray, "match"]]:
-    """Truncated quadratic score (MSAC, higher is better) and the matches within `threshold`."""
+def support(matches: Matches, pose: Pose, threshold: float) -> tuple[float, Bool[np.ndarray, "match"]]:
+    """Truncated quadratic score (MSAC, higher is better); matches within `threshold` [pixels], before both cameras."""
     errors = sampson_errors(matches, pose)
-    inliers = np.abs(errors) < threshold
-    if in_front:
-        depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
-        inliers &= (depth_a > 0) & (depth_b > 0)
+    depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
+    inliers = (np.abs(errors) < threshold) & (depth_a > 0) & (depth_b > 0)
     return float((1 - (errors[inliers] / threshold) ** 2).sum()), inliers
-
-
-def agreeing(matches: Matches, pose: Pose, threshold: float) -> Bool[np.ndarray, "match"]:
-    """Matches within `threshold` [pixels] of the epipolar geometry of `pose`, their points in front of both cameras."""
-    return _support(matches, pose, threshold, in_front=True)[1]
 
 
 def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:

@@ -8,11 +8,12 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching import registration
-from edit3r_matching.bundle_adjustment import adjust, adjust_poses, fit_distortion, join_tracks
+from edit3r_matching import bundle_adjustment, registration
+from edit3r_matching.bundle_adjustment import adjust, fit_distortion, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
 from edit3r_matching.features import Keypoints
 from edit3r_matching.registration import FoundFeatures
+from edit3r_matching.relative_pose import Matches
 
 from edit3r.errors import MatchingError
 
@@ -54,7 +55,7 @@ def errors(found, true):
 def test_disturbed_poses_come_back(scene):
     images, keypoints, matches, true = scene
     before = disturbed(true)
-    after = adjust_poses(images, keypoints, matches, before, threshold=2.0)
+    after = adjust(images, keypoints, matches, before, threshold=2.0)[0]
     assert errors(before, true)[0] > 0.5
     assert errors(after, true)[0] < 0.01 and errors(after, true)[1] < 1e-3
     assert np.allclose(after[0].matrix, np.eye(4))
@@ -65,33 +66,33 @@ def test_wrong_matches_and_noise_do_little(scene):
     rng = np.random.default_rng(2)
     noisy = [points + rng.normal(0, 0.3, points.shape) for points in keypoints]
     noisy[2][:12] += rng.uniform(20, 60, (12, 2))
-    after = adjust_poses(images, noisy, matches, disturbed(true), threshold=2.0)
+    after = adjust(images, noisy, matches, disturbed(true), threshold=2.0)[0]
     assert errors(after, true)[0] < 0.25
 
 
 def test_the_same_matches_give_the_same_poses(scene):
     images, keypoints, matches, true = scene
-    once, again = (adjust_poses(images, keypoints, matches, disturbed(true), threshold=2.0) for _ in range(2))
+    once, again = (adjust(images, keypoints, matches, disturbed(true), threshold=2.0)[0] for _ in range(2))
     assert all((once[v].matrix == again[v].matrix).all() for v in once)
 
 
 def test_the_unit_of_length_stays_that_of_the_given_poses(scene):
     images, keypoints, matches, true = scene
     large = {v: Pose(pose.rotation, 100 * pose.translation) for v, pose in true.items()}
-    after = adjust_poses(images, keypoints, matches, large, threshold=2.0)
+    after = adjust(images, keypoints, matches, large, threshold=2.0)[0]
     assert np.allclose(after[3].translation, large[3].translation, rtol=1e-3)
 
 
 def test_views_without_a_pose_are_left_alone(scene):
     images, keypoints, matches, true = scene
     known = {v: pose for v, pose in disturbed(true).items() if v != 2}
-    after = adjust_poses(images, keypoints, matches, known, threshold=2.0)
+    after = adjust(images, keypoints, matches, known, threshold=2.0)[0]
     assert sorted(after) == [0, 1, 3] and errors(after, {v: true[v] for v in after})[0] < 0.01
 
 
 def test_no_match_at_all_leaves_the_poses_as_they_are(scene):
     images, keypoints, _, true = scene
-    after = adjust_poses(images, keypoints, {}, true, threshold=2.0)
+    after = adjust(images, keypoints, {}, true, threshold=2.0)[0]
     assert all(np.allclose(after[v].matrix, true[v].matrix) for v in true)
 
 
@@ -109,7 +110,7 @@ def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
     images, keypoints, matches, true = scene
     taken = [image.zoomed(1.6) for image in images]
     poses, zoom = adjust(taken, keypoints, matches, true, threshold=4.0, free_focal=True)
-    fixed = adjust_poses(taken, keypoints, matches, true, threshold=4.0)
+    fixed = adjust(taken, keypoints, matches, true, threshold=4.0)[0]
     assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
 
 
@@ -236,18 +237,50 @@ def test_a_pair_that_the_other_photos_contradict_is_refused(scene):
     assert set(failures) == {(0, 2)} and "other photos" in failures[0, 2] and len(pairs) == 5
     result = registration.register(images, "abcd", found, threshold=1.0, seed=0)
     assert result.registered.all() and errors(dict(enumerate(result.poses)), true)[0] < 0.1
+    assert (0, 2) not in result.pairs
+
+
+@pytest.mark.parametrize("why", ["few", "contradicted"])
+def test_two_views_without_a_motion_of_their_own_share_what_agrees_with_the_others_poses(scene, monkeypatch, why):
+    """Ten matches show no motion; right ones of a wall may show a wrong one, which takes right pairs down with it."""
+    images, keypoints, matches, _ = scene
+    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
+    found = FoundFeatures(keys, {**matches, (0, 3): matches[0, 3][:10]} if why == "few" else matches)
+    own = registration.agreeing_pairs
+
+    def without_one(*args):
+        pairs, failures = own(*args)
+        return {pair: view for pair, view in pairs.items() if pair != (0, 3)}, failures
+
+    monkeypatch.setattr(registration, "agreeing_pairs", without_one)
+    result = registration.register(images, "abcd", found, threshold=1.0, seed=0)
+    assert len(result.pairs[0, 3].matches) == (10 if why == "few" else POINTS) and 0 in result.neighbours_of(3)
+    assert np.median(result.pairs[0, 3].parallax) > 5
 
 
 def test_registration_settles_its_poses_so(scene, monkeypatch):
-    """What `register` returns is what `adjust_poses` makes of the views placed one after the other."""
-    images, keypoints, matches, _ = scene
+    """Views placed one after the other are nearer to the truth when they are adjusted together, twice."""
+    images, keypoints, matches, true = scene
     rng = np.random.default_rng(3)
     noisy = tuple(Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32)) for p in keypoints)
     found = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
-    monkeypatch.setattr(registration._IncrementalRegistration, "adjust", lambda self, free_focal: None)
+    monkeypatch.setattr(bundle_adjustment, "adjust", lambda *args: (args[3], 1.0))
     raw = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
-    agreeing = {pair: view.indices for pair, view in raw.pairs.items()}
-    limit = 2 * max(SIZE) / 256
-    settled = adjust_poses(images, [keys.points for keys in noisy], agreeing, dict(enumerate(raw.poses)), limit)
-    assert all(np.allclose(found.poses[v].matrix, settled[v].matrix) for v in range(VIEWS))
-    assert not all(np.allclose(found.poses[v].matrix, raw.poses[v].matrix, atol=1e-4) for v in range(VIEWS))
+    turn, step = errors(dict(enumerate(found.poses)), true)
+    assert turn < 0.8 * errors(dict(enumerate(raw.poses)), true)[0]
+    assert step < errors(dict(enumerate(raw.poses)), true)[1]
+
+
+def test_depth_is_measured_from_photos_at_a_moderate_angle_first(scene):
+    """More matches a right angle away say less of depth than fewer from nearer by: surfaces look different there."""
+    _, _, _, true = scene
+
+    def pair(count, degrees):
+        rays = np.zeros((count, 3))
+        return registration.PairView(
+            Matches(rays, rays, FOCAL, 0.01), np.zeros((count, 2), int), Pose.identity(), np.full(count, degrees)
+        )
+
+    pairs = {(0, 1): pair(60, 70.0), (0, 2): pair(36, 25.0), (0, 3): pair(60, 0.5)}
+    placed = registration.Registration(tuple(true.values()), np.ones(VIEWS, bool), pairs)
+    assert placed.neighbours_of(0)[0] == 2
