@@ -94,7 +94,7 @@ def _label(
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
     if most_guessed > MOST_FILLED_WORST["good"]:
-        shown += f"; {guessed:.0%} of the depth is guessed, up to {most_guessed:.0%} of a photo's"
+        shown += f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {names[filled.index(most_guessed)]}"
     return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 

@@ -199,7 +199,8 @@ class PosedMatcher(Matcher):
         if self.settings.refine_poses:
             poses = self._refined(images, features, poses)
             c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
-        registration = Registration.on_poses(images, features, dict(enumerate(poses)), self.settings.threshold)
+        limit = self.settings.threshold / np.sqrt(2)  # Sampson's error counts the distances in both photos
+        registration = Registration.on_poses(images, features, dict(enumerate(poses)), limit)
         maps = measure_depths(images, registration, self.settings)
         inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
         return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered)

@@ -60,7 +60,7 @@ def test_nearly_all_photos_left_out_is_poor():
 
 def test_much_guessed_depth_is_never_good_and_more_is_poor():
     fair, poor = (shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([m])) for m in MEASURED_SHARES)
-    assert fair.label == "fair" and "52% of the depth is guessed, up to 60% of a photo's" in fair.reason
+    assert fair.label == "fair" and "52% of the depth is guessed, 60% in a" in fair.reason
     assert poor.label == "poor"
 
 
