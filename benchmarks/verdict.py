@@ -2,6 +2,7 @@
 
     python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
     python benchmarks/verdict.py FOLDER --photos 0,2,4,6,8,10 --pairs
+    python benchmarks/verdict.py FOLDER --photos 0,7,14,21,28,35 --unseen 31,32,33,34
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
 reconstructed without their poses. Views between two placed neighbours, which the run has not seen, are then rendered
@@ -43,11 +44,11 @@ def between(centres: np.ndarray, chosen: list[int]) -> list[int | None]:
     return found
 
 
-def measure(folder: Path, chosen: list[int], size: int, pairs: bool) -> dict:
+def measure(folder: Path, chosen: list[int], size: int, pairs: bool, unseen: list[int]) -> dict:
     """Reconstruct one set; the verdict, and the PSNR [dB] of the held-out views whose two neighbours were placed."""
     cameras = read_posed_folder(folder).cameras
     targets = between(np.stack([camera.c2w[:3, 3] for camera in cameras]), chosen)
-    files = [folder / cameras[i].file for i in (*chosen, *(t for t in targets if t is not None))]
+    files = [folder / cameras[i].file for i in (*chosen, *(t for t in targets if t is not None), *unseen)]
     views, count = edit3r.load_views(files, size=size), len(chosen)
     numbers = iter(range(count, views.count))
     asked = [(k, next(numbers)) for k, target in enumerate(targets) if target is not None]
@@ -61,6 +62,8 @@ def measure(folder: Path, chosen: list[int], size: int, pairs: bool) -> dict:
     for name in ("label", "input_psnr", "agreement", "placed", "filled"):
         row[name] = getattr(result.verdict, name)
     row["held_out"] = [_held_out(result, views, (k, k + 1), placed.index(k), target) for k, target in asked]
+    last = range(views.count - len(unseen), views.count)
+    row["unseen"] = dict(zip(unseen, (_unseen(result, views, placed, target) for target in last)))
     row["cpu_s"] = sum(stage.cpu_seconds for stage in result.report.stages)
     if pairs:
         row["pairs"] = [_of_pair(views, k, target, size) for k, target in asked]
@@ -82,9 +85,22 @@ def _held_out(result: edit3r.RunResult, views: edit3r.Views, pair: tuple[int, in
     length = float((found[first, :3, 3] - found[first + 1, :3, 3]).norm())
     unit = length / float((true[pair[0], :3, 3] - true[pair[1], :3, 3]).norm())
     nearer = min((0, 1), key=lambda side: float((true[pair[side], :3, 3] - true[target, :3, 3]).norm()))
-    step = torch.linalg.inv(true[pair[nearer]]) @ true[target]
+    return _rendered(result, views, (pair[nearer], first + nearer), target, unit)
+
+
+def _unseen(result: edit3r.RunResult, views: edit3r.Views, placed: list[int], target: int) -> float:
+    """PSNR [dB] of view `target`, placed relative to the nearest of the `placed` views."""
+    true, found = views.c2w[0, :, :3, 3].double(), result.cameras.c2w[0, :, :3, 3].double()
+    unit = float(torch.pdist(found).sum() / torch.pdist(true[placed]).sum())
+    nearest = int((true[placed] - true[target]).norm(dim=1).argmin())
+    return _rendered(result, views, (placed[nearest], nearest), target, unit)
+
+
+def _rendered(result: edit3r.RunResult, views: edit3r.Views, near: tuple[int, int], target: int, unit: float) -> float:
+    """PSNR [dB] of view `target` from where it stands beside a view, whose numbers in `views` and result are `near`."""
+    step = torch.linalg.inv(views.c2w[0, near[0]].double()) @ views.c2w[0, target].double()
     step[:3, 3] *= unit
-    pose = (found[first + nearer] @ step).float()
+    pose = (result.cameras.c2w[0, near[1]].double() @ step).float()
     cameras = edit3r.Cameras(pose[None, None], views.intrinsics[:, [target]], views.image_size)
     image = result.rasterizer.render(result.gaussians, cameras).images[0, 0].clamp(0, 1)
     return float(-10 * torch.log10((image - views.images[0, target]).square().mean()))
@@ -122,6 +138,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--size", type=int, default=384)
     parser.add_argument("--photos", action="append", help="a set, such as 0,2,4, instead of the sets above; repeatable")
+    parser.add_argument("--unseen", default="", help="photos to render besides, such as 31,33")
     parser.add_argument("--pairs", action="store_true", help="reconstruct each two neighbours of a set alone as well")
     parser.add_argument(
         "--write", type=Path, help="append one JSON line a set to this file; sets in it are not repeated"
@@ -135,13 +152,18 @@ def main() -> None:
     done = {(row["scene"], tuple(row["photos"])) for row in rows}
     for folder in args.folders:
         asked = [[int(number) for number in text.split(",")] for text in args.photos or []]
+        unseen = [int(number) for number in args.unseen.split(",") if number]
         for chosen in asked or sets_of(len(read_posed_folder(folder).cameras)):
             if (folder.name, tuple(chosen)) not in done:
-                rows.append(measure(folder, chosen, args.size, args.pairs))
+                rows.append(measure(folder, chosen, args.size, args.pairs, unseen))
                 if args.write:
                     with args.write.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
     print(pairs_table(rows) if args.pairs else table(rows))
+    for row in rows:
+        if row.get("unseen"):
+            shown = ", ".join(f"{photo} {value:.1f}" for photo, value in row["unseen"].items())
+            print(f"{row['scene']} {row['photos']}, {row['label']}: {shown} dB")
 
 
 if __name__ == "__main__":
