@@ -111,7 +111,7 @@ def _widened(
     full = tuple(side + 2 * pad for side in views.image_size)
     maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
     inner = F.adaptive_avg_pool2d(maps, tuple(math.ceil(side / APRON_BLOCK) for side in views.image_size))
-    reach = min(pad, *views.image_size) // (2 * APRON_BLOCK)  # a mean over the border's surroundings, not one row
+    reach = max(1, min(pad, *views.image_size) // (2 * APRON_BLOCK) - 1)  # over a quarter of the apron, not one row
     smooth = F.avg_pool2d(inner, 2 * reach + 1, 1, reach, count_include_pad=False)
     coarse = F.pad(smooth, (pad // APRON_BLOCK,) * 4, mode="replicate").unflatten(0, depths.shape[:2])
     intrinsics = to_pixels(views.intrinsics, views.image_size)
