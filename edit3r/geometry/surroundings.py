@@ -1,9 +1,10 @@
-"""Two coarse, blurred layers for what no photo shows: around the images and behind their depth edges.
+"""Coarse, blurred layers for what no photo shows: around the images, behind their depth edges, behind their surfaces.
 
 The apron continues each image beyond its border, so that a camera that moved a little does not look past the edge. The
 backdrop continues the surface behind each depth edge a short way under what stands before it, so that a gap shows what
-surrounds it instead of nothing. Both are made of large soft Gaussians, one for a block of pixels, and neither stands
-before anything that a photo shows.
+surrounds it instead of nothing. The lining repeats smooth surfaces right behind themselves, so that faint Gaussians let
+no black through. All are made of large soft Gaussians, one for a block of pixels, and none stands before anything that
+a photo shows.
 """
 
 import math
@@ -18,13 +19,17 @@ from edit3r.geometry.warping import seen_by, stands_before_others
 from edit3r.interfaces import MatchedGeometry
 from edit3r.types import Cameras, Gaussians, Views
 
-__all__ = ["apron", "backdrop"]
+__all__ = ["apron", "backdrop", "lining"]
 
-APRON_BLOCK, BACKDROP_BLOCK = 4, 6  # side of the square of pixels that one Gaussian stands for
-APRON_FOOTPRINT, BACKDROP_FOOTPRINT = 0.6, 0.8  # standard deviation in blocks: neighbours close up without gaps
+APRON_BLOCK, BACKDROP_BLOCK, LINING_BLOCK = 4, 6, 4  # side of the square of pixels that one Gaussian stands for
+# Standard deviation in blocks: neighbours close up without gaps.
+APRON_FOOTPRINT, BACKDROP_FOOTPRINT, LINING_FOOTPRINT = 0.6, 0.8, 0.6
 REACH = 0.1  # how far a surface goes on behind what stands before it [long sides]
 EDGE = 1.02  # ratio of depths above which one surface stands before another
 BEHIND = 1.01  # relative depth at which the backdrop lies behind its surface
+UNDER = 1.1  # relative depth at which the lining lies behind its surface
+SMOOTH = 1.15  # ratio of depths among neighbouring blocks below which their surface is lined: none behind thin things
+FAINT = 0.9  # mean opacity of a block's Gaussians below which it is lined
 SURE = 0.9  # share of a block that was measured, above which nothing has to be put behind it
 BLURS = 3  # passes of a 3x3 mean, in blocks
 FADING = 0.3  # share of an apron's width; a fade over all of it costs 0.6 dB where a new view looks past the photos
@@ -47,13 +52,42 @@ def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussia
 
     A guess in front of it may be faint without letting the empty background through.
     """
-    depths, colours, needed = _surface_behind(views, geometry)
-    surfaces = geometry.depths * geometry.registered[..., None, None]
+    return _hidden_layer(views, geometry, opacity, BACKDROP_FOOTPRINT, *_surface_behind(views, geometry))
+
+
+def lining(
+    views: Views, geometry: MatchedGeometry, opacities: Float[Tensor, "batch view height width"], opacity: float
+) -> Gaussians:
+    """Faint smooth surfaces of every registered view once more, right behind themselves, in the colours of `views`.
+
+    What is guessed is faint so that two views blend there; nothing else shows through then. `opacities` are those of
+    the pixels' Gaussians.
+    """
+    shape = geometry.depths.shape[:2]
+    blocks = tuple(math.ceil(side / LINING_BLOCK) for side in views.image_size)
+    maps = torch.cat((views.images, torch.stack((1 / geometry.depths, opacities.detach()), 2)), 2).flatten(0, 1)
+    colour, inverse, opaque = F.adaptive_avg_pool2d(maps, blocks).split((3, 1, 1), 1)
+    needed = (opaque < FAINT) & (F.max_pool2d(inverse, 3, 1, 1) < SMOOTH * -F.max_pool2d(-inverse, 3, 1, 1))
+    depths = UNDER / -F.adaptive_max_pool2d(-maps[:, 3:4], blocks)
+    parts = (x.unflatten(0, shape) for x in (depths[:, 0], colour, needed[:, 0]))
+    return _hidden_layer(views, geometry, opacity, LINING_FOOTPRINT, *parts)
+
+
+def _hidden_layer(
+    views: Views,
+    geometry: MatchedGeometry,
+    opacity: float,
+    footprint: float,
+    depths: Float[Tensor, "batch view rows columns"],
+    colours: Float[Tensor, "batch view 3 rows columns"],
+    needed: Bool[Tensor, "batch view rows columns"],
+) -> Gaussians:
+    """A Gaussian for each block that is `needed` and stands before nothing that a registered view shows."""
+    placed = geometry.registered[..., None, None]
     points = unproject(depths, views.intrinsics, geometry.c2w)
-    needed &= geometry.registered[..., None, None]
-    needed &= ~stands_before_others(points, surfaces, views.intrinsics, geometry.c2w)
+    needed = needed & placed & ~stands_before_others(points, geometry.depths * placed, views.intrinsics, geometry.c2w)
     coarse = Views(colours, views.intrinsics)
-    return _layer(coarse, depths, geometry, opacity * needed.to(depths.dtype), BACKDROP_FOOTPRINT)
+    return _layer(coarse, depths, geometry, opacity * needed.to(depths.dtype), footprint)
 
 
 def _layer(
@@ -74,14 +108,12 @@ def _widened(
     views: Views, depths: Float[Tensor, "batch view height width"], pad: int
 ) -> tuple[Views, Float[Tensor, "batch view rows columns"]]:
     """The images with their borders continued by `pad` pixels, in blocks, and the depths continued likewise."""
-    height, width = views.image_size
-    full = (height + 2 * pad, width + 2 * pad)
-    blocks = (math.ceil(full[0] / APRON_BLOCK), math.ceil(full[1] / APRON_BLOCK))
+    full = tuple(side + 2 * pad for side in views.image_size)
     maps = torch.cat((views.images, 1 / depths[:, :, None]), 2).flatten(0, 1)
-    reach = 2 * min(pad // 2, height // 2, width // 2) // 2  # an average over the border's surroundings, not one row
-    smooth = _running_mean(_running_mean(maps, 2, reach), 3, reach)
-    coarse = F.interpolate(F.pad(smooth, (pad,) * 4, mode="replicate"), blocks, mode="area")
-    coarse = coarse.view(*views.images.shape[:2], 4, *blocks)
+    inner = F.adaptive_avg_pool2d(maps, tuple(math.ceil(side / APRON_BLOCK) for side in views.image_size))
+    reach = max(1, min(pad, *views.image_size) // (2 * APRON_BLOCK) - 1)  # over a quarter of the apron, not one row
+    smooth = F.avg_pool2d(inner, 2 * reach + 1, 1, reach, count_include_pad=False)
+    coarse = F.pad(smooth, (pad // APRON_BLOCK,) * 4, mode="replicate").unflatten(0, depths.shape[:2])
     intrinsics = to_pixels(views.intrinsics, views.image_size)
     intrinsics[..., :2, 2] += pad
     return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
@@ -94,21 +126,6 @@ def _towards_rim(image_size: tuple[int, int], pad: int, blocks: tuple[int, int])
         centre = (torch.arange(count) + 0.5) * (side + 2 * pad) / count - pad  # [pixels] from the image's first
         beyond.append(torch.maximum(-centre, centre - side).clamp(min=0) / pad)
     return ((1 - torch.maximum(beyond[0][:, None], beyond[1])) / FADING).clamp(0, 1)
-
-
-def _running_mean(
-    maps: Float[Tensor, "image channel height width"], axis: int, reach: int
-) -> Float[Tensor, "image channel height width"]:
-    """Mean over what lies at most `reach` pixels away along `axis`, inside the image.
-
-    From running sums in float64, whose cost does not grow with the reach.
-    """
-    size = maps.shape[axis]
-    sums = F.pad(maps, (0, 0, 1, 0) if axis == 2 else (1, 0)).cumsum(axis, dtype=torch.float64)
-    index = torch.arange(size, device=maps.device)
-    first, end = (index - reach).clamp(min=0), (index + reach + 1).clamp(max=size)
-    count = (end - first).view(-1, 1) if axis == 2 else end - first
-    return ((sums.index_select(axis, end) - sums.index_select(axis, first)) / count).to(maps.dtype)
 
 
 def _outside_all(

@@ -21,7 +21,7 @@ from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.maps import resize
-from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.surroundings import apron, backdrop, lining
 from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry, Matcher, Reconstructor
 from edit3r.registry import build
 from edit3r.training.checkpoint import WEIGHTS, load_weights
@@ -71,6 +71,9 @@ class Edit3rReconstructor(Reconstructor):
         apron_opacity: float = Field(0.6, gt=0, lt=1, description="opacity of that rim")
         backdrop: float = Field(
             0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+        )
+        lining: float = Field(
+            0.9, ge=0, le=1, description="opacity of the second layer right behind faint surfaces; 0: none"
         )
 
     def __init__(self, settings: Settings, matcher: Matcher, backbone: Backbone, head: GaussianHead) -> None:
@@ -139,6 +142,9 @@ class Edit3rReconstructor(Reconstructor):
         parts = [reconstruction.gaussians]
         if self.settings.backdrop > 0:
             parts.append(backdrop(fused, geometry, self.settings.backdrop))
+        if self.settings.lining > 0:
+            opacities = reconstruction.gaussians.opacities.view_as(geometry.depths)
+            parts.append(lining(fused, geometry, opacities, self.settings.lining))
         if self.settings.apron > 0:
             parts.append(apron(fused, geometry, self.settings.apron, self.settings.apron_opacity))
         fusion = (colours - views.images).detach()

@@ -7,7 +7,7 @@ import torch
 
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.surroundings import apron, backdrop, lining
 from edit3r.interfaces import MatchedGeometry
 from edit3r.testing import photograph
 
@@ -51,8 +51,10 @@ def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
     assert torch.allclose(dc_to_colour(rim.harmonics), torch.tensor(0.25), atol=1e-6)
 
 
-def test_the_backdrop_never_stands_before_a_photo(pair, truth):
-    layer = backdrop(pair.views, truth, 0.9)
+@pytest.mark.parametrize("layers", ["backdrop", "lining"])
+def test_no_layer_stands_before_a_photo(pair, truth, layers):
+    layer = backdrop(pair.views, truth, 0.9) if layers == "backdrop" else _lined(pair, truth)
+    assert layer.count > 50
     height, width = pair.views.image_size
     for view in (0, 1):
         places, depth = project(layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
@@ -67,3 +69,28 @@ def test_a_flat_measured_wall_needs_no_backdrop(pair, truth):
     assert backdrop(pair.views, wall, 0.9).count == 0
     guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
     assert backdrop(pair.views, guessed, 0.9).count > 0
+
+
+def _lined(pair, geometry, faint=0.5):
+    return lining(pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9)
+
+
+def test_a_lining_follows_right_behind_a_faint_smooth_surface_and_ends_before_its_edges(pair, truth):
+    here = truth.c2w[:, :1]
+    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1))
+    assert _lined(pair, wall, faint=0.99).count == 0
+    layer = _lined(pair, wall)
+    places, depth = project(layer.means, pair.views.intrinsics[:, 0], here[:, 0])
+    assert layer.count == 2 * 24 * 32
+    assert ((depth > 3) & (depth < 3.6)).all() and ((places > 0) & (places < 1)).all()
+    # A post before the wall, two pixels wide: what is lined beside it would show on both of its sides.
+    wall.depths[..., 40:42] = 2.0
+    beside = _lined(pair, wall)
+    places, _ = project(beside.means, pair.views.intrinsics[:, 0], here[:, 0])
+    assert layer.count > beside.count > 0.8 * layer.count
+    assert ((places[..., 0] - 41 / 128).abs() > 3 / 128).all()
+
+
+def test_a_view_that_was_not_placed_is_not_lined(pair, truth):
+    first = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
+    assert set(_lined(pair, first).view_index.tolist()) == {0}

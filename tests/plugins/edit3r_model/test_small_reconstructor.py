@@ -1,6 +1,7 @@
 import hashlib
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import skimage.data
@@ -238,6 +239,21 @@ def test_the_figure_shows_every_view_s_own_gaussians_and_where_they_give_way(tmp
     assert Image.open(tmp_path / "figure.png").size[0] > 5 * 256
 
 
+def test_the_lining_keeps_the_background_from_showing_through_a_view_s_faint_gaussians():
+    class Guessing(_TrueGeometry):
+        def match(self, views: Views) -> MatchedGeometry:
+            geometry = super().match(views)
+            return replace(geometry, confidence=torch.zeros_like(geometry.confidence))
+
+    parts = {"matcher": Guessing()}
+    built = (build("reconstructor", "edit3r", parts=parts, network_size=64, backdrop=0, lining=n) for n in (0.9, 0))
+    lined, alone = (reconstructor(_views(), _views()) for reconstructor in built)
+    camera = SCENE.cameras.select([1])
+    alphas = [build("rasterizer", "torch").render(s.gaussians.from_view(1), camera).alphas for s in (lined, alone)]
+    assert alphas[0].median() > alphas[1].median() + 0.05 and alphas[0].median() > 0.95
+    assert torch.equal(_colours(lined), _colours(alone))
+
+
 def test_what_lies_away_from_an_edit_stays_bit_for_bit():
     views, edited = _views(3), _recoloured(_views(3), (0, 1))
     plain, changed = (_reconstructor()(given, views).gaussians for given in (views, edited))
@@ -291,7 +307,9 @@ def test_a_guess_before_what_another_photo_measured_is_next_to_transparent():
             depths[patch], confidence[patch] = 0.7 * depths[patch], 0
             return MatchedGeometry(geometry.c2w, depths, confidence, geometry.registered)
 
-    result = build("reconstructor", "edit3r", parts={"matcher": Floating()}, network_size=64, apron=0, backdrop=0)
+    result = build(
+        "reconstructor", "edit3r", parts={"matcher": Floating()}, network_size=64, apron=0, backdrop=0, lining=0
+    )
     opacities = result(_views(), _views()).gaussians.from_view(1).opacities[0].view(SIZE)
     assert opacities[patch[2:]].median() < 0.2 < 0.4 < opacities.median()
 
