@@ -2,8 +2,8 @@
 
 The apron continues each image beyond its border, so that a camera that moved a little does not look past the edge. The
 backdrop continues the surface behind each depth edge a short way under what stands before it, so that a gap shows what
-surrounds it instead of nothing. The lining repeats smooth surfaces right behind themselves, so that faint Gaussians let
-no black through. All are made of large soft Gaussians, one for a block of pixels, and none stands before anything that
+surrounds it instead of nothing. The lining repeats measured surfaces right behind themselves, so that no black shows
+through where they are faint. All are made of large soft Gaussians, one for a block of pixels, and none stands before anything that
 a photo shows.
 """
 
@@ -30,7 +30,7 @@ BEHIND = 1.01  # relative depth at which the backdrop lies behind its surface
 UNDER = 1.1  # relative depth at which the lining lies behind its surface
 SMOOTH = 1.15  # ratio of depths among neighbouring blocks below which their surface is lined: none behind thin things
 FAINT = 0.9  # mean opacity of a block's Gaussians below which it is lined
-SURE = 0.9  # share of a block that was measured, above which nothing has to be put behind it
+SURE = 0.9  # share of a block that was measured, above which it counts as measured
 BLURS = 3  # passes of a 3x3 mean, in blocks
 FADING = 0.3  # share of an apron's width; a fade over all of it costs 0.6 dB where a new view looks past the photos
 
@@ -58,16 +58,19 @@ def backdrop(views: Views, geometry: MatchedGeometry, opacity: float) -> Gaussia
 def lining(
     views: Views, geometry: MatchedGeometry, opacities: Float[Tensor, "batch view height width"], opacity: float
 ) -> Gaussians:
-    """Faint smooth surfaces of every registered view once more, right behind themselves, in the colours of `views`.
+    """Measured smooth surfaces of every registered view, where faint, once more right behind themselves.
 
-    What is guessed is faint so that two views blend there; nothing else shows through then. `opacities` are those of
-    the pixels' Gaussians.
+    Nothing but what other photos show there shines through then. Guesses stay as faint as they are: something behind a
+    wrong one hides what others show. `opacities` are those of the pixels' Gaussians.
     """
     shape = geometry.depths.shape[:2]
     blocks = tuple(math.ceil(side / LINING_BLOCK) for side in views.image_size)
-    maps = torch.cat((views.images, torch.stack((1 / geometry.depths, opacities.detach()), 2)), 2).flatten(0, 1)
-    colour, inverse, opaque = F.adaptive_avg_pool2d(maps, blocks).split((3, 1, 1), 1)
-    needed = (opaque < FAINT) & (F.max_pool2d(inverse, 3, 1, 1) < SMOOTH * -F.max_pool2d(-inverse, 3, 1, 1))
+    single = torch.stack((1 / geometry.depths, opacities.detach(), geometry.confidence), 2)
+    maps = torch.cat((views.images, single), 2).flatten(0, 1)
+    colour, inverse, opaque, sure = F.adaptive_avg_pool2d(maps, blocks).split((3, 1, 1, 1), 1)
+    needed = (
+        (sure >= SURE) & (opaque < FAINT) & (F.max_pool2d(inverse, 3, 1, 1) < SMOOTH * -F.max_pool2d(-inverse, 3, 1, 1))
+    )
     depths = UNDER / -F.adaptive_max_pool2d(-maps[:, 3:4], blocks)
     parts = (x.unflatten(0, shape) for x in (depths[:, 0], colour, needed[:, 0]))
     return _hidden_layer(views, geometry, opacity, LINING_FOOTPRINT, *parts)

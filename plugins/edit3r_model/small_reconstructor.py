@@ -73,7 +73,7 @@ class Edit3rReconstructor(Reconstructor):
             0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
         )
         lining: float = Field(
-            0.9, ge=0, le=1, description="opacity of the second layer right behind faint surfaces; 0: none"
+            0.9, ge=0, le=1, description="opacity of the second layer right behind faint measured surfaces; 0: none"
         )
 
     def __init__(self, settings: Settings, matcher: Matcher, backbone: Backbone, head: GaussianHead) -> None:

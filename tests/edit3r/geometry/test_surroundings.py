@@ -75,10 +75,11 @@ def _lined(pair, geometry, faint=0.5):
     return lining(pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9)
 
 
-def test_a_lining_follows_right_behind_a_faint_smooth_surface_and_ends_before_its_edges(pair, truth):
+def test_a_lining_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(pair, truth):
     here = truth.c2w[:, :1]
     wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1))
     assert _lined(pair, wall, faint=0.99).count == 0
+    assert _lined(pair, dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))).count == 0
     layer = _lined(pair, wall)
     places, depth = project(layer.means, pair.views.intrinsics[:, 0], here[:, 0])
     assert layer.count == 2 * 24 * 32
