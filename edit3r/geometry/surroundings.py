@@ -3,8 +3,7 @@
 The apron continues each image beyond its border, so that a camera that moved a little does not look past the edge. The
 backdrop continues the surface behind each depth edge a short way under what stands before it, so that a gap shows what
 surrounds it instead of nothing. The lining repeats measured surfaces right behind themselves, so that no black shows
-through where they are faint. All are made of large soft Gaussians, one for a block of pixels, and none stands before anything that
-a photo shows.
+through where they are faint. All are made of large soft Gaussians, and none stands before what a photo shows.
 """
 
 import math

@@ -19,7 +19,7 @@ from edit3r.io.images import save_pixels
 from edit3r.io.sheet import draw_sheet
 from edit3r.rendering import render_each
 from edit3r.types import Gaussians, Rendering
-from edit3r_model.edit_colour import edits_disagree, near_an_edit
+from edit3r_model.edit_colour import edits_disagree, looks_of, near_an_edit, shown_by_views
 
 
 @torch.no_grad()
@@ -47,8 +47,10 @@ def _conflict(run: EarlierRun, whole: Rendering) -> Float[Tensor, "1 view height
     """Where the edits disagree, matched by the depths that the whole scene shows."""
     photos, edited, cameras = run.photos.images, run.edited.images, run.scene.cameras
     matches = find_correspondences(whole.depths[:, :, 0].clamp(min=1e-6), cameras.intrinsics, cameras.c2w)
-    near = near_an_edit(edited, photos, matches, whole.alphas[:, :, 0] > 0.5)
-    return near * edits_disagree(edited, photos, matches) * matches.inside
+    seen = whole.alphas[:, :, 0] > 0.5
+    reference = shown_by_views(edited, photos, looks_of(photos, matches, seen))
+    near = near_an_edit(edited, photos, reference, matches, seen)
+    return near * edits_disagree(edited, photos, reference, matches) * matches.inside
 
 
 def _showing_opacity(gaussians: Gaussians) -> Gaussians:

@@ -34,7 +34,10 @@ _FITTED = 4_000
 """Changed pixels that the function is fitted to, at least, where there are so many."""
 
 _FITS = 6
-"""Rounds of the robust fit."""
+"""Rounds of the robust fits."""
+
+_LEAST_SPREAD = 1e-3
+"""Variance of colours [sRGB^2] that keeps the gain of a plain image near 1."""
 
 _PRODUCTS = tuple(combinations_with_replacement(range(4), 2))
 
@@ -97,9 +100,47 @@ def _matrices(flat: Float[Tensor, "batch 9 h w"]) -> Float[Tensor, "batch h w 3 
     return flat.permute(0, 2, 3, 1).unflatten(-1, (3, 3))
 
 
+def looks_of(
+    source: Float[Tensor, "batch view 3 height width"],
+    matches: Correspondences,
+    measured: Bool[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view 6 1 1"]:
+    """Return gain and offset of each channel from the reference's colours to each view's: exposure and white balance.
+
+    They give the colours at matched places the same mean and spread, robustly. Exactly 1 and 0 for the reference, and
+    where that takes less than a third off the difference.
+    """
+    there = warp(source[:, :1].expand_as(source), matches.coordinates)
+    seen = (matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE)))[:, :, None]
+    weights = seen
+    for _ in range(_FITS):
+        share = weights / weights.sum((3, 4), keepdim=True).clamp(min=1e-6)
+        means = [(share * x).sum((3, 4), keepdim=True) for x in (there, source)]
+        spreads = [(share * (x - mean).square()).sum((3, 4), keepdim=True) for x, mean in zip((there, source), means)]
+        gain = ((spreads[1] + _LEAST_SPREAD) / (spreads[0] + _LEAST_SPREAD)).sqrt()
+        left = (gain * (there - means[0]) + means[1] - source).abs().amax(2, keepdim=True)
+        weights = seen / (1 + (left / _ALIKE).square())
+    before = (there - source).abs().amax(2, keepdim=True)
+    found = (seen * left).sum((3, 4), keepdim=True) < 2 / 3 * (seen * before).sum((3, 4), keepdim=True)
+    found[:, 0] = False
+    none = torch.cat((torch.ones_like(gain), torch.zeros_like(gain)), 2)
+    return torch.where(found, torch.cat((gain, means[1] - gain * means[0]), 2), none)
+
+
+def shown_by_views(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    looks: Float[Tensor, "batch view 6 1 1"],
+) -> Float[Tensor, "batch view 6 height width"]:
+    """Return the reference unedited and edited, as it would be with the exposure and white balance of each view."""
+    gain, offset = (look.repeat(1, 1, 2, 1, 1) for look in looks.split(3, 2))
+    return (gain * torch.cat((source[:, :1], edited[:, :1]), 2) + offset).clamp(0, 1)
+
+
 def near_an_edit(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Float[Tensor, "batch view 3 height width"],
+    reference: Float[Tensor, "batch view 6 height width"],
     matches: Correspondences,
     measured: Bool[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view height width"]:
@@ -112,8 +153,8 @@ def near_an_edit(
     reach = max(1, round(_SPREAD * max(source.shape[-2:])))
     speck = -(-reach // 5)
     change = (edited - source).abs().amax(2, keepdim=True)
-    reference = torch.cat((source[:, :1], change[:, :1]), 2).expand(-1, source.shape[1], -1, -1, -1)
-    colours, of_reference = warp(reference, matches.coordinates).split((3, 1), 2)
+    before, after = warp(reference, matches.coordinates).split(3, 2)
+    colours, of_reference = before, (after - before).abs().amax(2, keepdim=True)
     apart = _spread((colours - source).abs().amax(2), reach / 5)
     seen = matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE) & (apart < _ALIKE))
     change, of_reference = change[:, :, 0], of_reference[:, :, 0] * seen
@@ -130,6 +171,7 @@ def near_an_edit(
 def edits_conflict(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Float[Tensor, "batch view 3 height width"],
+    reference: Float[Tensor, "batch view 6 height width"],
     matches: Correspondences,
     disagree: Float[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view height width"]:
@@ -139,8 +181,7 @@ def edits_conflict(
     so that no hole is left: at its depth or in front of it, or behind it in the same colours and edited too. A view
     that was not edited at all contradicts nothing: the edit is carried to it. 0 for the reference.
     """
-    reference = torch.cat((edited[:, :1], source[:, :1]), 2).expand(-1, source.shape[1], -1, -1, -1)
-    after, before = warp(reference, matches.coordinates).split(3, 2)
+    before, after = warp(reference, matches.coordinates).split(3, 2)
     elsewhere = (after - before).abs().amax(2) > _CHANGE
     own = (edited - source).abs().amax(2)
     contrary = torch.maximum((own / _CHANGE - 1).clamp(0, 1), elsewhere) * (own.amax((2, 3), keepdim=True) > _CHANGE)
@@ -154,6 +195,7 @@ def edits_conflict(
 def edits_disagree(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Float[Tensor, "batch view 3 height width"],
+    reference: Float[Tensor, "batch view 6 height width"],
     matches: Correspondences,
 ) -> Float[Tensor, "batch view height width"]:
     """Return where a view's edit is not the reference's: 1, falling to exactly 0 where one function of colour is both.
@@ -167,7 +209,9 @@ def edits_disagree(
     speck = -(-reach // 5)
     gaps = [torch.zeros_like(source[:, 0, 0])]
     for view in range(1, source.shape[1]):
-        before, change = (x[:, [0, view]] for x in (source, edited - source))
+        before, after = reference[:, view].split(3, 1)
+        before, after = torch.stack((before, source[:, view]), 1), torch.stack((after, edited[:, view]), 1)
+        change = after - before
         wished = _change_by_function(before, _shared_function(before, change))
         share = (wished * change).sum(2) / wished.square().sum(2).clamp(min=1e-9)  # of the wished change that was made
         left = (change - share.clamp(0, 1)[:, :, None] * wished).abs().amax(2)  # what the function does not explain

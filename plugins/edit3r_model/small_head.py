@@ -22,7 +22,16 @@ from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.warping import Correspondences, contradicted, find_correspondences, warp
 from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry
 from edit3r.types import Cameras, Features, Gaussians, Views
-from edit3r_model.edit_colour import blur, change_of, edits_conflict, edits_disagree, fit_colour_maps, near_an_edit
+from edit3r_model.edit_colour import (
+    blur,
+    change_of,
+    edits_conflict,
+    edits_disagree,
+    fit_colour_maps,
+    looks_of,
+    near_an_edit,
+    shown_by_views,
+)
 from edit3r_model.edit_fusion import EditFusion, EditTransport, FusedEdit
 from edit3r_model.small_backbone import STRIDE, averaged, upsample_to, zero_conv
 from edit3r_model.surface import discs
@@ -44,6 +53,7 @@ class Decisions:
     depth_correction: Float[Tensor, "batch view height width"]  # added to log depth, in (-0.7, 0.7)
     opacity_correction: Float[Tensor, "batch view height width"]  # added to the logit
     scale_correction: Float[Tensor, "batch view height width"]  # added to the log scale, in (-0.5, 0.5)
+    looks: Float[Tensor, "batch view 6 1 1"]  # gain and offset from the reference's colours to each view's
     maps: Float[Tensor, "batch view 12 height width"]  # carried affine colour maps; 0 for the reference
     choice: Float[Tensor, "batch view 3 height width"]  # weights of the candidates, together 1; 0 for the reference
 
@@ -133,11 +143,13 @@ class EditFusionHead(GaussianHead):
         raw = F.pixel_shuffle(self.corrections(tokens.flatten(0, 1)), STRIDE).unflatten(0, before.shape[:2])
         depth, opacity, scale = raw.unbind(2)
         depth, scale = 0.7 * torch.tanh(depth), 0.5 * torch.tanh(scale)
-        depths = averaged(geometry, size).depths * depth.detach().exp()
-        matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-        fused = [self._fuse(before, after, tokens, matches, view) for view in range(1, before.shape[1])]
+        coarse = averaged(geometry, size)
+        matches = find_correspondences(coarse.depths * depth.detach().exp(), source.intrinsics, geometry.c2w)
+        looks = looks_of(before, matches, coarse.confidence >= MEASURED)
+        shown = shown_by_views(after, before, looks)
+        fused = [self._fuse(before, after, shown, tokens, matches, view) for view in range(1, before.shape[1])]
         carried = zip(*((found.maps, found.choice) for found in fused))
-        return Decisions(depth, opacity, scale, *(torch.stack([torch.zeros_like(x[0]), *x], 1) for x in carried))
+        return Decisions(depth, opacity, scale, looks, *(torch.stack([torch.zeros_like(x[0]), *x], 1) for x in carried))
 
     def _tokens(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "batch view channel rows columns"]:
         """The last level as maps, one token for STRIDE x STRIDE pixels."""
@@ -151,18 +163,20 @@ class EditFusionHead(GaussianHead):
         self,
         source: Float[Tensor, "batch view 3 height width"],
         edited: Float[Tensor, "batch view 3 height width"],
+        shown: Float[Tensor, "batch view 6 height width"],
         tokens: Float[Tensor, "batch view channel rows columns"],
         matches: Correspondences,
         view: int,
     ) -> FusedEdit:
-        """Carry the reference's edit to one view and weigh it against the view's own."""
+        """Carry the reference's edit, `shown` as each view would, to one view and weigh it against the view's own."""
         coordinates = matches.coordinates[:, view]
-        colours = torch.cat((source[:, 0], edited[:, 0], edited[:, 0] - source[:, 0]), 1)
+        before, after = shown[:, view].split(3, 1)
+        colours = torch.cat((before, after, after - before), 1)
         carried = self.transport(
             tokens[:, view],
             F.avg_pool2d(tokens[:, 0], KEY_STRIDE // STRIDE),
             F.avg_pool2d(coordinates.permute(0, 3, 1, 2), STRIDE).permute(0, 2, 3, 1),
-            fit_colour_maps(source[:, 0], edited[:, 0], KEY_STRIDE, sigma=0.7),
+            fit_colour_maps(before, after, KEY_STRIDE, sigma=0.7),
             F.avg_pool2d(colours, KEY_STRIDE),
         )
         inside = matches.inside[:, view, None]
@@ -197,10 +211,11 @@ def assemble(
     logits = math.log(settings.opacity / (1 - settings.opacity)) + fine.opacity_correction
     colours, yielding = edited, 1.0
     if settings.fuse_edits and not torch.equal(edited, images):
-        near = near_an_edit(edited, images, matches, geometry.confidence >= MEASURED)
-        near = near * edits_disagree(*picked, matches)
-        colours = fuse_colours(edited, images, fine, matches, near)
-        conflict = edits_conflict(edited, images, matches, near)
+        shown = shown_by_views(edited, images, decisions.looks)
+        near = near_an_edit(edited, images, shown, matches, geometry.confidence >= MEASURED)
+        near = near * edits_disagree(*picked, shown_by_views(*picked, decisions.looks), matches)
+        colours = fuse_colours(edited, images, shown, fine, matches, near)
+        conflict = edits_conflict(edited, images, shown, matches, near)
         yielding = 1 - (1 - settings.conflict_opacity) * conflict
     opacities = torch.sigmoid(logits) * torch.where(floating, FLOATING_OPACITY, yielding)
     scales = pixel_scales(depths, source.intrinsics, settings.footprint) * fine.scale_correction.exp()
@@ -212,19 +227,20 @@ def assemble(
 def fuse_colours(
     edited: Float[Tensor, "batch view 3 height width"],
     source: Float[Tensor, "batch view 3 height width"],
+    reference: Float[Tensor, "batch view 6 height width"],
     decisions: Decisions,
     matches: Correspondences,
     near: Float[Tensor, "batch view height width"],
 ) -> Float[Tensor, "batch view 3 height width"]:
     """Mix the candidates for each pixel's colour; exactly `edited` where it is not `near` a change."""
     shape = source.shape[:2]
+    before, after = reference.split(3, 2)
     change = change_of(decisions.maps.flatten(0, 1), source.flatten(0, 1)).unflatten(0, shape)
     # On colours unlike any that the edit met, an affine map goes on for ever: grey beside a green hole would turn pink.
-    made = (edited - source)[:, :1]
+    made = after - before
     least, most = made.amin((3, 4), keepdim=True).clamp(max=0), made.amax((3, 4), keepdim=True).clamp(min=0)
     carried = (source + change.clamp(least, most)).clamp(0, 1)
-    reference = torch.cat((edited[:, :1], made), 2).expand(-1, shape[1], -1, -1, -1)
-    warped, change = warp(reference, matches.coordinates).split(3, 2)
+    warped, change = warp(torch.cat((after, made), 2), matches.coordinates).split(3, 2)
     presence = blur(change.abs().amax(2).flatten(0, 1)[:, None], 1.0).unflatten(0, shape)
     presence = (presence / VISIBLE_CHANGE).clamp(max=1) * matches.inside[:, :, None]
     choice = decisions.choice * near[:, :, None]
@@ -242,4 +258,4 @@ def _at_image_size(decisions: Decisions, images: Float[Tensor, "batch view 3 hei
     depth, opacity, scale = fine[:, :, :3].unbind(2)
     choice = fine[:, :, -decisions.choice.shape[2] :]
     choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
-    return Decisions(depth, opacity, scale, fine[:, :, 3:-3], choice)
+    return Decisions(depth, opacity, scale, decisions.looks, fine[:, :, 3:-3], choice)

@@ -1,7 +1,14 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_model.edit_colour import change_of, edits_conflict, edits_disagree, fit_colour_maps
+from edit3r_model.edit_colour import (
+    change_of,
+    edits_conflict,
+    edits_disagree,
+    fit_colour_maps,
+    looks_of,
+    shown_by_views,
+)
 
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences
@@ -53,39 +60,47 @@ def _edited(reference, other):
     return torch.stack([view[0] for view in views])[None]
 
 
+def _shown(edited, source, matches):
+    return shown_by_views(edited, source, looks_of(source, matches, matches.inside > 0))
+
+
+def _gap(edited, source, matches):
+    return edits_disagree(edited, source, _shown(edited, source, matches), matches)
+
+
 def test_one_function_of_colour_in_both_views_is_no_disagreement_anywhere():
-    assert (edits_disagree(_warmer(PAIR), PAIR, SAME_PLACE) == 0).all()
-    assert (edits_disagree(_edited(_warmer, _warmer), PAIR, SAME_PLACE) == 0).all()
+    assert (_gap(_warmer(PAIR), PAIR, SAME_PLACE) == 0).all()
+    assert (_gap(_edited(_warmer, _warmer), PAIR, SAME_PLACE) == 0).all()
 
 
 def test_no_edit_at_all_is_no_disagreement_where_anything_could_be_carried():
-    assert not edits_disagree(PAIR, PAIR, SAME_PLACE)[:, 0].any()
+    assert not _gap(PAIR, PAIR, SAME_PLACE)[:, 0].any()
 
 
 def test_another_colour_disagrees_all_over_the_object():
-    gap = edits_disagree(_edited(_warmer, lambda image: 1 - image), PAIR, SAME_PLACE)
+    gap = _gap(_edited(_warmer, lambda image: 1 - image), PAIR, SAME_PLACE)
     assert (gap[:, 1][OBJECT[:, 0] > 0] == 1).all() and not gap[:, 0].any()
 
 
 def test_an_edit_of_one_view_alone_disagrees():
     unedited = lambda image: image  # noqa: E731
     for pair in ((_warmer, unedited), (unedited, _warmer)):
-        assert (edits_disagree(_edited(*pair), PAIR, SAME_PLACE)[:, 1] == 1).all()
+        assert (_gap(_edited(*pair), PAIR, SAME_PLACE)[:, 1] == 1).all()
 
 
 def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_the_same():
     edited = _edited(_warmer, _warmer)
     edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[..., 38:]  # a stripe that is edited in view 1 alone
-    gap = edits_disagree(edited, PAIR, SAME_PLACE)[:, 1]
+    gap = _gap(edited, PAIR, SAME_PLACE)[:, 1]
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
     elsewhere = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
-    assert not edits_disagree(edited, PAIR, elsewhere)[:, 1].any()  # the reference does not show the place
+    assert not _gap(edited, PAIR, elsewhere)[:, 1].any()  # the reference does not show the place
 
 
 def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too():
     edited = _edited(_warmer, _warmer)
     edited[:, 0, :, :, 38:] = _warmer(PAIR[:, 0])[..., 38:]
-    gap = edits_disagree(edited, PAIR, SAME_PLACE)[:, 1]
+    gap = _gap(edited, PAIR, SAME_PLACE)[:, 1]
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
 
 
@@ -96,7 +111,7 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
     edited = _edited(_warmer, _warmer)
     patch = (slice(None), 1, slice(None), slice(14, 20), slice(16, 22))
     edited[patch] = other(PAIR[patch]).clamp(0, 1)
-    gap = edits_disagree(edited, PAIR, SAME_PLACE)[0, 1]
+    gap = _gap(edited, PAIR, SAME_PLACE)[0, 1]
     assert (gap[14:20, 16:22] > 0.9).float().mean() > 0.9
     assert (gap[14:20, 15] > 0.9).all() or (gap[13, 16:22] > 0.9).all()  # one pixel around it, the reach at this size
     away = torch.ones(SIZE, dtype=torch.bool)
@@ -106,7 +121,7 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
 
 def _conflict(edited, matches=SAME_PLACE):
     """Where view 1 gives way, as the mean over the object and over all else."""
-    conflict = edits_conflict(edited, PAIR, matches, edits_disagree(edited, PAIR, matches))
+    conflict = edits_conflict(edited, PAIR, _shown(edited, PAIR, matches), matches, _gap(edited, PAIR, matches))
     assert not conflict[:, 0].any()
     core = -torch.nn.functional.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
     away = torch.nn.functional.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
@@ -141,7 +156,7 @@ def test_nothing_gives_way_where_the_reference_does_not_show_the_place():
 
 
 def test_a_steep_curve_is_one_function_of_colour_too():
-    assert not edits_disagree(PAIR**0.55, PAIR, SAME_PLACE).any()
+    assert not _gap(PAIR**0.55, PAIR, SAME_PLACE).any()
 
 
 def test_borders_that_mix_two_colours_of_an_edit_that_ends_at_white_are_no_disagreement():
@@ -152,7 +167,7 @@ def test_borders_that_mix_two_colours_of_an_edit_that_ends_at_white_are_no_disag
     small, edited = (F.interpolate(x[0], (64, 64), mode="area")[None] for x in (shown, (2 * shown).clamp(max=1)))
     places = pixel_grid((64, 64), small).expand(1, 2, -1, -1, -1)
     same = Correspondences(places, torch.ones(1, 2, 64, 64), torch.zeros(1, 2, 64, 64))
-    assert not edits_disagree(edited, small, same).any()
+    assert not _gap(edited, small, same).any()
 
 
 def test_scenes_of_a_batch_do_not_mix():
@@ -163,6 +178,40 @@ def test_scenes_of_a_batch_do_not_mix():
             for n in ("coordinates", "inside", "depth_ratio")
         )
     )
-    together = edits_disagree(torch.cat(edits), PAIR.expand(2, -1, -1, -1, -1), matches)
-    alone = torch.cat([edits_disagree(edit, PAIR, SAME_PLACE) for edit in edits])
+    together = _gap(torch.cat(edits), PAIR.expand(2, -1, -1, -1, -1), matches)
+    alone = torch.cat([_gap(edit, PAIR, SAME_PLACE) for edit in edits])
     assert torch.allclose(together, alone, atol=1e-5)
+
+
+DARKER = torch.tensor([0.6, 0.7, 0.8])[:, None, None]
+
+
+def test_photos_of_one_exposure_have_one_look_exactly():
+    none = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1)
+    noisy = PAIR + 0.02 * torch.randn(PAIR.shape, generator=torch.Generator().manual_seed(1))
+    outside = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
+    for photos, matches in (
+        (PAIR, SAME_PLACE),
+        (noisy, SAME_PLACE),
+        (torch.cat((PAIR[:, :1], 0.5 * PAIR[:, 1:]), 1), outside),
+    ):
+        assert (looks_of(photos, matches, torch.ones(1, 2, *SIZE) > 0) == none).all()
+
+
+def test_exposure_and_white_balance_are_read_although_a_fifth_of_the_matches_is_wrong():
+    photos = torch.stack((PAIR[:, 0], DARKER * PAIR[:, 0] + 0.05), 1)
+    photos[:, 1, :, :8] = 1 - photos[:, 1, :, :8]
+    looks = looks_of(photos, SAME_PLACE, torch.ones(1, 2, *SIZE) > 0)
+    assert torch.equal(looks[:, 0, :, 0, 0], torch.tensor([[1.0, 1, 1, 0, 0, 0]]))
+    assert torch.allclose(looks[0, 1, :3, 0, 0], DARKER[:, 0, 0], atol=0.04)
+    assert torch.allclose(looks[0, 1, 3:, 0, 0], torch.tensor(0.05), atol=0.03)
+
+
+def test_edits_are_compared_as_if_all_photos_had_one_exposure():
+    """A function of colour can tell a darker photo from its reference, and so explain two contrary edits at once."""
+    plain = 0.4 + 0.2 * PAIR
+    photos = torch.cat((plain[:, :1], DARKER * plain[:, 1:]), 1)
+    tint = 0.3 * torch.tensor([1.0, -1.0, 0.5])[:, None, None] * photos * OBJECT[:, None]
+    alike, contrary = photos + tint, photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None]
+    assert not _gap(alike, photos, SAME_PLACE).any()
+    assert (_gap(contrary, photos, SAME_PLACE)[:, 1][OBJECT[:, 0] > 0] == 1).all()

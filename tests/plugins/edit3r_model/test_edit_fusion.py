@@ -1,4 +1,5 @@
 import torch
+from edit3r_model.edit_colour import shown_by_views
 from edit3r_model.edit_fusion import EditTransport
 from edit3r_model.small_backbone import convex_upsample
 from edit3r_model.small_head import Decisions, fuse_colours
@@ -89,10 +90,13 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     choice = torch.zeros(1, 2, 3, 4, 4)
     choice[:, 1, 1] = 1
     none = torch.zeros(1, 2, 4, 4)
-    decisions = Decisions(none, none, none, maps, choice)
+    decisions = Decisions(
+        none, none, none, torch.tensor([1.0, 1, 1, 0, 0, 0]).view(1, 1, 6, 1, 1).expand(1, 2, -1, 1, 1), maps, choice
+    )
     places = pixel_grid((4, 4), source).expand(1, 2, -1, -1, -1)
-    fused = fuse_colours(edited, source, decisions, Correspondences(places, none, none), torch.ones_like(none))
+    shown = shown_by_views(edited, source, decisions.looks)
+    fused = fuse_colours(edited, source, shown, decisions, Correspondences(places, none, none), torch.ones_like(none))
     assert torch.equal(fused[:, 1], source[:, 1])
     dark = torch.cat((source[:, :1], source[:, :1]), 1)
-    fused = fuse_colours(edited, dark, decisions, Correspondences(places, none, none), torch.ones_like(none))
+    fused = fuse_colours(edited, dark, shown, decisions, Correspondences(places, none, none), torch.ones_like(none))
     assert torch.allclose(fused[:, 1], edited[:, 0], atol=1e-6)

@@ -187,7 +187,8 @@ def _opacities(edited: Views) -> torch.Tensor:
     """`[view, height, width]` of two views whose network corrects nothing."""
     views, zero, choice = _views(), torch.zeros(1, 2, *SIZE), torch.zeros(1, 2, 3, *SIZE)
     choice[:, :, 0] = 1
-    decisions = Decisions(zero, zero, zero, torch.zeros(1, 2, 12, *SIZE), choice)
+    looks = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(1, 1, 6, 1, 1).expand(1, 2, -1, 1, 1)
+    decisions = Decisions(zero, zero, zero, looks, torch.zeros(1, 2, 12, *SIZE), choice)
     made = assemble(
         edited.images,
         views,
