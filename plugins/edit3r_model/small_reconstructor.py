@@ -64,7 +64,7 @@ class Edit3rReconstructor(Reconstructor):
         full: dict[str, Any] = Field(
             default_factory=dict, description="settings of `noposplat` that count with weights of the full network"
         )
-        network_size: int = Field(96, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
+        network_size: int = Field(128, ge=32, le=256, multiple_of=8, description="longer side of its grid [pixels]")
         apron: float = Field(
             0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
         )
