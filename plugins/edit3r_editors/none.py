@@ -12,9 +12,6 @@ class NoneEditor(Editor):
     class Settings(Settings):
         pass
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.prompt.strip():
             reporting.warn(f"editor 'none' leaves the photos as they are; the prompt {request.prompt!r} is not used.")

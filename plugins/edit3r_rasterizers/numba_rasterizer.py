@@ -36,9 +36,6 @@ class NumbaRasterizer(Rasterizer):
 
     Settings = NumbaSettings
 
-    def __init__(self, settings: NumbaSettings) -> None:
-        self.settings = settings
-
     def render(
         self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
     ) -> Rendering:

@@ -53,9 +53,6 @@ class TorchRasterizer(Rasterizer):
     class Settings(RasterizerSettings):
         pass
 
-    def __init__(self, settings: RasterizerSettings) -> None:
-        self.settings = settings
-
     def render(
         self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
     ) -> Rendering:

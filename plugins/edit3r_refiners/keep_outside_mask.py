@@ -33,9 +33,6 @@ class KeepOutsideMask(Refiner):
     class Settings(BaseSettings):
         pass
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:
