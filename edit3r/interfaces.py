@@ -40,8 +40,8 @@ class Configured:
     parts: Mapping[str, Any]  # the components it was built with, by kind
 
     def __init__(self, settings: Settings | None = None) -> None:
-        super().__init__()  # of networks, which are built without settings here and set their own
-        if settings is not None:
+        super().__init__()
+        if settings is not None:  # a network calls this without any, and sets its own
             self.settings = settings
 
 
