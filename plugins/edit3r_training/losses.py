@@ -146,9 +146,6 @@ class PerceptualLoss(Loss):
 class LpipsLoss(Loss):
     """Mean LPIPS distance (Zhang et al. 2018) with VGG features, as the paper uses; downloaded at first use."""
 
-    class Settings(Settings):
-        pass
-
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._metric = _lpips_vgg()
