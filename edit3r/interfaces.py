@@ -33,11 +33,16 @@ torch.log(torch.ones(1))
 
 
 class Configured:
-    """What the registry sets on everything it builds."""
+    """What everything that the registry builds has."""
 
     settings: Settings
     offer: "Offer"
     parts: Mapping[str, Any]  # the components it was built with, by kind
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        super().__init__()
+        if settings is not None:  # a network calls this without any, and sets its own
+            self.settings = settings
 
 
 class Editor(Configured, ABC):

@@ -43,6 +43,8 @@ class WeightsCommand(Command):
 
 
 def _get(weights: "Weights", args: argparse.Namespace) -> str:
+    """Fetch weights once the user accepts their licence; raises InputError otherwise."""
+    from edit3r.errors import InputError
     from edit3r.io.fetching import fetch, unfinished
     from edit3r.weights import at_hand
 
@@ -50,18 +52,11 @@ def _get(weights: "Weights", args: argparse.Namespace) -> str:
         pinned = weights.revision or "not pinned: the newest is fetched"
         print(f"{weights.name}: {weights.purpose}\n  licence: {weights.terms}\n  source: {weights.source} ({pinned})")
         if not (args.yes or unfinished(weights, args.folder).is_dir()):
-            _ask(weights)
+            if not sys.stdin.isatty():
+                raise InputError(f"accept the licence with: {weights.get} --yes")
+            if input("Accept this licence and fetch the files? [y/N] ").strip().lower() not in ("y", "yes"):
+                raise InputError(f"{weights.name}: the licence was not accepted; nothing was fetched.")
     return str(fetch(weights, args.folder, args.offline))
-
-
-def _ask(weights: "Weights") -> None:
-    """Return when the user accepts the licence; raises InputError otherwise."""
-    from edit3r.errors import InputError
-
-    if not sys.stdin.isatty():
-        raise InputError(f"accept the licence with: {weights.get} --yes")
-    if input("Accept this licence and fetch the files? [y/N] ").strip().lower() not in ("y", "yes"):
-        raise InputError(f"{weights.name}: the licence was not accepted; nothing was fetched.")
 
 
 def _list(known, args: argparse.Namespace) -> None:

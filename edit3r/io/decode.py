@@ -86,7 +86,8 @@ def _check_is_file(path: Path) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    if _is_heic(path):
+    head = _head(path)
+    if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
         _register_heic(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own remarks; what matters is raised or said by the callers
@@ -130,11 +131,6 @@ def _head(path: Path) -> bytes:
             return file.read(12)
     except OSError:
         return b""  # opening it as an image gives the reason
-
-
-def _is_heic(path: Path) -> bool:
-    head = _head(path)
-    return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS
 
 
 def _register_heic(path: Path) -> None:

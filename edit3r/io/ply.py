@@ -253,7 +253,9 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
                 raise InputError(f"{path}: its first element is {fields[0]!r}, expected 'vertex'.")
             element = fields[0]
             if element == "vertex":
-                count = _whole_number(path, fields[1])
+                if not re.fullmatch("[0-9]{1,15}", fields[1]):
+                    raise InputError(f"{path}: expected a number of vertices, got {fields[1][:60]!r}.")
+                count = int(fields[1])
         elif word == "property" and element == "vertex":
             if len(fields) != 2 or fields[0] not in _TYPES:
                 raise InputError(f"{path}: a vertex property of an unknown type: {line.strip()!r}.")
@@ -265,9 +267,3 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
     if len({name for name, _ in columns}) < len(columns):
         raise InputError(f"{path}: two vertex properties have the same name.")
     return PlyHeader(path, layout, tuple(comments), count, tuple(columns), offset)
-
-
-def _whole_number(path: Path, text: str) -> int:
-    if not re.fullmatch("[0-9]{1,15}", text):
-        raise InputError(f"{path}: expected a number of vertices, got {text[:60]!r}.")
-    return int(text)

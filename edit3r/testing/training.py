@@ -16,7 +16,7 @@ from edit3r.interfaces import Dataset, Loss, LossInputs, Reconstructor, SceneSam
 from edit3r.testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r.testing.rasterizer import reference_rasterizer
 from edit3r.testing.scenes import gaussian_cloud, photograph
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.types import Cameras, EditRequest, Reconstruction, Views
 
 
 class DatasetContract(Contract):
@@ -158,7 +158,9 @@ class LossContract(Contract):
     def _inputs(self, distance: float) -> LossInputs:
         """Images and Gaussians that lie `distance` from their targets."""
         target = photograph(2, self.image_size, batch=2).views.images.to(self.device)
-        reference = _dense_gaussians(target.shape[1] * 24).to(self.device)
+        count = target.shape[1] * 24
+        cloud = gaussian_cloud(count, batch=2)  # of two views in turn, half each
+        reference = replace(cloud, view_index=torch.arange(2).repeat_interleave(count // 2)).to(self.device)
         generator = torch.Generator().manual_seed(5)
         noise = torch.rand(target.shape, generator=generator).to(self.device)
         shift = torch.randn(reference.means.shape, generator=generator).to(self.device)
@@ -170,12 +172,6 @@ class LossContract(Contract):
             ),
             reference=reference,
         )
-
-
-def _dense_gaussians(count: int) -> Gaussians:
-    """Gaussians of two scenes that came from two views in turn, half each."""
-    cloud = gaussian_cloud(count, batch=2)
-    return replace(cloud, view_index=torch.arange(2).repeat_interleave(count // 2))
 
 
 def _with_gradients(inputs: LossInputs) -> tuple[LossInputs, list[Tensor]]:

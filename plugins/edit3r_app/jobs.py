@@ -134,7 +134,8 @@ class JobsFolder:
     def jobs(self) -> Iterator[Job]:
         """Every run that was asked for or that lies there, in the order of asking."""
         names = {path.parent.name for path in self.root.glob("*/run.json") if is_plain_name(path.parent.name)}
-        names = {name for name in names if not name.startswith(".")} | {path.stem for path in self._records()}
+        names = {name for name in names if not name.startswith(".")}
+        names |= {path.stem for path in self.private.glob("*.json")}
         found = [job for job in map(self._read, names) if job is not None]
         return iter(sorted(found, key=lambda job: (job.made, job.name)))
 
@@ -160,9 +161,6 @@ class JobsFolder:
 
     def _record(self, name: str) -> Path:
         return self.private / f"{name}.json"
-
-    def _records(self) -> Iterator[Path]:
-        return self.private.glob("*.json")
 
     def _read(self, name: str) -> Job | None:
         """What the record and the run folder say; a run of the command line has no record."""

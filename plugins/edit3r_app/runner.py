@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import yaml
 
@@ -111,6 +111,15 @@ def command_of(folder: JobsFolder, job: Job) -> list[str]:
     return command
 
 
+def _locked(file: IO) -> bool:
+    """Lock a file as long as it is open; False where another process holds the lock."""
+    with contextlib.suppress(OSError):
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False
+
+
 class Runner:
     """Works off the queued jobs of a folder, in the order of asking, one at a time."""
 
@@ -122,13 +131,8 @@ class Runner:
         self._stopping = threading.Event()
         self._changing = threading.RLock()
         self._server = (folder.private / "lock").open("a")
-        if fcntl is not None:
-            try:
-                fcntl.flock(self._server, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise InputError(
-                    f"{folder.root}: another `edit3r app` works in this folder; give --jobs another."
-                ) from None
+        if not _locked(self._server):
+            raise InputError(f"{folder.root}: another `edit3r app` works in this folder; give --jobs another.")
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def clear_left_over(self) -> None:
@@ -195,11 +199,8 @@ class Runner:
 
     def _begin(self, job: Job) -> None:
         with self.folder.log(job.name).open("ab") as output:
-            if fcntl is not None:
-                try:
-                    fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except OSError:  # its child of before the server was killed still runs
-                    return
+            if not _locked(output):  # its child of before the server was killed still runs
+                return
             output.truncate(0)
             try:
                 command = [*self.program, *command_of(self.folder, job)]
@@ -215,13 +216,8 @@ class Runner:
     def _alive(self, job: Job) -> bool:
         if self._child is not None and self._child.pid == job.pid:
             return self._child.poll() is None
-        if fcntl is None:
-            return False
         with contextlib.suppress(FileNotFoundError), self.folder.log(job.name).open("rb") as log:
-            try:
-                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                return True
+            return not _locked(log)
         return False
 
     def _end(self, job: Job) -> None:

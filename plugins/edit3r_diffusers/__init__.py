@@ -13,7 +13,6 @@ _SD15 = (
     ("unet/diffusion_pytorch_model.safetensors", ""),
     ("vae/diffusion_pytorch_model.safetensors", ""),
 )
-_FOLDERS = (("model_index.json", ""), ("*/*", ""))
 
 _INSTRUCT_PIX2PIX = Weights(
     "instruct-pix2pix",
@@ -46,70 +45,6 @@ _CONTROLNET = Weights(
     (("config.json", ""), ("diffusion_pytorch_model.safetensors", "")),
 )
 
-_PRESETS = (
-    (
-        "FluxKontextEditor",
-        "FLUX.1 Kontext, masks through its inpaint form (34 GB)",
-        "Black Forest Labs, FLUX.1 Kontext: Flow Matching for In-Context Image Generation, 2025",
-        Weights(
-            "flux-kontext",
-            "editor flux-kontext",
-            34_000_000_000,
-            "FLUX.1 [dev] Non-Commercial License",
-            "no",
-            "hub:black-forest-labs/FLUX.1-Kontext-dev",
-            "24e9dedc4ef646698dc8eb4e18ae2cec3c9fea0d",
-            _FOLDERS,
-            gated=True,
-        ),
-    ),
-    (
-        "QwenImageEditEditor",
-        "Qwen-Image-Edit 2511, up to three pictures at once (58 GB)",
-        "Wu et al., Qwen-Image Technical Report, 2025",
-        Weights(
-            "qwen-image-edit",
-            "editor qwen-image-edit",
-            57_700_000_000,
-            "Apache-2.0",
-            "yes",
-            "hub:Qwen/Qwen-Image-Edit-2511",
-            "6f3ccc0b56e431dc6a0c2b2039706d7d26f22cb9",
-            _FOLDERS,
-        ),
-    ),
-    (
-        "Flux2KleinEditor",
-        "FLUX.2 klein 4B in four steps, several pictures at once, masks through its inpaint form (16 GB)",
-        "Black Forest Labs, FLUX.2 [klein], 2026",
-        Weights(
-            "flux2-klein",
-            "editor flux2-klein",
-            15_980_141_329,
-            "Apache-2.0",
-            "yes",
-            "hub:black-forest-labs/FLUX.2-klein-4B",
-            "e7b7dc27f91deacad38e78976d1f2b499d76a294",
-            _FOLDERS,
-        ),
-    ),
-    (
-        "LongCatImageEditEditor",
-        "LongCat-Image-Edit (29 GB)",
-        "Meituan LongCat Team, LongCat-Image Technical Report, 2025",
-        Weights(
-            "longcat-image-edit",
-            "editor longcat-image-edit",
-            29_000_000_000,
-            "Apache-2.0",
-            "yes",
-            "hub:meituan-longcat/LongCat-Image-Edit",
-            "7b54ef423aa7854be7861600024be5c56ab7875a",
-            _FOLDERS,
-        ),
-    ),
-)
-
 
 def _editor(name: str, target: str, summary: str, **more) -> Component:
     return Component(
@@ -123,19 +58,63 @@ def _editor(name: str, target: str, summary: str, **more) -> Component:
     )
 
 
+def _preset(
+    name: str, target: str, summary: str, citation: str, size: int, hub: str, revision: str, **terms
+) -> Component:
+    """An editor of `pipeline_editor` with its weights, Apache-2.0 unless `terms` say otherwise."""
+    terms = {"licence": "Apache-2.0", "commercial": "yes", **terms}
+    files = (("model_index.json", ""), ("*/*", ""))
+    weights = Weights(name, f"editor {name}", size, source=f"hub:{hub}", revision=revision, files=files, **terms)
+    licence = f"Apache-2.0; default weights {weights.licence}"
+    more = {"licence": licence, "citation": citation, "weights": (weights,)}
+    return _editor(name, f"pipeline_editor:{target}", summary, **more)
+
+
+_PRESETS = (
+    _preset(
+        "flux-kontext",
+        "FluxKontextEditor",
+        "FLUX.1 Kontext, masks through its inpaint form (34 GB)",
+        "Black Forest Labs, FLUX.1 Kontext: Flow Matching for In-Context Image Generation, 2025",
+        34_000_000_000,
+        "black-forest-labs/FLUX.1-Kontext-dev",
+        "24e9dedc4ef646698dc8eb4e18ae2cec3c9fea0d",
+        licence="FLUX.1 [dev] Non-Commercial License",
+        commercial="no",
+        gated=True,
+    ),
+    _preset(
+        "qwen-image-edit",
+        "QwenImageEditEditor",
+        "Qwen-Image-Edit 2511, up to three pictures at once (58 GB)",
+        "Wu et al., Qwen-Image Technical Report, 2025",
+        57_700_000_000,
+        "Qwen/Qwen-Image-Edit-2511",
+        "6f3ccc0b56e431dc6a0c2b2039706d7d26f22cb9",
+    ),
+    _preset(
+        "flux2-klein",
+        "Flux2KleinEditor",
+        "FLUX.2 klein 4B in four steps, several pictures at once, masks through its inpaint form (16 GB)",
+        "Black Forest Labs, FLUX.2 [klein], 2026",
+        15_980_141_329,
+        "black-forest-labs/FLUX.2-klein-4B",
+        "e7b7dc27f91deacad38e78976d1f2b499d76a294",
+    ),
+    _preset(
+        "longcat-image-edit",
+        "LongCatImageEditEditor",
+        "LongCat-Image-Edit (29 GB)",
+        "Meituan LongCat Team, LongCat-Image Technical Report, 2025",
+        29_000_000_000,
+        "meituan-longcat/LongCat-Image-Edit",
+        "7b54ef423aa7854be7861600024be5c56ab7875a",
+    ),
+)
+
+
 @hookimpl
 def register_editors():
-    presets = [
-        _editor(
-            weights.name,
-            f"pipeline_editor:{target}",
-            summary,
-            licence=f"Apache-2.0; default weights {weights.licence}",
-            citation=citation,
-            weights=(weights,),
-        )
-        for target, summary, citation, weights in _PRESETS
-    ]
     any_pipeline = _editor(
         "diffusers",
         "pipeline_editor:PipelineEditor",
@@ -160,4 +139,4 @@ def register_editors():
         citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
         weights=(_STABLE_DIFFUSION, _CONTROLNET),
     )
-    return (any_pipeline, instruct_pix2pix, *presets, controlnet_depth)
+    return (any_pipeline, instruct_pix2pix, *_PRESETS, controlnet_depth)

@@ -156,16 +156,16 @@ class PipelineEditor(Editor):
             raise RunError(f"{job.text}: {type(pipeline).__name__} refused: {' '.join(str(error).split())}") from error
 
 
-def preset(**defaults: Any) -> type[PipelineEditor]:
+def preset(model: str, pipeline: str, **defaults: Any) -> type[PipelineEditor]:
     """A pipeline editor whose settings have other defaults."""
+    defaults |= {"model": model, "pipeline": pipeline, "resolution": 1024}
     fields = PipelineEditor.Settings.model_fields
-    changed = {name: (fields[name].annotation, _with_default(fields[name], value)) for name, value in defaults.items()}
+    changed = {
+        name: (fields[name].annotation, FieldInfo.merge_field_infos(fields[name], default=value))
+        for name, value in defaults.items()
+    }
     settings = create_model("Settings", __base__=PipelineEditor.Settings, __module__=__name__, **changed)
     return type("PresetEditor", (PipelineEditor,), {"Settings": settings, "__doc__": PipelineEditor.__doc__})
-
-
-def _with_default(field: FieldInfo, value: Any) -> FieldInfo:
-    return FieldInfo.merge_field_infos(field, default=value)
 
 
 def _arguments(pipeline: type) -> set[str]:
@@ -179,33 +179,21 @@ def _pil(image: Float[Tensor, "3 height width"]) -> Image.Image:
 
 
 FluxKontextEditor = preset(
-    model="black-forest-labs/FLUX.1-Kontext-dev",
-    pipeline="FluxKontextPipeline",
+    "black-forest-labs/FLUX.1-Kontext-dev",
+    "FluxKontextPipeline",
     masked_pipeline="FluxKontextInpaintPipeline",
     steps=28,
-    resolution=1024,
     guidance=2.5,
     true_guidance=1.0,
 )
-QwenImageEditEditor = preset(
-    model="Qwen/Qwen-Image-Edit-2511",
-    pipeline="QwenImageEditPlusPipeline",
-    steps=40,
-    resolution=1024,
-    true_guidance=4.0,
-)
+QwenImageEditEditor = preset("Qwen/Qwen-Image-Edit-2511", "QwenImageEditPlusPipeline", steps=40, true_guidance=4.0)
 Flux2KleinEditor = preset(
-    model="black-forest-labs/FLUX.2-klein-4B",
-    pipeline="Flux2KleinPipeline",
+    "black-forest-labs/FLUX.2-klein-4B",
+    "Flux2KleinPipeline",
     masked_pipeline="Flux2KleinInpaintPipeline",
     steps=4,
-    resolution=1024,
     guidance=1.0,
 )
 LongCatImageEditEditor = preset(
-    model="meituan-longcat/LongCat-Image-Edit",
-    pipeline="LongCatImageEditPipeline",
-    steps=50,
-    resolution=1024,
-    guidance=4.5,
+    "meituan-longcat/LongCat-Image-Edit", "LongCatImageEditPipeline", steps=50, guidance=4.5
 )

@@ -45,9 +45,6 @@ class CommandEditor(Editor):
         )
         timeout: float = Field(600, gt=0, description="time limit of one call [seconds]")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         masks = torch.ones_like(views.images[:, :, 0]) if request.masks is None else request.masks
         edited = [self._edit_scene(*scene, view_names(views), request) for scene in zip(views.images, masks)]

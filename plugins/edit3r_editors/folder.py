@@ -24,9 +24,6 @@ class FolderEditor(Editor):
     class Settings(Settings):
         path: str = Field("", description="folder with one edited picture per view, named as the photos are")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         if len(views.images) != 1:
             raise InputError(f"editor 'folder' holds the pictures of one scene, got a batch of {len(views.images)}.")

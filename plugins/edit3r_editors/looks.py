@@ -180,9 +180,6 @@ class LooksEditor(Editor):
         look: Literal[("", *LOOKS)] = Field("", description="the look; empty: the one that the prompt names")
         strength: float = Field(1.0, ge=0, le=1, description="share of the look; 0 returns the photo")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         name = self.settings.look or read_look(request.prompt, request.masks is not None)
         place = "the whole picture" if request.masks is None else "what is masked"

@@ -39,9 +39,6 @@ class MockDiffusionEditor(Editor):
             0.3, ge=0, le=1, description="how much the views differ in colour, texture and structure; 0: not at all"
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         reporting.warn(
             "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash of the prompt and "

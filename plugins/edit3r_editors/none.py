@@ -1,19 +1,12 @@
 """The editor that changes nothing."""
 
 from edit3r import reporting
-from edit3r.config import Settings
 from edit3r.interfaces import Editor
 from edit3r.types import EditRequest, Views
 
 
 class NoneEditor(Editor):
     """Returns its input: for reconstructing photos without an edit, and as the zero of comparisons."""
-
-    class Settings(Settings):
-        pass
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.prompt.strip():

@@ -112,9 +112,6 @@ class ImplicitDataset(Dataset):
         edit: Literal["none", "recolor", "add", "remove", "global"] = Field("none", description="the edited truth")
         edit_seed: int = Field(0, ge=0, description="other numbers edit the same scenes in other ways")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def __len__(self) -> int:
         return 10_000
 

@@ -156,9 +156,8 @@ def measure(job: Job) -> dict[str, Any]:
 
 def _run(job: Job, scene: SceneFolder, settings: Mapping[str, Any], out: Path) -> dict[str, Any]:
     """Do one `edit3r run` in this process, which replaces the last one in `out`, and return what it tells."""
-    photos = evenly(
-        scene.photos, settings.get("views")
-    )  # by their places, not by coverage: the target lies between them
+    # By their places, not by coverage: the target lies between them.
+    photos = evenly(scene.photos, settings.get("views"))
     config = out.with_suffix(".yaml")
     config.write_text(yaml.safe_dump(dict(settings)), encoding="utf-8")
     argv = ["run", *map(str, photos), "--cameras", str(scene.cameras), "--config", str(config)]

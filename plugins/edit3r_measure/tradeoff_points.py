@@ -127,15 +127,11 @@ def _figures(group: Sequence[Measurement]) -> Figures:
         stages=_stages(runs),
         memory_mb=max(m["memory_mb"] for m in group),
         start_memory_mb=min(m["start_memory_mb"] for m in group),
-        gaussians=fmean(m["gaussians"] for m in group),
         most_gaussians=max(m["gaussians"] for m in group),
         ply_mb=fmean(m["ply_bytes"] for m in group) / 1e6,
-        psnr=fmean(m["psnr"] for m in group),
         psnr_of_scenes=Spread.of(m["psnr"] for m in group),
-        ssim=fmean(m["ssim"] for m in group),
-        perceptual=_mean_of_known(group, "perceptual"),
-        uptake=_mean_of_known(group, "uptake"),
-        leak=_mean_of_known(group, "leak"),
+        **{key: fmean(m[key] for m in group) for key in ("gaussians", "psnr", "ssim")},
+        **{key: _mean_of_known(group, key) for key in ("perceptual", "uptake", "leak")},
     )
 
 

@@ -35,8 +35,7 @@ def choose(device: torch.device, has_gsplat: bool) -> Choice:
 class AutoRasterizer(Rasterizer):
     """Hands each scene to the rasterizer that `choose` names, and notes name and reason in the run's manifest."""
 
-    class Settings(RasterizerSettings):
-        pass
+    Settings = RasterizerSettings
 
     def __init__(self, settings: RasterizerSettings) -> None:
         self.settings = settings

@@ -169,11 +169,8 @@ def differentiate_tiles(
         for block in range(BLOCKS):
             x, y = U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK), U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK)
             if x < U(width) and y < U(height):
-                place, corner, shape = (
-                    block * BACKWARD_STRIDE,
-                    y * U(width) + x,
-                    (U(width), U(width) - x, U(height) - y),
-                )
+                place, corner = block * BACKWARD_STRIDE, y * U(width) + x
+                shape = U(width), U(width) - x, U(height) - y
                 _read_planes(scratch, place, images, depths, transmittances, corner, plane, shape)
                 seen = _load_planes(scratch, place)
                 _read_planes(scratch, place, image_gradients, depth_gradients, alpha_gradients, corner, plane, shape)

@@ -20,8 +20,7 @@ _BUILT_IN = ("max_alpha", "min_alpha", "min_transmittance")
 class GsplatRasterizer(Rasterizer):
     """Renders float32 Gaussians on an NVIDIA GPU; sums gradients with atomics, so their last bits vary."""
 
-    class Settings(RasterizerSettings):
-        pass
+    Settings = RasterizerSettings
 
     def __init__(self, settings: RasterizerSettings) -> None:
         _require_cuda()

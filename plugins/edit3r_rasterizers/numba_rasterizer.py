@@ -36,9 +36,6 @@ class NumbaRasterizer(Rasterizer):
 
     Settings = NumbaSettings
 
-    def __init__(self, settings: NumbaSettings) -> None:
-        self.settings = settings
-
     def render(
         self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
     ) -> Rendering:
@@ -144,7 +141,8 @@ class _Rasterize(torch.autograd.Function):
                     ctx.settings, ctx.scenes[b], frame, seen, by_seen, by_scenes[b], shapes=any(by_shapes), fresh=c == 0
                 )
             if by_background:
-                by_backgrounds[b, c] = _by_background(gradients[0][b, c], frame)
+                left = torch.from_numpy(frame.transmittances)
+                by_backgrounds[b, c] = torch.einsum("chw,hw->c", gradients[0][b, c].double(), left.double())
         stacked = [_stack(arrays) for arrays in zip(*(scene.arrays for scene in by_scenes))] or [None] * 5
         by_fields = [field if wanted else None for field, wanted in zip(stacked, ctx.needs_input_grad[2:])]
         return None, None, *by_fields, by_backgrounds
@@ -153,11 +151,6 @@ class _Rasterize(torch.autograd.Function):
 def _stack(arrays: tuple[np.ndarray, ...]) -> Tensor:
     """A tensor with one array for each scene, without a copy where there is one scene."""
     return torch.from_numpy(arrays[0][None] if len(arrays) == 1 else np.stack(arrays))
-
-
-def _by_background(by_image: Tensor, frame: Frame) -> Float[Tensor, "3"]:
-    left = torch.from_numpy(frame.transmittances)
-    return torch.einsum("chw,hw->c", by_image.double(), left.double())
 
 
 def _images_of(outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int) -> CameraImages:

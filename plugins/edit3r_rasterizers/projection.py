@@ -114,10 +114,8 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
     x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
-    mean_x, mean_y = (
-        u * camera[layout.FOCAL_X] + camera[layout.CENTRE_X],
-        v * camera[layout.FOCAL_Y] + camera[layout.CENTRE_Y],
-    )
+    mean_x = u * camera[layout.FOCAL_X] + camera[layout.CENTRE_X]
+    mean_y = v * camera[layout.FOCAL_Y] + camera[layout.CENTRE_Y]
 
     opacity = maximum(opacity, min_alpha)
     log_opacity = log2(opacity)
@@ -197,11 +195,8 @@ def _write_colour(records, i, results, lane, harmonics, count):
     green = DC * np.float64(harmonics[first + U(1)])
     blue = DC * np.float64(harmonics[first + U(2)])
     if count > U(1):
-        east, down, ahead = (
-            results[_DIRECTION_X * GROUP + lane],
-            results[_DIRECTION_Y * GROUP + lane],
-            results[_DIRECTION_Z * GROUP + lane],
-        )
+        east, down = results[_DIRECTION_X * GROUP + lane], results[_DIRECTION_Y * GROUP + lane]
+        ahead = results[_DIRECTION_Z * GROUP + lane]
         basis = shifted(results, _BASIS * GROUP)
         evaluate_basis(east, down, ahead, count, basis)
         for k in range(U(1), count):

@@ -50,11 +50,7 @@ class Splats:
 class TorchRasterizer(Rasterizer):
     """Renders on the Gaussians' device and in their dtype; differentiable, in the cameras too."""
 
-    class Settings(RasterizerSettings):
-        pass
-
-    def __init__(self, settings: RasterizerSettings) -> None:
-        self.settings = settings
+    Settings = RasterizerSettings
 
     def render(
         self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None

@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.config import Settings as BaseSettings
 from edit3r.geometry.cameras import median_scale
 from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, warn
@@ -29,12 +28,6 @@ class KeepOutsideMask(Refiner):
     """Keeps what shows outside the masks as it was before the edit, bit for bit."""
 
     needs_before = True
-
-    class Settings(BaseSettings):
-        pass
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer

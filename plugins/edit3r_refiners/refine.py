@@ -123,9 +123,6 @@ class RefineRefiner(Refiner):
             description="most steps for two views, each towards one; a further view adds as many, but at most 16",
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:

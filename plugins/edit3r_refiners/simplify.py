@@ -38,9 +38,6 @@ class SimplifyRefiner(Refiner):
         def _parse_gaussians(cls, value: Any) -> Budget:
             return parse_budget(value)
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def __call__(
         self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
     ) -> Gaussians:
@@ -96,7 +93,8 @@ def simplify(
     kept = kept.select(seen)
     fewer = _merge(kept, cameras, most, settings, fine)
     if most is not None and fewer.count > most:
-        fewer = _most_visible(fewer, cameras, rasterizer, most)
+        weight = visible_weight(fewer, cameras, rasterizer)
+        fewer = fewer.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
     merged = kept.count - fewer.count
     images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
     if settings.polish:
@@ -133,11 +131,6 @@ def _merge(
         groups[own_pixel_inside(gaussians, fine, cameras.at(fine.shape[-2:]))] = -1
         groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
     return merge_groups(gaussians, groups, cameras, settings)
-
-
-def _most_visible(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer, most: int) -> Gaussians:
-    weight = visible_weight(gaussians, cameras, rasterizer)
-    return gaussians.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:

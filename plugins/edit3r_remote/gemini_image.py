@@ -40,9 +40,6 @@ class GeminiImageEditor(Editor):
         input_price: float = Field(0.30, ge=0, description="price of a million input tokens [USD]")
         output_price: float = Field(30.0, ge=0, description="price of a million output tokens [USD]")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         chosen = self.settings
         note("editor.seed", "sent to the service, which does not promise equal pictures for equal seeds")

@@ -31,9 +31,6 @@ class GptImageEditor(Editor):
         input_price: float = Field(10.0, ge=0, description="price of a million input tokens [USD]")
         output_price: float = Field(40.0, ge=0, description="price of a million output tokens [USD]")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def edit(self, views: Views, request: EditRequest) -> Views:
         chosen = self.settings
         asked = {"service": "openai"} | chosen.model_dump(include={"model", "quality", "input_fidelity"})

@@ -1,5 +1,7 @@
 """Segmentation and detection: the classical offline stand-in, the paper's SAM2 and Grounding DINO, and SAM3."""
 
+from functools import partial
+
 from edit3r import Component, hookimpl
 from edit3r.weights import Weights
 
@@ -55,6 +57,8 @@ _GROUNDING_DINO = Weights(
     ),
 )
 
+_network = partial(Component, requires=("transformers",), extra="transformers", needs_network=True)
+
 
 @hookimpl
 def register_segmenters():
@@ -64,26 +68,20 @@ def register_segmenters():
         summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
         weights=(U2NETP,),
     )
-    sam2 = Component(
+    sam2 = _network(
         name="sam2",
         target="edit3r_segmenters.sam:Sam2Segmenter",
         summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights (0.2 to 0.9 GB)",
-        requires=("transformers",),
-        extra="transformers",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
-        needs_network=True,
         weights=(_SAM2,),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
     )
-    sam3 = Component(
+    sam3 = _network(
         name="sam3",
         target="edit3r_segmenters.sam:Sam3Segmenter",
         summary="SAM3: all that words name without a detector, points, boxes, tracking; gated weights (3.5 GB)",
-        requires=("transformers",),
-        extra="transformers",
         licence="Apache-2.0; default weights under the SAM License",
-        needs_network=True,
         weights=(_SAM3,),
         citation="Carion et al., SAM 3: Segment Anything with Concepts, 2025",
     )
@@ -106,14 +104,11 @@ def register_commands():
 
 @hookimpl
 def register_detectors():
-    return Component(
+    return _network(
         name="grounding-dino",
         target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
         summary="Grounding DINO: boxes of what a text names; needs weights (0.7 GB)",
-        requires=("transformers",),
-        extra="transformers",
         licence="Apache-2.0, default weights too",
-        needs_network=True,
         weights=(_GROUNDING_DINO,),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.geometry.cameras import unproject
+from edit3r.geometry.cameras import scale_poses, unproject
 from edit3r.interfaces import MatchedGeometry, SceneSample
 from edit3r.types import Cameras, Views
 from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
@@ -71,23 +71,18 @@ def _batch_of_one(
         match = match_as(sample, rng)
         unit = match.unit  # the matcher cannot know the scene's own
     intrinsics = sample.context_cameras.intrinsics
+    cameras = sample.context_cameras, sample.target_cameras
+    context_cameras, target_cameras = (replace(own, c2w=scale_poses(own.c2w, unit)) for own in cameras)
     return TrainingBatch(
         source=Views(sample.context[None], intrinsics),
         edited=Views(edit.edited[None], intrinsics),
         truth=edit.truth[None],
         target=edit.target[None],
-        context_cameras=_scaled(sample.context_cameras, unit),
-        target_cameras=_scaled(sample.target_cameras, unit),
+        context_cameras=context_cameras,
+        target_cameras=target_cameras,
         depths=None if sample.context_depths is None else sample.context_depths[None] * unit,
         geometry=None if match is None else match.geometry,
     )
-
-
-def _scaled(cameras: Cameras, unit: float) -> Cameras:
-    """The cameras with all lengths times `unit`."""
-    c2w = cameras.c2w.clone()
-    c2w[..., :3, 3] *= unit
-    return replace(cameras, c2w=c2w)
 
 
 def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:

@@ -32,9 +32,6 @@ class MseLoss(Loss):
     class Settings(Settings):
         cell: int = Field(4, ge=1, le=64, description="pixels averaged along each side before comparing; 1: plain MSE")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "mse", "rendered", "target")
         difference = (inputs.rendered - inputs.target).flatten(0, 1)
@@ -47,9 +44,6 @@ class CenterLoss(Loss):
 
     class Settings(Settings):
         beta: float = Field(1.0, gt=0, description="distance at which the square turns linear [scene units]")
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "center", "gaussians", "reference")
@@ -64,9 +58,6 @@ class PointsLoss(Loss):
 
     class Settings(Settings):
         outliers: float = Field(0.002, ge=0, lt=0.5, description="share of the reference's points left out at each end")
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "point-distillation", "gaussians", "reference")
@@ -87,9 +78,6 @@ class GeometryLoss(Loss):
 
     class Settings(Settings):
         samples: int = Field(512, ge=1, le=8192, description="centres drawn from each view")
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "geometry", "gaussians")
@@ -157,9 +145,6 @@ class PerceptualLoss(Loss):
 
 class LpipsLoss(Loss):
     """Mean LPIPS distance (Zhang et al. 2018) with VGG features, as the paper uses; downloaded at first use."""
-
-    class Settings(Settings):
-        pass
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

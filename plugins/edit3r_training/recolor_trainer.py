@@ -60,9 +60,6 @@ class RecolorTrainer(Trainer):
             "pixels", description="what makes the best weights: errors pixel by pixel, or of rendered novel views"
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-
     def train(self, job: TrainingJob) -> Path:
         """Train to the last step or until asked to stop; returns the folder of the best weights."""
         return train(RecolorRecipe(self.settings, job), self.settings, job)
