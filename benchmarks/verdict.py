@@ -3,6 +3,7 @@
     python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
     python benchmarks/verdict.py FOLDER --photos 0,2,4,6,8,10 --pairs
     python benchmarks/verdict.py FOLDER --photos 0,7,14,21,28,35 --unseen 31,32,33,34
+    python benchmarks/verdict.py FOLDER --photos 0,3,6,9,12,15 --growing
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several distances, are
 reconstructed without their poses. Views between two placed neighbours, which the run has not seen, are then rendered
@@ -68,6 +69,21 @@ def measure(folder: Path, chosen: list[int], size: int, pairs: bool, unseen: lis
     if pairs:
         row["pairs"] = [_of_pair(views, k, target, size) for k, target in asked]
     return row
+
+
+def growing(folder: Path, chosen: list[int], size: int) -> list[float]:
+    """PSNR [dB] of the photo nearest to the first two from the first two, three, ... of `chosen`; NaN: not placed."""
+    cameras = read_posed_folder(folder).cameras
+    centres, found = np.stack([camera.c2w[:3, 3] for camera in cameras]), []
+    free = [i for i in range(len(centres)) if i not in chosen]
+    target = free[int(np.linalg.norm(centres[free, None] - centres[chosen[:2]], axis=-1).max(1).argmin())]
+    for count in range(2, len(chosen) + 1):
+        views = edit3r.load_views([folder / cameras[i].file for i in (*chosen[:count], target)], size=size)
+        result = edit3r.run(replace(views.select(range(count)), c2w=None), editor="none", size=size)
+        placed = [i for i, there in enumerate(result.verdict.placed) if there]
+        shown = {0, 1} <= set(placed)
+        found.append(_held_out(result, views, (0, 1), placed.index(0), count) if shown else float("nan"))
+    return found
 
 
 def _of_pair(views: edit3r.Views, k: int, target: int, size: int) -> float | None:
@@ -139,6 +155,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=384)
     parser.add_argument("--photos", action="append", help="a set, such as 0,2,4, instead of the sets above; repeatable")
     parser.add_argument("--unseen", default="", help="photos to render besides, such as 31,33")
+    parser.add_argument("--growing", action="store_true", help="from the first two photos of --photos, three and so on")
     parser.add_argument("--pairs", action="store_true", help="reconstruct each two neighbours of a set alone as well")
     parser.add_argument(
         "--write", type=Path, help="append one JSON line a set to this file; sets in it are not repeated"
@@ -152,6 +169,10 @@ def main() -> None:
     done = {(row["scene"], tuple(row["photos"])) for row in rows}
     for folder in args.folders:
         asked = [[int(number) for number in text.split(",")] for text in args.photos or []]
+        for chosen in asked if args.growing else ():
+            print(folder.name, chosen, *(f"{value:.2f}" for value in growing(folder, chosen, args.size)), flush=True)
+        if args.growing:
+            continue
         unseen = [int(number) for number in args.unseen.split(",") if number]
         for chosen in asked or sets_of(len(read_posed_folder(folder).cameras)):
             if (folder.name, tuple(chosen)) not in done:
@@ -159,7 +180,8 @@ def main() -> None:
                 if args.write:
                     with args.write.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
-    print(pairs_table(rows) if args.pairs else table(rows))
+    if rows:
+        print(pairs_table(rows) if args.pairs else table(rows))
     for row in rows:
         if row.get("unseen"):
             shown = ", ".join(f"{photo} {value:.1f}" for photo, value in row["unseen"].items())
