@@ -23,6 +23,7 @@ from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.maps import resize
 from edit3r.geometry.surroundings import apron, backdrop, lining
 from edit3r.interfaces import Backbone, GaussianHead, MatchedGeometry, Matcher, Reconstructor
+from edit3r.layers import one_thread
 from edit3r.registry import build
 from edit3r.training.checkpoint import WEIGHTS, load_weights
 from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
@@ -102,7 +103,8 @@ class Edit3rReconstructor(Reconstructor):
         grid = views.image_size if request is None else request.grid_of(views.image_size)
         views, source = (geometry.calibrated(shown) for shown in (views, source))
         measured, geometry = geometry.measured, geometry.at(grid)
-        with torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
+        # Silu, sigmoid and others round the last few values of what each thread is given in another way.
+        with one_thread(), torch.set_grad_enabled(self._network.training and torch.is_grad_enabled()):
             reconstruction = self.from_geometry(views, source, geometry)
             reconstruction = self._with_surroundings(reconstruction, views.at(grid), source.at(grid), geometry)
         return replace(reconstruction, placed=geometry.registered, measured=measured)

@@ -15,7 +15,7 @@ from edit3r_training.recolor_trainer import RecolorRecipe
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.config import PartChoice, find_config, make_settings, merge, read_yaml
+from edit3r.config import PartChoice, Settings, find_config, make_settings, merge, read_yaml
 from edit3r.registry import build, default_registry
 from edit3r.training.loop import parameter_groups
 from edit3r.training.processes import Processes
@@ -120,7 +120,8 @@ def test_every_setting_of_a_recipe_is_known(name):
 
     def check(kind: str, choice: PartChoice) -> None:
         module, _, cls = registry.find(kind, choice.name).component.target.partition(":")
-        settings = make_settings(getattr(importlib.import_module(module), cls).Settings, choice.settings, kind)
+        settings_class = getattr(getattr(importlib.import_module(module), cls), "Settings", Settings)
+        settings = make_settings(settings_class, choice.settings, kind)
         for part in ("backbone", "head"):
             if kind == "reconstructor":
                 check(part, getattr(settings, part))
