@@ -209,8 +209,8 @@ def edits_disagree(
     speck = -(-reach // 5)
     gaps = [torch.zeros_like(source[:, 0, 0])]
     for view in range(1, source.shape[1]):
-        before, after = reference[:, view].split(3, 1)
-        before, after = torch.stack((before, source[:, view]), 1), torch.stack((after, edited[:, view]), 1)
+        shown = _comparable(edited, source, reference, matches, view)
+        before, after = torch.stack((shown[:, :3], source[:, view]), 1), torch.stack((shown[:, 3:], edited[:, view]), 1)
         change = after - before
         wished = _change_by_function(before, _shared_function(before, change))
         share = (wished * change).sum(2) / wished.square().sum(2).clamp(min=1e-9)  # of the wished change that was made
@@ -226,6 +226,29 @@ def edits_disagree(
         gap = dilate(-dilate(-gap, speck), speck)
         gaps.append(torch.where(shared.all(1)[:, None, None], dilate(gap, reach), 1.0))
     return torch.stack(gaps, 1)
+
+
+def _comparable(
+    edited: Float[Tensor, "batch view 3 height width"],
+    source: Float[Tensor, "batch view 3 height width"],
+    reference: Float[Tensor, "batch view 6 height width"],
+    matches: Correspondences,
+    view: int,
+) -> Float[Tensor, "batch 6 height width"]:
+    """Return the reference to compare a view's edit with: as it is where both changed most matched places alike.
+
+    So it is, too, where both changed most of the picture: a filter knows no exposure, grey is grey in any photo, and
+    so many colours leave no room to tell two photos apart. Else the reference is taken as the view would show it.
+    """
+    before, after = reference[:, view].split(3, 1)
+    there, own = warp(after - before, matches.coordinates[:, view]), edited[:, view] - source[:, view]
+    size = torch.maximum(there.abs().amax(1), own.abs().amax(1))
+    counted = (size > _CHANGE) & (matches.inside[:, view] > 0) & (matches.depth_ratio[:, view].abs() < _SAME_SURFACE)
+    apart = counted & ((there - own).abs().amax(1) > 0.5 * size)
+    alike = apart.sum((1, 2)) < 0.25 * counted.sum((1, 2))
+    everywhere = [(change.abs().amax(1) > _CHANGE).float().mean((1, 2)) > 0.5 for change in (own, after - before)]
+    alike |= everywhere[0] & everywhere[1]
+    return torch.where(alike[:, None, None, None], torch.cat((source[:, 0], edited[:, 0]), 1), reference[:, view])
 
 
 def _shared_function(

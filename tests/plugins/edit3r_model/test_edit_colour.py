@@ -215,3 +215,12 @@ def test_edits_are_compared_as_if_all_photos_had_one_exposure():
     alike, contrary = photos + tint, photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None]
     assert not _gap(alike, photos, SAME_PLACE).any()
     assert (_gap(contrary, photos, SAME_PLACE)[:, 1][OBJECT[:, 0] > 0] == 1).all()
+
+
+@pytest.mark.parametrize(
+    "filtered", [lambda x: x.mean(2, keepdim=True).expand_as(x), lambda x: 0.3 + 0.5 * x], ids=["grey", "haze"]
+)
+def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour(filtered):
+    """Grey is grey in both, although the reference's grey would be brown with the other photo's white balance."""
+    photos = torch.cat((PAIR[:, :1], DARKER * PAIR[:, 1:]), 1)
+    assert not _gap(filtered(photos), photos, SAME_PLACE).any()
