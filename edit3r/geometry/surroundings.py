@@ -67,9 +67,8 @@ def lining(
     single = torch.stack((1 / geometry.depths, opacities.detach(), geometry.confidence), 2)
     maps = torch.cat((views.images, single), 2).flatten(0, 1)
     colour, inverse, opaque, sure = F.adaptive_avg_pool2d(maps, blocks).split((3, 1, 1, 1), 1)
-    needed = (
-        (sure >= SURE) & (opaque < FAINT) & (F.max_pool2d(inverse, 3, 1, 1) < SMOOTH * -F.max_pool2d(-inverse, 3, 1, 1))
-    )
+    smooth = F.max_pool2d(inverse, 3, 1, 1) < SMOOTH * -F.max_pool2d(-inverse, 3, 1, 1)
+    needed = smooth & (sure >= SURE) & (opaque < FAINT)
     depths = UNDER / -F.adaptive_max_pool2d(-maps[:, 3:4], blocks)
     parts = (x.unflatten(0, shape) for x in (depths[:, 0], colour, needed[:, 0]))
     return _hidden_layer(views, geometry, opacity, LINING_FOOTPRINT, *parts)

@@ -154,8 +154,8 @@ def near_an_edit(
     speck = -(-reach // 5)
     change = (edited - source).abs().amax(2, keepdim=True)
     before, after = warp(reference, matches.coordinates).split(3, 2)
-    colours, of_reference = before, (after - before).abs().amax(2, keepdim=True)
-    apart = _spread((colours - source).abs().amax(2), reach / 5)
+    of_reference = (after - before).abs().amax(2, keepdim=True)
+    apart = _spread((before - source).abs().amax(2), reach / 5)
     seen = matches.inside * (measured & (matches.depth_ratio.abs() < _SAME_SURFACE) & (apart < _ALIKE))
     change, of_reference = change[:, :, 0], of_reference[:, :, 0] * seen
     # Changes of a few pixels are left out: surfaces that look alike by chance.

@@ -224,3 +224,9 @@ def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour
     """Grey is grey in both, although the reference's grey would be brown with the other photo's white balance."""
     photos = torch.cat((PAIR[:, :1], DARKER * PAIR[:, 1:]), 1)
     assert not _gap(filtered(photos), photos, SAME_PLACE).any()
+
+
+def test_one_paint_on_photos_of_different_white_balance_is_one_function_of_colour():
+    photos = torch.cat((PAIR[:, :1], (0.3 * DARKER + 0.7) * PAIR[:, 1:]), 1)
+    paint = torch.tensor([0.95, 0.1, 0.9])[:, None, None]
+    assert not _gap(photos + OBJECT[:, None] * (paint - photos), photos, SAME_PLACE).any()
