@@ -1,9 +1,11 @@
-"""What small scenes cost as a batch and as single commands: half of the commands, the batch, the other half.
+"""What small scenes cost as a batch and as single commands: half of the commands, the batch, the
+other half.
 
     python benchmarks/batch.py DIR --jobs 40 --commands 12 --workers 2
 
-The scenes are crops of the packaged pair, each with a colour of its own. Processor seconds of all processes and wall
-seconds for each scene; commands run as many at a time as the batch has workers, each with one thread.
+The scenes are crops of the packaged pair, each with a colour of its own. Processor seconds of all
+processes and wall seconds for each scene; commands run as many at a time as the batch has workers,
+each with one thread.
 """
 
 import argparse
@@ -32,19 +34,39 @@ def make_jobs(folder: Path, count: int, size: int, frames: int) -> list[dict]:
         for name, file in zip(photos, packaged_pair()[0]):
             picture = Image.open(file)
             box = (left, top, left + picture.width - 100, top + picture.height - 60)
-            picture.crop(box).resize((size, size * (box[3] - box[1]) // (box[2] - box[0]))).save(folder / name)
-        wish = {"prompt": f"paint it {COLOURS[number % 8]}", "guess": True, "size": size, "frames": frames, "fov": 50}
+            picture.crop(box).resize(
+                (size, size * (box[3] - box[1]) // (box[2] - box[0]))
+            ).save(folder / name)
+        wish = {
+            "prompt": f"paint it {COLOURS[number % 8]}",
+            "guess": True,
+            "size": size,
+            "frames": frames,
+            "fov": 50,
+        }
         jobs.append({"id": f"scene-{number:03d}", "photos": photos, **wish})
-    (folder / "jobs.jsonl").write_text("".join(json.dumps(job) + "\n" for job in jobs), encoding="utf-8")
+    (folder / "jobs.jsonl").write_text(
+        "".join(json.dumps(job) + "\n" for job in jobs), encoding="utf-8"
+    )
     return jobs
 
 
 def command(folder: Path, job: dict) -> None:
-    options = ["--prompt", job["prompt"], "--guess", "--size", str(job["size"]), "--fov", "50"]
+    options = [
+        "--prompt",
+        job["prompt"],
+        "--guess",
+        "--size",
+        str(job["size"]),
+        "--fov",
+        "50",
+    ]
     options += ["--frames", str(job["frames"])]
     photos = [str(folder / name) for name in job["photos"]]
     out = str(folder / "single" / job["id"])
-    subprocess.run([*PROGRAM, "run", *photos, *options, "--quiet", "--out", out], check=True)
+    subprocess.run(
+        [*PROGRAM, "run", *photos, *options, "--quiet", "--out", out], check=True
+    )
 
 
 def measured(act) -> tuple[float, float]:
@@ -52,11 +74,16 @@ def measured(act) -> tuple[float, float]:
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     act()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, time.monotonic() - start
+    return (
+        after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        time.monotonic() - start,
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path, help="an empty folder")
     parser.add_argument("--jobs", type=int, default=40)
     parser.add_argument("--commands", type=int, default=12)
@@ -74,8 +101,16 @@ def main() -> None:
             list(pool.map(lambda job: command(args.folder, job), chosen))
 
     def batch() -> None:
-        options = ["--out", str(args.folder / "batch"), "--workers", str(args.workers), "--quiet"]
-        subprocess.run([*PROGRAM, "batch", str(args.folder / "jobs.jsonl"), *options], check=True)
+        options = [
+            "--out",
+            str(args.folder / "batch"),
+            "--workers",
+            str(args.workers),
+            "--quiet",
+        ]
+        subprocess.run(
+            [*PROGRAM, "batch", str(args.folder / "jobs.jsonl"), *options], check=True
+        )
 
     half = args.commands // 2
     first = measured(lambda: commands(jobs[:half]))
@@ -83,14 +118,24 @@ def main() -> None:
     second = measured(lambda: commands(jobs[half : args.commands]))
     singles = [(a + b) / args.commands for a, b in zip(first, second)]
     batched = [seconds / args.jobs for seconds in together]
-    runs = [json.loads(path.read_text()) for path in (args.folder / "batch").glob("*/run.json")]
+    runs = [
+        json.loads(path.read_text())
+        for path in (args.folder / "batch").glob("*/run.json")
+    ]
     cpu = sorted(sum(stage["cpu_seconds"] for stage in run["stages"]) for run in runs)
     peak = max(stage["peak_memory_mb"] for run in runs for stage in run["stages"])
-    size = sum(path.stat().st_size for path in (args.folder / "batch").glob("scene-*/**/*")) / len(runs)
-    print(f"stages {cpu[0]:.2f} to {cpu[-1]:.2f} processor s, median {cpu[len(cpu) // 2]:.2f}")
+    size = sum(
+        path.stat().st_size for path in (args.folder / "batch").glob("scene-*/**/*")
+    ) / len(runs)
+    print(
+        f"stages {cpu[0]:.2f} to {cpu[-1]:.2f} processor s, median {cpu[len(cpu) // 2]:.2f}"
+    )
     print(f"a worker takes up to {peak:.0f} MB of memory, a folder {size / 1e6:.1f} MB")
     for name, single, one in zip(("processor", "wall"), singles, batched):
-        print(f"{name}: a command {single:.2f} s, a job of the batch {one:.2f} s: {single / one:.2f} times as many")
+        print(
+            f"{name}: a command {single:.2f} s, a job of the batch {one:.2f} s: "
+            f"{single / one:.2f} times as many"
+        )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
-"""How well a click finds the thing: objects of real photos whose outlines were drawn by hand (`clicks.json`).
+"""How well a click finds the thing: objects of real photos whose outlines were drawn by hand
+(`clicks.json`).
 
-    python benchmarks/clicks.py DATA [--segmenter classical] [--set size=256] [--only bear mug] [--sheet OUT.png]
+    python benchmarks/clicks.py DATA [--segmenter classical] [--set size=256] [--only bear mug]
+[--sheet OUT.png]
 
-DATA is a folder of photo sets; an object whose photos are not there is left out with a sentence. The first click is the
-object's innermost point, each further one the innermost point of the largest wrong region, positive or negative: the
-usual protocol of interactive segmentation. The mask after the last click is carried to the second photo twice, by the
-pictures and by the geometry that a matcher reads from the pair.
+DATA is a folder of photo sets; an object whose photos are not there is left out with a sentence.
+The first click is the object's innermost point, each further one the innermost point of the largest
+wrong region, positive or negative: the usual protocol of interactive segmentation. The mask after
+the last click is carried to the second photo twice, by the pictures and by the geometry that a
+matcher reads from the pair.
 """
 
 import argparse
@@ -22,20 +25,38 @@ from edit3r import Views, build
 from edit3r.config import parse_assignments
 from edit3r.errors import Edit3rError
 from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.selection import Selection, select_masks
+from edit3r.selection.select import Selection, select_masks
 
 CLICKS = 3
-FOV = 1.05  # stated for photos whose field of view nobody knows [radians]; the matcher reads its own
+# stated for photos whose field of view nobody knows [radians]; the matcher reads its own
+FOV = 1.05
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder of photo sets, such as bear/images/frame_00001.jpg")
+    parser.add_argument(
+        "data",
+        type=Path,
+        help="folder of photo sets, such as bear/images/frame_00001.jpg",
+    )
     parser.add_argument("--segmenter", default="classical")
-    parser.add_argument("--set", action="append", default=[], help="a setting of the segmenter, such as size=256")
-    parser.add_argument("--matcher", default="classical", help="reads the pair's geometry; '' leaves it out")
-    parser.add_argument("--only", nargs="*", default=[], help="names of the objects to try")
-    parser.add_argument("--sheet", type=Path, help="picture of every mask, true outline in white")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        help="a setting of the segmenter, such as size=256",
+    )
+    parser.add_argument(
+        "--matcher",
+        default="classical",
+        help="reads the pair's geometry; '' leaves it out",
+    )
+    parser.add_argument(
+        "--only", nargs="*", default=[], help="names of the objects to try"
+    )
+    parser.add_argument(
+        "--sheet", type=Path, help="picture of every mask, true outline in white"
+    )
     args = parser.parse_args()
     objects = json.loads(Path(__file__).with_suffix(".json").read_text())
     segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))
@@ -48,11 +69,23 @@ def main() -> None:
         if missing:
             print(f"{name}: left out, {args.data / missing[0]} is not there")
             continue
-        images = [np.asarray(Image.open(args.data / file).convert("RGB")) for file in photos]
-        truths = [filled(polygons, image.shape[:2]) for polygons, image in zip(photos.values(), images)]
-        rows.append(scores_of(name, images, truths, segmenter, matcher, geometries, tiles))
+        images = [
+            np.asarray(Image.open(args.data / file).convert("RGB")) for file in photos
+        ]
+        truths = [
+            filled(polygons, image.shape[:2])
+            for polygons, image in zip(photos.values(), images)
+        ]
+        rows.append(
+            scores_of(name, images, truths, segmenter, matcher, geometries, tiles)
+        )
         print(line(name, rows[-1]), flush=True)
-    print(line(f"mean of {len(rows)}", np.array([[np.nan if v is None else v for v in row] for row in rows])))
+    print(
+        line(
+            f"mean of {len(rows)}",
+            np.array([[np.nan if v is None else v for v in row] for row in rows]),
+        )
+    )
     if args.sheet and tiles:
         contact_sheet(tiles).save(args.sheet)
 
@@ -68,8 +101,13 @@ def filled(polygons: list, shape: tuple[int, int]) -> np.ndarray:
 
 
 def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
-    """IoU after each click, carried by pictures and by geometry (None where there is no second photo), CPU seconds."""
-    tensors = [torch.from_numpy(image.copy()).permute(2, 0, 1).float() / 255 for image in images]
+    """IoU after each click, carried by pictures and by geometry (None where there is no second
+    photo), CPU seconds.
+    """
+    tensors = [
+        torch.from_numpy(image.copy()).permute(2, 0, 1).float() / 255
+        for image in images
+    ]
     clicks: dict[str, list] = {"positive": [], "negative": []}
     mask, scores, seconds = np.zeros_like(truths[0]), [], []
     for _ in range(CLICKS):
@@ -81,7 +119,15 @@ def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
         seconds.append(time.process_time() - start)
         mask = soft.numpy() > 0.5
         scores.append(iou(mask, truths[0]))
-        tiles.append((f"{name}, {len(scores)} clicks: {scores[-1]:.2f}", images[0], truths[0], mask, dict(clicks)))
+        tiles.append(
+            (
+                f"{name}, {len(scores)} clicks: {scores[-1]:.2f}",
+                images[0],
+                truths[0],
+                mask,
+                dict(clicks),
+            )
+        )
     carried = [None, None]
     if len(images) > 1:
         frames = [tensors[0], resized(tensors[1], tensors[0].shape[-2:])]
@@ -90,14 +136,25 @@ def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
         for index, found in enumerate([None, geometry]):
             if index == 1 and found is None:
                 continue
-            lens = intrinsics_from_fov(FOV, tuple(frames[0].shape[-2:])).expand(1, 2, 3, 3)
-            # The mask of photo 1 as it came out, so that this measures the carrying and what the clicks left wrong.
+            lens = intrinsics_from_fov(FOV, tuple(frames[0].shape[-2:])).expand(
+                1, 2, 3, 3
+            )
+            # The mask of photo 1 as it came out, so that this measures the carrying and what the
+            # clicks left wrong.
             given = Selection(masks={0: soft})
             selected = select_masks(torch.stack(frames), given, segmenter, found, lens)
             there = selected.masks[1, 0].numpy() > 0.5
             carried[index] = iou(there, truth)
             picture = (frames[1].permute(1, 2, 0).numpy() * 255).astype(np.uint8)
-            tiles.append((f"{name}, carried ({selected.how[1]}): {carried[index]:.2f}", picture, truth, there, {}))
+            tiles.append(
+                (
+                    f"{name}, carried ({selected.how[1]}): {carried[index]:.2f}",
+                    picture,
+                    truth,
+                    there,
+                    {},
+                )
+            )
     return (*scores, *carried, float(np.mean(seconds)))
 
 
@@ -107,7 +164,9 @@ def geometry_of(frames, matcher, known):
     if matcher is not None and key not in known:
         lens = intrinsics_from_fov(FOV, tuple(frames[0].shape[-2:])).expand(1, 2, 3, 3)
         try:
-            known[key] = matcher.match(Views(torch.stack(frames)[None], lens, assumed=(True, True)))
+            known[key] = matcher.match(
+                Views(torch.stack(frames)[None], lens, assumed=(True, True))
+            )
         except Edit3rError as error:
             print(f"  no geometry: {error}")
             known[key] = None
@@ -118,7 +177,9 @@ def resized(image: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     """An image `[3, H, W]` at another size."""
     if tuple(image.shape[-2:]) == tuple(size):
         return image
-    return torch.nn.functional.interpolate(image[None], size, mode="bilinear", antialias=True)[0].clamp(0, 1)
+    return torch.nn.functional.interpolate(
+        image[None], size, mode="bilinear", antialias=True
+    )[0].clamp(0, 1)
 
 
 def next_click(mask: np.ndarray, truth: np.ndarray) -> tuple[str, tuple[float, float]]:
@@ -126,12 +187,16 @@ def next_click(mask: np.ndarray, truth: np.ndarray) -> tuple[str, tuple[float, f
     kinds = {"positive": truth & ~mask, "negative": mask & ~truth}
     best, kind, place = -1, "positive", (0.5, 0.5)
     for name, wrong in kinds.items():
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(wrong.astype(np.uint8), connectivity=4)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(
+            wrong.astype(np.uint8), connectivity=4
+        )
         if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() <= best:
             continue
         largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
         best, kind = int(stats[largest, cv2.CC_STAT_AREA]), name
-        depth = cv2.distanceTransform(np.pad((labels == largest).astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        depth = cv2.distanceTransform(
+            np.pad((labels == largest).astype(np.uint8), 1), cv2.DIST_L2, 5
+        )[1:-1, 1:-1]
         row, column = np.unravel_index(depth.argmax(), depth.shape)
         place = ((column + 0.5) / truth.shape[1], (row + 0.5) / truth.shape[0])
     return kind, place
@@ -143,13 +208,21 @@ def iou(one: np.ndarray, other: np.ndarray) -> float:
 
 def line(name: str, row) -> str:
     """One line of the table, of one row or the mean of many `[N, 6]`, leaving gaps out."""
-    values = np.array([np.nan if v is None else v for v in row]) if np.ndim(row) == 1 else np.nanmean(row, axis=0)
+    values = (
+        np.array([np.nan if v is None else v for v in row])
+        if np.ndim(row) == 1
+        else np.nanmean(row, axis=0)
+    )
     heads = ("1 click", "2", "3", "pictures", "geometry", "CPU s")
-    return f"{name:16s}" + "".join(f"  {head} {value:.2f}" for head, value in zip(heads, values))
+    return f"{name:16s}" + "".join(
+        f"  {head} {value:.2f}" for head, value in zip(heads, values)
+    )
 
 
 def contact_sheet(tiles: list, width: int = 260, columns: int = 8) -> Image.Image:
-    """Every mask over its photo: found in green, missed in red, too much in blue, clicks as dots."""
+    """Every mask over its photo: found in green, missed in red, too much in blue, clicks as
+    dots.
+    """
     pictures = []
     for text, image, truth, mask, clicks in tiles:
         shown = image * 0.55
@@ -159,13 +232,17 @@ def contact_sheet(tiles: list, width: int = 260, columns: int = 8) -> Image.Imag
             ((0, 80, 255), mask & ~truth),
         ):
             shown[region] += 0.45 * np.array(colour)
-        picture = Image.fromarray(shown.clip(0, 255).astype(np.uint8)).resize((width, 190))
+        picture = Image.fromarray(shown.clip(0, 255).astype(np.uint8)).resize(
+            (width, 190)
+        )
         draw = ImageDraw.Draw(picture)
         for kind, places in clicks.items():
             for _, x, y in places:
                 left, top = x * width - 3, y * 190 - 3
                 draw.ellipse(
-                    (left, top, left + 6, top + 6), fill="white" if kind == "positive" else "black", outline="red"
+                    (left, top, left + 6, top + 6),
+                    fill="white" if kind == "positive" else "black",
+                    outline="red",
                 )
         draw.text((3, 2), text, fill="yellow")
         pictures.append(picture)

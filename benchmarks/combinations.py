@@ -1,12 +1,13 @@
-"""What each combination of editor, reconstructor, matcher and segmenter costs that needs no weights from elsewhere.
+"""What each combination of editor, reconstructor, matcher and segmenter costs that needs no weights
+from elsewhere.
 
     python benchmarks/combinations.py                                 editors x classical, edit3r; matchers; segmenter
     python benchmarks/combinations.py --editors looks --recons refit  and single ones, added to those before
 
-Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of its own on one thread. Results go into
-`benchmarks/combinations.json`, from which `python docs/generate.py` makes the tables of docs/combinations.md: CPU
-seconds of the edit and of all else, peak memory of the process, the run's verdict, or the sentence that it
-ended with. Weights that are at hand are used and noted.
+Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of its own on one thread.
+Results go into `benchmarks/combinations.json`, from which `python docs/generate.py` makes the
+tables of docs/combinations.md: CPU seconds of the edit and of all else, peak memory of the process,
+the run's verdict, or the sentence that it ended with. Weights that are at hand are used and noted.
 """
 
 import argparse
@@ -22,8 +23,8 @@ import torch
 
 import edit3r
 from edit3r.io.images import packaged_pair
-from edit3r.selection import Selection, select_masks
-from edit3r.weights import at_hand
+from edit3r.plugins.weights import at_hand
+from edit3r.selection.select import Selection, select_masks
 
 RESULTS = Path(__file__).with_suffix(".json")
 MASK = Path(edit3r.__file__).parent / "io" / "motorcycle_mask.png"
@@ -43,11 +44,38 @@ def run(editor: str, recon: str, matcher: str = "classical") -> dict:
     """One run by the command, in a process of its own."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     row = {"editor": editor, "recon": recon, "matcher": matcher}
-    chosen = ["--set", f"reconstructor.matcher={MATCHERS[matcher]}"] if matcher in MATCHERS else []
+    chosen = (
+        ["--set", f"reconstructor.matcher={MATCHERS[matcher]}"]
+        if matcher in MATCHERS
+        else []
+    )
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "edit3r", "run", "--editor", editor, "--recon", recon, "--size", str(SIZE)]
-        command += [*ASKED[editor], *chosen, "--frames", "2", "--outputs", "sheet", "--quiet", "--out", folder + "/out"]
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+        command = [
+            sys.executable,
+            "-m",
+            "edit3r",
+            "run",
+            "--editor",
+            editor,
+            "--recon",
+            recon,
+            "--size",
+            str(SIZE),
+        ]
+        command += [
+            *ASKED[editor],
+            *chosen,
+            "--frames",
+            "2",
+            "--outputs",
+            "sheet",
+            "--quiet",
+            "--out",
+            folder + "/out",
+        ]
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=environment, check=False
+        )
         if done.returncode:
             return {**row, "error": done.stderr.strip().splitlines()[-1]}
         made = json.loads(Path(folder, "out", "run.json").read_text())
@@ -75,20 +103,37 @@ def segment(name: str) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--editors", nargs="+")
     parser.add_argument("--recons", nargs="+")
     options = parser.parse_args()
-    made = [run(e, r) for e in options.editors or ASKED for r in options.recons or ("classical", "edit3r")]
+    made = [
+        run(e, r)
+        for e in options.editors or ASKED
+        for r in options.recons or ("classical", "edit3r")
+    ]
     if not (options.editors or options.recons):
-        made += [run("none", recon, matcher) for matcher in MATCHERS for recon in ("classical", "edit3r")]
+        made += [
+            run("none", recon, matcher)
+            for matcher in MATCHERS
+            for recon in ("classical", "edit3r")
+        ]
         made.append(segment("classical"))
     rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.exists() else []
     keys = ("editor", "recon", "matcher", "segmenter")
     kept = {tuple(row.get(key) for key in keys): row for row in [*rows, *made]}
     components = [offer.component for kind in ("editor", "reconstructor", "segmenter", "matcher")
                   for offer in edit3r.components(kind)]  # fmt: skip
-    real = sorted({one.name for component in components for one in component.weights if at_hand(one)})
+    real = sorted(
+        {
+            one.name
+            for component in components
+            for one in component.weights
+            if at_hand(one)
+        }
+    )
     result = {"size": SIZE, "weights_at_hand": real, "rows": list(kept.values())}
     RESULTS.write_text(json.dumps(result, indent=1) + "\n")
     for row in made:

@@ -1,4 +1,5 @@
-"""The whole default run, its editor left out, on the pairs of `edit3r evaluate`: gain over the best-blurred photo.
+"""The whole default run, its editor left out, on the pairs of `edit3r evaluate`: gain over the
+best-blurred photo.
 
 python benchmarks/default_pairs.py FOLDER... --pairs 5 --size 256
 """
@@ -11,7 +12,7 @@ from edit3r_measure.scene_sources import SceneOptions, find_scenes
 
 import edit3r
 from edit3r import Reconstruction, Views
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 from edit3r.reporting import Report
 
 
@@ -28,19 +29,34 @@ class DefaultRun:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="+")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--size", type=int, default=256)
     args = parser.parse_args()
     rasterizer = edit3r.build("rasterizer", "auto")
     for folder in args.folders:
-        for source in find_scenes(folder, SceneOptions(args.pairs, args.size), default_registry()):
+        for source in find_scenes(
+            folder, SceneOptions(args.pairs, args.size), default_registry()
+        ):
             run = DefaultRun()
             score = score_scene(source.load(), run, rasterizer)
             names = ("psnr", "blurred_psnr", "rotation_error", "direction_error")
-            figures = [f"{name} {score.figures[name]:.2f}" for name in names if name in score.figures]
-            print(source.name, f"{score.degrees:.0f} degrees", *figures, run.label, score.failure, flush=True)
+            figures = [
+                f"{name} {score.figures[name]:.2f}"
+                for name in names
+                if name in score.figures
+            ]
+            print(
+                source.name,
+                f"{score.degrees:.0f} degrees",
+                *figures,
+                run.label,
+                score.failure,
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

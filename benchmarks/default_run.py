@@ -2,10 +2,10 @@
 
     python benchmarks/default_run.py FOLDER:FIRST,SECOND ... --settings 512 384 512:plain
 
-Each scene is a folder with photos and a cameras.json and the numbers of two photos; poses are not used. `plain` stands
-for `--gaussians all --refine 0`. A line a run: processor seconds from images to Gaussians, of 36 frames of the camera
-path (from six of them), Gaussians, PSNR of the input views, and PSNR of the photo half-way at 512 pixels, whatever the
-size of the run.
+Each scene is a folder with photos and a cameras.json and the numbers of two photos; poses are not
+used. `plain` stands for `--gaussians all --refine 0`. A line a run: processor seconds from images
+to Gaussians, of 36 frames of the camera path (from six of them), Gaussians, PSNR of the input
+views, and PSNR of the photo half-way at 512 pixels, whatever the size of the run.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import torch
 import edit3r
 from edit3r.geometry.cameras import median_scale, relative_to_first, scale_poses
 from edit3r.io.posed_folder import read_posed_folder
-from edit3r.rendering import path_around, render_one
+from edit3r.pipeline.rendering import path_around, render_one
 
 FRAMES, DRAWN, FULL = 36, 6, 512
 
@@ -26,7 +26,9 @@ FRAMES, DRAWN, FULL = 36, 6, 512
 def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
     views = replace(edit3r.load_views(files, size=size), c2w=None)
     start = time.process_time()
-    result = edit3r.run(views, editor="none", **({"gaussians": "all", "refine": 0} if plain else {}))
+    result = edit3r.run(
+        views, editor="none", **({"gaussians": "all", "refine": 0} if plain else {})
+    )
     made = time.process_time() - start
     path = path_around(result.cameras, result.rendered, FRAMES)
     start = time.process_time()
@@ -36,7 +38,9 @@ def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
     drawn = (time.process_time() - start) * FRAMES / DRAWN
     full = edit3r.load_views([*files, between], size=FULL)
     true = relative_to_first(full.c2w.double())
-    scale = median_scale(true[0, 1:2, :3, 3], result.cameras.c2w[0, 1:2, :3, 3].double())
+    scale = median_scale(
+        true[0, 1:2, :3, 3], result.cameras.c2w[0, 1:2, :3, 3].double()
+    )
     pose = scale_poses(true[:, 2:], scale).float()
     camera = edit3r.Cameras(pose, full.intrinsics[:, 2:], full.image_size)
     with torch.no_grad():
@@ -50,18 +54,33 @@ def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenes", nargs="+", help="FOLDER:FIRST,SECOND")
-    parser.add_argument("--settings", nargs="+", default=["512:plain", "512", "384", "320"], help="SIZE or SIZE:plain")
+    parser.add_argument(
+        "--settings",
+        nargs="+",
+        default=["512:plain", "512", "384", "320"],
+        help="SIZE or SIZE:plain",
+    )
     args = parser.parse_args()
     for scene in args.scenes:
         folder, _, numbers = scene.rpartition(":")
         first, second = map(int, numbers.split(","))
         cameras = read_posed_folder(Path(folder)).cameras
-        files = [Path(folder) / cameras[i].file for i in (first, second, (first + second) // 2)]
+        files = [
+            Path(folder) / cameras[i].file
+            for i in (first, second, (first + second) // 2)
+        ]
         for settings in args.settings:
             size, _, plain = settings.partition(":")
-            print(scene, settings, measure(files[:2], files[2], int(size), plain == "plain"), flush=True)
+            print(
+                scene,
+                settings,
+                measure(files[:2], files[2], int(size), plain == "plain"),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""What each export format costs and loses: `python benchmarks/export_formats.py FOLDER`, the folder of a run.
+"""What each export format costs and loses: `python benchmarks/export_formats.py FOLDER`, the folder
+of a run.
 
-Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard deviations of the
-Gaussian itself; of the pictures from the run's cameras, against those of scene.ply. GLB is read here, as nothing that
-is installed reads it.
+Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard
+deviations of the Gaussian itself; of the pictures from the run's cameras, against those of
+scene.ply. GLB is read here, as nothing that is installed reads it.
 """
 
 import json
@@ -15,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from edit3r.contract.types import Gaussians
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.export import FORMATS, export_scene, load_scene
-from edit3r.registry import build
-from edit3r.rendering import render_each
-from edit3r.types import Gaussians
+from edit3r.pipeline.rendering import render_each
+from edit3r.plugins.registry import build
 
 
 def main(folder: Path) -> None:
@@ -27,7 +28,10 @@ def main(folder: Path) -> None:
     cameras, _ = read_scene_cameras(folder / "cameras.json")
     rasterizer = build("rasterizer", "auto")
     whole = render_each(rasterizer, scene, cameras, "").images.clamp(0, 1)
-    print("| format | MB | CPU s | centres | sizes | pictures |\n| --- | --: | --: | --: | --: | --: |")
+    print(
+        "| format | MB | CPU s | centres | sizes | pictures |\n| --- | --: | --: | --: | --: | "
+        "--: |"
+    )
     with tempfile.TemporaryDirectory() as scratch:
         for form, suffix in FORMATS.items():
             file, start = Path(scratch) / f"scene{suffix}", _cpu()
@@ -38,20 +42,30 @@ def main(folder: Path) -> None:
             error = float((picture - whole).square().mean())
             psnr = f"{-10 * np.log10(error):.1f} dB" if error else "equal"
             centres, sizes = _errors(scene, back)
-            print(f"| {form} | {file.stat().st_size / 1e6:.1f} | {spent:.1f} | {centres:.2%} | {sizes:.2%} | {psnr} |")
+            print(
+                f"| {form} | {file.stat().st_size / 1e6:.1f} | {spent:.1f} | {centres:.2%} | "
+                f"{sizes:.2%} | {psnr} |"
+            )
 
 
 def _cpu() -> float:
-    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(
+        sum(resource.getrusage(who)[:2])
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
 
 
 def _errors(scene: Gaussians, back: Gaussians) -> tuple[float, float]:
-    """Median errors of the centres and sizes, relative to the size; formats sort as they like, so by nearest centre."""
+    """Median errors of the centres and sizes, relative to the size; formats sort as they like, so
+    by nearest centre.
+    """
     from scipy.spatial import cKDTree
 
     gaps, index = cKDTree(back.means[0]).query(scene.means[0])
     size, found = (g.scales[0].double().mean(-1).numpy() for g in (scene, back))
-    return float(np.median(gaps / size)), float(np.median(np.abs(found[index] / size - 1)))
+    return float(np.median(gaps / size)), float(
+        np.median(np.abs(found[index] / size - 1))
+    )
 
 
 def read_glb(file: Path) -> Gaussians:
@@ -63,8 +77,12 @@ def read_glb(file: Path) -> Gaussians:
     for name, index in tree["meshes"][0]["primitives"][0]["attributes"].items():
         accessor, view = tree["accessors"][index], tree["bufferViews"][index]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        values = np.frombuffer(data, "<f4", accessor["count"] * width, view["byteOffset"])
-        columns[name.rpartition(":")[2]] = torch.from_numpy(values.reshape(-1, width).copy())
+        values = np.frombuffer(
+            data, "<f4", accessor["count"] * width, view["byteOffset"]
+        )
+        columns[name.rpartition(":")[2]] = torch.from_numpy(
+            values.reshape(-1, width).copy()
+        )
     harmonics = [values for name, values in columns.items() if name.startswith("SH_")]
     return Gaussians(
         columns["POSITION"][None],

@@ -2,11 +2,12 @@
 
     python benchmarks/growth.py FOLDER --out docs/images
 
-FOLDER holds photos with a cameras.json; photos that stand side by side are taken, their poses are not used. Every run
-is a process of its own, its figure the processor seconds from photos in memory to the last frame of a camera path of
-12 frames (kernels loaded before), and the most memory the process ever held. The Gaussians of the third plot come from
-a generated cloud, drawn from one camera at 512 pixels, forward and backward. An exponent is the slope of a straight
-line through the logarithms: 1 is linear. `--photos`, `--sizes` and `--gaussians` narrow the range.
+FOLDER holds photos with a cameras.json; photos that stand side by side are taken, their poses are
+not used. Every run is a process of its own, its figure the processor seconds from photos in memory
+to the last frame of a camera path of 12 frames (kernels loaded before), and the most memory the
+process ever held. The Gaussians of the third plot come from a generated cloud, drawn from one
+camera at 512 pixels, forward and backward. An exponent is the slope of a straight line through the
+logarithms: 1 is linear. `--photos`, `--sizes` and `--gaussians` narrow the range.
 """
 
 import argparse
@@ -19,8 +20,16 @@ from pathlib import Path
 
 import numpy as np
 
-PHOTOS, SIZES, GAUSSIANS = (2, 4, 6, 8), (128, 256, 512, 1024), (10_000, 100_000, 1_000_000)
-AXES = {"photos": "photos at 256 pixels", "pixels": "pixels of each of two photos", "gaussians": "Gaussians drawn"}
+PHOTOS, SIZES, GAUSSIANS = (
+    (2, 4, 6, 8),
+    (128, 256, 512, 1024),
+    (10_000, 100_000, 1_000_000),
+)
+AXES = {
+    "photos": "photos at 256 pixels",
+    "pixels": "pixels of each of two photos",
+    "gaussians": "Gaussians drawn",
+}
 
 
 def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
@@ -29,15 +38,22 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
 
     import edit3r
     from edit3r.io.posed_folder import read_posed_folder
-    from edit3r.rendering import path_around, render_one
+    from edit3r.pipeline.rendering import path_around, render_one
     from edit3r.reporting import peak_memory_mb
 
     torch.set_num_threads(1)
     middle = len(cameras := read_posed_folder(folder).cameras) // 2
-    files = [Path(folder) / camera.file for camera in cameras[middle - photos // 2 :][:photos]]
+    files = [
+        Path(folder) / camera.file
+        for camera in cameras[middle - photos // 2 :][:photos]
+    ]
     views = replace(edit3r.load_views(files, size=size), c2w=None)
-    views = views.at(tuple(round(side * size / max(views.image_size)) for side in views.image_size))
-    edit3r.run(replace(edit3r.load_views(files[:2], size=96), c2w=None), editor="none")  # loads kernels
+    views = views.at(
+        tuple(round(side * size / max(views.image_size)) for side in views.image_size)
+    )
+    edit3r.run(
+        replace(edit3r.load_views(files[:2], size=96), c2w=None), editor="none"
+    )  # loads kernels
     start = time.process_time()
     result = edit3r.run(views, editor="none")
     path = path_around(result.cameras, result.rendered, 12)
@@ -45,7 +61,12 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
         for frame in range(path.count):
             render_one(result.rasterizer, result.gaussians, path.select([frame]))
     height, width = views.image_size
-    return {"photos": photos, "pixels": height * width, "seconds": time.process_time() - start, "mb": peak_memory_mb()}
+    return {
+        "photos": photos,
+        "pixels": height * width,
+        "seconds": time.process_time() - start,
+        "mb": peak_memory_mb(),
+    }
 
 
 def draw_once(count: int) -> dict[str, float]:
@@ -54,12 +75,16 @@ def draw_once(count: int) -> dict[str, float]:
 
     import edit3r
     from edit3r.reporting import peak_memory_mb
-    from edit3r.testing.scenes import cameras_around, gaussian_cloud
+    from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
     torch.set_num_threads(1)
     rasterizer = edit3r.build("rasterizer", "numba", threads=1)
     cloud = gaussian_cloud(count)
-    cloud = replace(cloud, scales=cloud.scales * (1000 / count) ** 0.5, means=cloud.means.requires_grad_(True))
+    cloud = replace(
+        cloud,
+        scales=cloud.scales * (1000 / count) ** 0.5,
+        means=cloud.means.requires_grad_(True),
+    )
     camera = cameras_around(1).at((512, 512))
     times = []
     for _ in range(3):
@@ -70,7 +95,11 @@ def draw_once(count: int) -> dict[str, float]:
 
 
 def exponent(rows: list[dict[str, float]], axis: str, cost: str) -> float:
-    return float(np.polyfit(np.log([row[axis] for row in rows]), np.log([row[cost] for row in rows]), 1)[0])
+    return float(
+        np.polyfit(
+            np.log([row[axis] for row in rows]), np.log([row[cost] for row in rows]), 1
+        )[0]
+    )
 
 
 def plot(rows: list[dict[str, float]], axis: str, file: Path) -> None:
@@ -81,30 +110,52 @@ def plot(rows: list[dict[str, float]], axis: str, file: Path) -> None:
 
     figure, left = pyplot.subplots(figsize=(5, 3.4), layout="constrained")
     right = left.twinx()
-    for side, cost, colour in ((left, "seconds", "tab:blue"), (right, "mb", "tab:orange")):
-        side.loglog([row[axis] for row in rows], [row[cost] for row in rows], "o-", color=colour)
+    for side, cost, colour in (
+        (left, "seconds", "tab:blue"),
+        (right, "mb", "tab:orange"),
+    ):
+        side.loglog(
+            [row[axis] for row in rows], [row[cost] for row in rows], "o-", color=colour
+        )
         for scale in (side.xaxis, side.yaxis):  # plain numbers, few of them
             low, high = scale.get_data_interval()
-            scale.set_major_locator(ticker.LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5)))
+            scale.set_major_locator(
+                ticker.LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5))
+            )
             scale.set_major_formatter(ticker.EngFormatter(sep=""))
             scale.set_minor_locator(ticker.NullLocator())
-        side.set_ylabel(f"{'processor seconds' if cost == 'seconds' else 'peak MiB'}", color=colour)
+        side.set_ylabel(
+            f"{'processor seconds' if cost == 'seconds' else 'peak MiB'}", color=colour
+        )
     left.set_xlabel(AXES[axis])
-    left.set_title(f"time ~ n^{exponent(rows, axis, 'seconds'):.2f}, memory ~ n^{exponent(rows, axis, 'mb'):.2f}")
+    left.set_title(
+        f"time ~ n^{exponent(rows, axis, 'seconds'):.2f}, memory ~ "
+        f"n^{exponent(rows, axis, 'mb'):.2f}"
+    )
     figure.savefig(file, dpi=110)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     parser.add_argument("--photos", type=int, nargs="*", default=PHOTOS)
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--gaussians", type=int, nargs="*", default=GAUSSIANS)
-    parser.add_argument("--one", nargs="+", type=int, help=argparse.SUPPRESS)  # the process of one figure
+    parser.add_argument(
+        "--one", nargs="+", type=int, help=argparse.SUPPRESS
+    )  # the process of one figure
     args = parser.parse_args()
     if args.one:
-        print(json.dumps(run_once(args.folder, *args.one) if len(args.one) == 2 else draw_once(*args.one)))
+        print(
+            json.dumps(
+                run_once(args.folder, *args.one)
+                if len(args.one) == 2
+                else draw_once(*args.one)
+            )
+        )
         return
     wanted = {
         "photos": [(count, 256) for count in args.photos],
@@ -115,10 +166,22 @@ def main() -> None:
         rows = []
         for run in runs:
             command = [sys.executable, __file__, args.folder, "--one", *map(str, run)]
-            rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout.splitlines()[-1]))
-            print(axis, {key: round(value, 2) for key, value in rows[-1].items()}, flush=True)
+            rows.append(
+                json.loads(
+                    subprocess.run(
+                        command, check=True, stdout=subprocess.PIPE
+                    ).stdout.splitlines()[-1]
+                )
+            )
+            print(
+                axis,
+                {key: round(value, 2) for key, value in rows[-1].items()},
+                flush=True,
+            )
         if len(rows) > 1:
-            slopes = {cost: round(exponent(rows, axis, cost), 2) for cost in ("seconds", "mb")}
+            slopes = {
+                cost: round(exponent(rows, axis, cost), 2) for cost in ("seconds", "mb")
+            }
             print(f"{axis}: exponents {slopes}", flush=True)
             plot(rows, axis, args.out / f"growth_{axis}.png")
 

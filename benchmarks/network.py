@@ -1,11 +1,13 @@
-"""Time, memory and error of the NoPoSplat network in every precision; regenerates the table in the docs.
+"""Time, memory and error of the NoPoSplat network in every precision; regenerates the table in the
+docs.
 
     python benchmarks/network.py --size full --threads 1 --write docs/network.md
 
-Every mode runs in a fresh process, twice: alone, for its peak memory (loading included), and beside the plain eager
-float32 network, turn by turn, for its time. Times are the processor's, not the wall's, the smallest of `--repeats`;
-the ratio to the plain network in the same process is what survives a busy machine. Weights are random, so errors are
-those of arithmetic on an untrained network: remeasure with trained weights before choosing a precision by them.
+Every mode runs in a fresh process, twice: alone, for its peak memory (loading included), and beside
+the plain eager float32 network, turn by turn, for its time. Times are the processor's, not the
+wall's, the smallest of `--repeats`; the ratio to the plain network in the same process is what
+survives a busy machine. Weights are random, so errors are those of arithmetic on an untrained
+network: remeasure with trained weights before choosing a precision by them.
 """
 
 import argparse
@@ -24,21 +26,31 @@ MODES = {
     "float32": {"precision": "float32"},
     "auto": {"precision": "auto"},
     "bfloat16": {"precision": "bfloat16"},
-    "bfloat16 backbone, float32 heads": {"precision": "bfloat16", "head_precision": "float32"},
+    "bfloat16 backbone, float32 heads": {
+        "precision": "bfloat16",
+        "head_precision": "float32",
+    },
     "int8 linears, float32 heads": {"precision": "int8", "head_precision": "float32"},
     "int8 linears, bfloat16 heads": {"precision": "int8", "head_precision": "bfloat16"},
     "int8 linears and convolutions": {"precision": "int8", "head_precision": "int8"},
 }
 SIZES = {
     "full": ({}, {}, (256, 256)),
-    "shallow": ({"depth": 4, "decoder_depth": 4}, {}, (128, 128)),  # full width: minutes, not an hour
+    "shallow": (
+        {"depth": 4, "decoder_depth": 4},
+        {},
+        (128, 128),
+    ),  # full width: minutes, not an hour
     "small": (
         {"width": 256, "depth": 6, "decoder_width": 192, "decoder_depth": 6},
         {"feature_width": 64, "point_width": 64, "layer_widths": (32, 64, 96, 192)},
         (128, 128),
     ),
 }
-START, END = "<!-- network table: written by benchmarks/network.py -->", "<!-- end of network table -->"
+START, END = (
+    "<!-- network table: written by benchmarks/network.py -->",
+    "<!-- end of network table -->",
+)
 
 
 @dataclass(frozen=True)
@@ -66,21 +78,54 @@ def main() -> None:
 
         write_between(args.write, START, END, f"{table}\n")
     if args.json:
-        args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
+        args.json.write_text(
+            json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8"
+        )
 
 
 def _row(mode: str, args: argparse.Namespace) -> Row:
-    memory, speed = (_in_fresh_process(mode, what, args) for what in ("memory", "speed"))
+    memory, speed = (
+        _in_fresh_process(mode, what, args) for what in ("memory", "speed")
+    )
     row = Row(mode=mode, peak_mb=memory["peak_mb"], **speed)
-    print(f"{mode}: {row.seconds:.2f} s, {row.ratio:.2f}x, {row.peak_mb:.0f} MB", file=sys.stderr, flush=True)
+    print(
+        f"{mode}: {row.seconds:.2f} s, {row.ratio:.2f}x, {row.peak_mb:.0f} MB",
+        file=sys.stderr,
+        flush=True,
+    )
     return row
 
 
 def _in_fresh_process(mode: str, what: str, args: argparse.Namespace) -> dict:
-    command = [sys.executable, __file__, "--measure", what, "--modes", mode, "--size", args.size]
-    command += ["--threads", str(args.threads), "--repeats", str(args.repeats), "--views", str(args.views)]
-    threads = {"OMP_NUM_THREADS": str(args.threads), "MKL_NUM_THREADS": str(args.threads)}
-    result = subprocess.run(command, env={**os.environ, **threads}, capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        __file__,
+        "--measure",
+        what,
+        "--modes",
+        mode,
+        "--size",
+        args.size,
+    ]
+    command += [
+        "--threads",
+        str(args.threads),
+        "--repeats",
+        str(args.repeats),
+        "--views",
+        str(args.views),
+    ]
+    threads = {
+        "OMP_NUM_THREADS": str(args.threads),
+        "MKL_NUM_THREADS": str(args.threads),
+    }
+    result = subprocess.run(
+        command,
+        env={**os.environ, **threads},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if result.returncode:
         raise SystemExit(f"{mode}, {what}: {result.stderr[-2000:]}")
     return json.loads(result.stdout.splitlines()[-1])
@@ -103,7 +148,9 @@ def _measure(args: argparse.Namespace) -> dict:
         return _against_plain(network, images, intrinsics, args)
 
 
-def _against_plain(network: Callable, images, intrinsics, args: argparse.Namespace) -> dict:
+def _against_plain(
+    network: Callable, images, intrinsics, args: argparse.Namespace
+) -> dict:
     plain = _plain(args.size)
     fast, slow = float("inf"), float("inf")
     network(images, intrinsics)  # compilation, caches
@@ -114,7 +161,12 @@ def _against_plain(network: Callable, images, intrinsics, args: argparse.Namespa
         fast = min(fast, seconds)
     names = ("means", "opacities", "scales", "harmonics")
     errors = {n: _relative(getattr(found, n), getattr(expected, n)) for n in names}
-    return {"seconds": fast, "plain_seconds": slow, "ratio": slow / fast, "errors": errors}
+    return {
+        "seconds": fast,
+        "plain_seconds": slow,
+        "ratio": slow / fast,
+        "errors": errors,
+    }
 
 
 def _timed(run: Callable) -> tuple[float, object]:
@@ -133,7 +185,13 @@ def _reconstructor(size: str, settings: dict):
 
     backbone, head, _ = SIZES[size]
     built = edit3r.build(
-        "reconstructor", "noposplat", weights="random", device="cpu", backbone=backbone, head=head, **settings
+        "reconstructor",
+        "noposplat",
+        weights="random",
+        device="cpu",
+        backbone=backbone,
+        head=head,
+        **settings,
     )
     return built.network
 
@@ -144,8 +202,13 @@ def _plain(size: str) -> Callable:
     from plain_noposplat import PlainNetwork
 
     network = _reconstructor(size, {})
-    depth, decoder_depth = network.backbone.settings.depth, network.backbone.settings.decoder_depth
-    plain = PlainNetwork({k: v.detach() for k, v in network.named_parameters()}, depth, decoder_depth)
+    depth, decoder_depth = (
+        network.backbone.settings.depth,
+        network.backbone.settings.decoder_depth,
+    )
+    plain = PlainNetwork(
+        {k: v.detach() for k, v in network.named_parameters()}, depth, decoder_depth
+    )
 
     def run(images, intrinsics):
         points, parameters = plain(images[0], intrinsics[0])
@@ -160,7 +223,9 @@ def _inputs(args: argparse.Namespace):
     from edit3r.geometry.cameras import intrinsics_from_fov
 
     height, width = SIZES[args.size][2]
-    images = torch.rand(1, args.views, 3, height, width, generator=torch.Generator().manual_seed(0))
+    images = torch.rand(
+        1, args.views, 3, height, width, generator=torch.Generator().manual_seed(0)
+    )
     return images, intrinsics_from_fov(1.0, (height, width)).repeat(1, args.views, 1, 1)
 
 
@@ -169,18 +234,22 @@ def _table(rows: list[Row], args: argparse.Namespace) -> str:
 
     size = "x".join(str(side) for side in SIZES[args.size][2])
     lines = [
-        f"{args.size} size, {args.views} views of {size}, {args.threads} thread(s), random weights, torch "
+        f"{args.size} size, {args.views} views of {size}, {args.threads} thread(s), random "
+        "weights, torch "
         f"{torch.__version__}, {_processor()}; best of {args.repeats}.",
         "",
-        f"<!-- figures: python benchmarks/network.py --size {args.size} --write docs/network.md -->",
-        "| mode | processor s | plain eager float32, same process, s | faster by | peak memory of the process | "
+        f"<!-- figures: python benchmarks/network.py --size {args.size} --write docs/network.md "
+        "-->",
+        "| mode | processor s | plain eager float32, same process, s | faster by | peak memory "
+        "of the process | "
         "error of means / opacities / scales / harmonics |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
     ]
     for row in rows:
         errors = " / ".join(f"{error:.1e}" for error in row.errors.values())
         lines.append(
-            f"| {row.mode} | {row.seconds:.2f} | {row.plain_seconds:.2f} | {row.ratio:.2f}x | {row.peak_mb:.0f} MB | "
+            f"| {row.mode} | {row.seconds:.2f} | {row.plain_seconds:.2f} | {row.ratio:.2f}x | "
+            f"{row.peak_mb:.0f} MB | "
             f"{errors} |"
         )
     return "\n".join(lines)
@@ -188,7 +257,11 @@ def _table(rows: list[Row], args: argparse.Namespace) -> str:
 
 def _processor() -> str:
     table = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
+    found = (
+        re.search(r"model name\s*: (.+)", table.read_text())
+        if table.is_file()
+        else None
+    )
     return found[1] if found else platform.processor()
 
 
@@ -198,10 +271,20 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--modes", nargs="+", choices=MODES, metavar="MODE", help=f"of: {'; '.join(MODES)}")
-    parser.add_argument("--write", type=Path, help="Markdown file whose table to replace")
+    parser.add_argument(
+        "--modes",
+        nargs="+",
+        choices=MODES,
+        metavar="MODE",
+        help=f"of: {'; '.join(MODES)}",
+    )
+    parser.add_argument(
+        "--write", type=Path, help="Markdown file whose table to replace"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--measure", choices=("memory", "speed"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--measure", choices=("memory", "speed"), help=argparse.SUPPRESS
+    )
     return parser.parse_args()
 
 

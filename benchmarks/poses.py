@@ -2,11 +2,12 @@
 
     python benchmarks/poses.py FOLDER... --size 512 --matches sift
 
-Each folder holds photos and a cameras.json with intrinsics and poses. For each class of angles, pairs evenly spread
-over all that are so far apart are registered with the lens known, or (`--lens unknown`) with one that is read from the
-photos. Printed: how many were refused, how many of the accepted are wrong (rotation or direction off by more than 10
-degrees), the area under the curve of the larger of both errors up to 5, 10 and 20 degrees, and median and 90 % of both
-errors over the right ones; processor seconds a pair, features and matches included.
+Each folder holds photos and a cameras.json with intrinsics and poses. For each class of angles,
+pairs evenly spread over all that are so far apart are registered with the lens known, or (`--lens
+unknown`) with one that is read from the photos. Printed: how many were refused, how many of the
+accepted are wrong (rotation or direction off by more than 10 degrees), the area under the curve of
+the larger of both errors up to 5, 10 and 20 degrees, and median and 90 % of both errors over the
+right ones; processor seconds a pair, features and matches included.
 """
 
 import argparse
@@ -49,10 +50,16 @@ def angle(rotation: np.ndarray) -> float:
     return float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation)[0])))
 
 
-def pairs_of(cameras: Sequence[PosedCamera], degrees: tuple[float, float], count: int) -> list[tuple[int, int]]:
+def pairs_of(
+    cameras: Sequence[PosedCamera], degrees: tuple[float, float], count: int
+) -> list[tuple[int, int]]:
     """At most `count` pairs so far apart, spread evenly over their angles."""
     turns = [camera.c2w[:3, :3] for camera in cameras]
-    every = [(angle(turns[a].T @ turns[b]), a, b) for a in range(len(turns)) for b in range(a + 1, len(turns))]
+    every = [
+        (angle(turns[a].T @ turns[b]), a, b)
+        for a in range(len(turns))
+        for b in range(a + 1, len(turns))
+    ]
     fitting = sorted(pair for pair in every if degrees[0] <= pair[0] < degrees[1])
     if not fitting:
         return []
@@ -61,11 +68,21 @@ def pairs_of(cameras: Sequence[PosedCamera], degrees: tuple[float, float], count
 
 
 def read_image(folder: Path, camera: PosedCamera, size: int) -> CalibratedImage:
-    pixels = cv2.cvtColor(cv2.imread(str(folder / camera.file)), cv2.COLOR_BGR2RGB).astype(np.float32) / 255
+    pixels = (
+        cv2.cvtColor(cv2.imread(str(folder / camera.file)), cv2.COLOR_BGR2RGB).astype(
+            np.float32
+        )
+        / 255
+    )
     return CalibratedImage(pixels, camera.K).reduced(size)
 
 
-def measure(folder: Path, pair: Sequence[PosedCamera], settings: FeatureSettings, args: argparse.Namespace) -> Row:
+def measure(
+    folder: Path,
+    pair: Sequence[PosedCamera],
+    settings: FeatureSettings,
+    args: argparse.Namespace,
+) -> Row:
     """Register one pair and compare with its cameras."""
     images = [read_image(folder, camera, args.size) for camera in pair]
     began = time.process_time()
@@ -73,10 +90,14 @@ def measure(folder: Path, pair: Sequence[PosedCamera], settings: FeatureSettings
         images = [image.with_fov(ASSUMED_FOV) for image in images]
     found = find_features(images, settings)
     if args.lens == "unknown":
-        fov = calibrate(images, {(0, 1): found.matches(images, 0, 1)}, args.threshold, 0)
+        fov = calibrate(
+            images, {(0, 1): found.matches(images, 0, 1)}, args.threshold, 0
+        )
         images = images if fov is None else [image.with_fov(fov) for image in images]
     try:
-        registration = register(images, [camera.file for camera in pair], found, args.threshold, 0)
+        registration = register(
+            images, [camera.file for camera in pair], found, args.threshold, 0
+        )
     except MatchingError:
         return Row(None, None, 0, time.process_time() - began)
     seconds = time.process_time() - began
@@ -85,19 +106,31 @@ def measure(folder: Path, pair: Sequence[PosedCamera], settings: FeatureSettings
     lengths = np.linalg.norm(true.translation) * np.linalg.norm(own.translation)
     cosine = np.clip(true.translation @ own.translation / lengths, -1, 1)
     turned = angle(own.rotation @ true.rotation.T)
-    return Row(turned, float(np.degrees(np.arccos(cosine))), len(registration.pairs[0, 1].matches), seconds)
+    return Row(
+        turned,
+        float(np.degrees(np.arccos(cosine))),
+        len(registration.pairs[0, 1].matches),
+        seconds,
+    )
 
 
 def area(rows: Sequence[Row], limit: float) -> float:
-    """Area under the curve of the share of pairs whose larger error is below an angle, up to `limit` [%]."""
+    """Area under the curve of the share of pairs whose larger error is below an angle, up to
+    `limit` [%].
+    """
     return 100 * float(np.mean([max(0.0, 1 - row.larger / limit) for row in rows]))
 
 
 def table_row(degrees: tuple[float, float], rows: Sequence[Row]) -> str:
     refused = sum(row.rotation is None for row in rows)
     right = [row for row in rows if row.larger <= WRONG]
-    errors = [[getattr(row, name) for row in right] or [float("nan")] for name in ("rotation", "direction")]
-    shown = [f"{np.median(values):.2f}, {np.quantile(values, 0.9):.2f}" for values in errors]
+    errors = [
+        [getattr(row, name) for row in right] or [float("nan")]
+        for name in ("rotation", "direction")
+    ]
+    shown = [
+        f"{np.median(values):.2f}, {np.quantile(values, 0.9):.2f}" for values in errors
+    ]
     areas = "/".join(f"{area(rows, limit):.0f}" for limit in (5, 10, 20))
     wrong = len(rows) - refused - len(right)
     seconds = np.mean([row.seconds for row in rows])
@@ -106,24 +139,33 @@ def table_row(degrees: tuple[float, float], rows: Sequence[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--pairs", type=int, default=7, help="of each folder and class")
-    parser.add_argument("--matches", choices=("auto", "sift", "learned"), default="sift")
+    parser.add_argument(
+        "--matches", choices=("auto", "sift", "learned"), default="sift"
+    )
     parser.add_argument("--detection-size", type=int, default=640)
     parser.add_argument("--lens", choices=("known", "unknown"), default="known")
     parser.add_argument("--threshold", type=float, default=1.0)
     args = parser.parse_args()
     settings = FeatureSettings(matches=args.matches, detection_size=args.detection_size)
-    print("| angle | pairs | refused | wrong | AUC@5/10/20 | rotation, median, 90 % [°] | direction | CPU s |")
+    print(
+        "| angle | pairs | refused | wrong | AUC@5/10/20 | rotation, median, 90 % [°] | "
+        "direction | CPU s |"
+    )
     print("| --- | --: | --: | --: | --: | --: | --: | --: |")
     for degrees in CLASSES:
         rows = []
         for folder in args.folders:
             cameras = read_posed_folder(folder).cameras
             for pair in pairs_of(cameras, degrees, args.pairs):
-                rows.append(measure(folder, [cameras[index] for index in pair], settings, args))
+                rows.append(
+                    measure(folder, [cameras[index] for index in pair], settings, args)
+                )
         if rows:
             print(table_row(degrees, rows), flush=True)
 

@@ -4,10 +4,11 @@
     python benchmarks/rasterizers.py --growth        # also 1e3 to 4e6 Gaussians, 128x128 to 1024x1024, with a plot
     python benchmarks/rasterizers.py --growth --torch-seconds 600 --out docs/images
 
-The scene is what a feed-forward reconstructor makes: one Gaussian per pixel of two square views of a wavy wall, 1 to 2
-pixels across (twice the standard deviation), opacities 0.2 to 1, plain colours. Times are wall milliseconds, minimum
-and median of the repetitions; CPU milliseconds of the rendering thread tell how much of the wall time another job took
-(only with one thread). Needs matplotlib for the plot.
+The scene is what a feed-forward reconstructor makes: one Gaussian per pixel of two square views of
+a wavy wall, 1 to 2 pixels across (twice the standard deviation), opacities 0.2 to 1, plain colours.
+Times are wall milliseconds, minimum and median of the repetitions; CPU milliseconds of the
+rendering thread tell how much of the wall time another job took (only with one thread). Needs
+matplotlib for the plot.
 """
 
 import argparse
@@ -21,9 +22,9 @@ from pathlib import Path
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import intrinsics_from_fov, unproject
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 COUNTS = (1_000, 10_000, 131_072, 1_000_000, 4_000_000)
@@ -46,7 +47,9 @@ class Timing:
 
 
 def pixel_aligned(count: int, seed: int = 0) -> Gaussians:
-    """About `count` Gaussians, one per pixel of two square views; exactly 131,072 for views of 256x256."""
+    """About `count` Gaussians, one per pixel of two square views; exactly 131,072 for views of
+    256x256.
+    """
     side = max(2, round(math.sqrt(count / 2)))
     draw = torch.Generator().manual_seed(seed)
     return Gaussians.cat([_view(view, side, draw) for view in range(2)])
@@ -59,9 +62,15 @@ def _view(view: int, side: int, draw: torch.Generator) -> Gaussians:
     c2w[2, 0], c2w[0, 2], c2w[0, 3] = math.sin(angle), -math.sin(angle), 0.3 * view
     line = torch.linspace(0, 1, side)
     y, x = torch.meshgrid(line, line, indexing="ij")
-    depths = 3 + 0.6 * torch.sin(5 * x + view) * torch.cos(4 * y) + 0.01 * torch.rand(side, side, generator=draw)
+    depths = (
+        3
+        + 0.6 * torch.sin(5 * x + view) * torch.cos(4 * y)
+        + 0.01 * torch.rand(side, side, generator=draw)
+    )
     means = unproject(depths[None], intrinsics[None], c2w[None]).reshape(1, -1, 3)
-    pixel = depths.reshape(1, -1, 1) / (intrinsics[0, 0] * side)  # width of a pixel at that depth [scene units]
+    pixel = depths.reshape(1, -1, 1) / (
+        intrinsics[0, 0] * side
+    )  # width of a pixel at that depth [scene units]
     total = side * side
     return Gaussians(
         means,
@@ -73,11 +82,25 @@ def _view(view: int, side: int, draw: torch.Generator) -> Gaussians:
 
 
 def front_camera(size: int) -> Cameras:
-    return Cameras(torch.eye(4)[None, None], intrinsics_from_fov(1.0, (size, size))[None, None], (size, size))
+    return Cameras(
+        torch.eye(4)[None, None],
+        intrinsics_from_fov(1.0, (size, size))[None, None],
+        (size, size),
+    )
 
 
-def measure(name: str, rasterizer: Rasterizer, threads: int, count: int, size: int, backward: bool, budget: float):
-    """Time one configuration: one run to warm up, then 20, or fewer for one that takes longer than `budget` [s]."""
+def measure(
+    name: str,
+    rasterizer: Rasterizer,
+    threads: int,
+    count: int,
+    size: int,
+    backward: bool,
+    budget: float,
+):
+    """Time one configuration: one run to warm up, then 20, or fewer for one that takes longer than
+    `budget` [s].
+    """
     torch.set_num_threads(threads)
     scene, camera = pixel_aligned(count), front_camera(size)
     frame = _frame(rasterizer, scene, camera, backward)
@@ -89,14 +112,28 @@ def measure(name: str, rasterizer: Rasterizer, threads: int, count: int, size: i
         walls.append(1e3 * (time.perf_counter() - wall))
         cpus.append(1e3 * (time.thread_time() - cpu))
     median = sorted(walls)[len(walls) // 2]
-    return Timing(name, threads, scene.count, size, backward, min(walls), median, min(cpus), len(walls))
+    return Timing(
+        name,
+        threads,
+        scene.count,
+        size,
+        backward,
+        min(walls),
+        median,
+        min(cpus),
+        len(walls),
+    )
 
 
-def _frame(rasterizer: Rasterizer, scene: Gaussians, camera: Cameras, backward: bool) -> Callable[[], None]:
+def _frame(
+    rasterizer: Rasterizer, scene: Gaussians, camera: Cameras, backward: bool
+) -> Callable[[], None]:
     if not backward:
         return lambda: rasterizer.render(scene, camera)
     leaves = [getattr(scene, name).clone().requires_grad_() for name in FIELDS]
-    weights = torch.randn(1, 1, 3, *camera.image_size, generator=torch.Generator().manual_seed(1))
+    weights = torch.randn(
+        1, 1, 3, *camera.image_size, generator=torch.Generator().manual_seed(1)
+    )
 
     def frame() -> None:
         for leaf in leaves:
@@ -111,20 +148,56 @@ def table(threads: tuple[int, ...], torch_seconds: float) -> Iterator[Timing]:
     for size in (256, 512):
         for backward in (False, True):
             for number in threads:
-                yield measure("numba", edit3r.build("rasterizer", "numba"), number, 131_072, size, backward, 1e9)
+                yield measure(
+                    "numba",
+                    edit3r.build("rasterizer", "numba"),
+                    number,
+                    131_072,
+                    size,
+                    backward,
+                    1e9,
+                )
             if torch_seconds:
                 reference = edit3r.build("rasterizer", "torch")
-                yield measure("torch", reference, threads[0], 131_072, size, backward, torch_seconds)
+                yield measure(
+                    "torch",
+                    reference,
+                    threads[0],
+                    131_072,
+                    size,
+                    backward,
+                    torch_seconds,
+                )
 
 
 def growth(torch_seconds: float) -> Iterator[Timing]:
-    """From few to many Gaussians at 256x256, and from small to large pictures with 131,072 Gaussians; one thread."""
-    cases = [(count, 256) for count in COUNTS] + [(131_072, size) for size in SIZES if size != 256]
+    """From few to many Gaussians at 256x256, and from small to large pictures with 131,072
+    Gaussians; one thread.
+    """
+    cases = [(count, 256) for count in COUNTS] + [
+        (131_072, size) for size in SIZES if size != 256
+    ]
     for count, size in cases:
         for backward in (False, True):
-            yield measure("numba", edit3r.build("rasterizer", "numba"), 1, count, size, backward, 60)
+            yield measure(
+                "numba",
+                edit3r.build("rasterizer", "numba"),
+                1,
+                count,
+                size,
+                backward,
+                60,
+            )
         if torch_seconds and count <= 131_072:
-            yield measure("torch", edit3r.build("rasterizer", "torch"), 1, count, size, False, torch_seconds)
+            yield measure(
+                "torch",
+                edit3r.build("rasterizer", "torch"),
+                1,
+                count,
+                size,
+                False,
+                torch_seconds,
+            )
 
 
 def print_row(timing: Timing) -> None:
@@ -137,14 +210,20 @@ def print_row(timing: Timing) -> None:
 
 
 def plot(timings: list[Timing], path: Path) -> None:
-    """Two panels of least CPU times: by number of Gaussians at 256x256, by picture size with 131,072."""
+    """Two panels of least CPU times: by number of Gaussians at 256x256, by picture size with
+    131,072.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, panels = pyplot.subplots(1, 2, figsize=(10, 4), sharey=True)
-    lines = (("numba", False, "#1b6ca8"), ("numba", True, "#e07b39"), ("torch", False, "#777777"))
+    lines = (
+        ("numba", False, "#1b6ca8"),
+        ("numba", True, "#e07b39"),
+        ("torch", False, "#777777"),
+    )
     for name, backward, colour in lines:
         own = [t for t in timings if (t.rasterizer, t.backward) == (name, backward)]
         label = f"{name}, forward{' + backward' if backward else ''}"
@@ -159,7 +238,12 @@ def plot(timings: list[Timing], path: Path) -> None:
         xlabel="Gaussians (256 x 256 pixels)",
         ylabel="CPU ms per frame, one thread, minimum",
     )
-    panels[1].set(xscale="log", xlabel="picture side [pixels] (131,072 Gaussians)", xticks=SIZES, xticklabels=SIZES)
+    panels[1].set(
+        xscale="log",
+        xlabel="picture side [pixels] (131,072 Gaussians)",
+        xticks=SIZES,
+        xticklabels=SIZES,
+    )
     panels[1].minorticks_off()
     for panel in panels:
         panel.grid(True, which="major", alpha=0.3)
@@ -170,14 +254,27 @@ def plot(timings: list[Timing], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--growth", action="store_true", help="also measure and plot the growth")
-    parser.add_argument("--out", type=Path, default=Path("."), help="folder for rasterizer-growth.png and its figures")
     parser.add_argument(
-        "--torch-seconds", type=float, default=20, help="per configuration of the reference; 0: skip it"
+        "--growth", action="store_true", help="also measure and plot the growth"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("."),
+        help="folder for rasterizer-growth.png and its figures",
+    )
+    parser.add_argument(
+        "--torch-seconds",
+        type=float,
+        default=20,
+        help="per configuration of the reference; 0: skip it",
     )
     options = parser.parse_args()
     every = torch.get_num_threads()
-    print("| rasterizer | threads | Gaussians | size | what | min ms | median ms | CPU ms | repetitions |")
+    print(
+        "| rasterizer | threads | Gaussians | size | what | min ms | median ms | CPU ms | "
+        "repetitions |"
+    )
     print("| --- | --: | --: | --: | --- | --: | --: | --: | --: |")
     for timing in table((1,) if every == 1 else (1, every), options.torch_seconds):
         print_row(timing)

@@ -1,10 +1,12 @@
-"""What a fit of procedural scenes costs and gives: novel-view PSNR and CPU seconds against the number of steps.
+"""What a fit of procedural scenes costs and gives: novel-view PSNR and CPU seconds against the
+number of steps.
 
     python benchmarks/refit_scenes.py --scenes 3 --views 2 --steps 100 300 1000
     python benchmarks/refit_scenes.py --methods --steps 300
 
-True poses, four novel views a scene, one thread (set OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1). CPU time of this process,
-so that other work on the machine changes little. The first line of a scene is the reconstruction that fits begin from.
+True poses, four novel views a scene, one thread (set OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1). CPU
+time of this process, so that other work on the machine changes little. The first line of a scene is
+the reconstruction that fits begin from.
 """
 
 import argparse
@@ -16,8 +18,8 @@ import torch
 from edit3r_measure.metrics import psnr
 
 import edit3r
-from edit3r.interfaces import SceneSample
-from edit3r.types import EditRequest, Gaussians, Views
+from edit3r.contract.interfaces import SceneSample
+from edit3r.contract.types import EditRequest, Gaussians, Views
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 SCENE_SEED = 3  # of the data set; training and the benchmark use others
@@ -25,7 +27,14 @@ SCENE_SEED = 3  # of the data set; training and the benchmark use others
 
 def sample_of(index: int, views: int, size: int) -> SceneSample:
     """One scene with `views` photos and four novel views."""
-    return edit3r.build("dataset", "procedural", image_size=size, context=views, targets=4, seed=SCENE_SEED)[index]
+    return edit3r.build(
+        "dataset",
+        "procedural",
+        image_size=size,
+        context=views,
+        targets=4,
+        seed=SCENE_SEED,
+    )[index]
 
 
 def posed_views(sample: SceneSample) -> Views:
@@ -38,7 +47,10 @@ def novel_psnr(gaussians: Gaussians, sample: SceneSample, rasterizer) -> float:
     """Return the mean over the novel views [dB]."""
     with torch.no_grad():
         images = rasterizer.render(gaussians, sample.target_cameras).images[0]
-    return fmean(psnr(image.numpy(), target.numpy()) for image, target in zip(images, sample.target))
+    return fmean(
+        psnr(image.numpy(), target.numpy())
+        for image, target in zip(images, sample.target)
+    )
 
 
 def timed(call):
@@ -50,18 +62,32 @@ def timed(call):
 
 def measure_steps(args: argparse.Namespace) -> None:
     rasterizer = edit3r.build("rasterizer", "numba")
-    print(f"{args.views} views of {args.size}x{args.size}; scene, steps, PSNR of novel views [dB], CPU [s], Gaussians")
+    print(
+        f"{args.views} views of {args.size}x{args.size}; scene, steps, PSNR of novel views [dB], "
+        "CPU [s], Gaussians"
+    )
     for index in range(args.scenes):
         sample = sample_of(index, args.views, args.size)
         views = posed_views(sample)
         first = edit3r.build("reconstructor", "classical", matcher="posed")
         result, seconds = timed(lambda first=first, views=views: first(views))
-        print(index, 0, f"{novel_psnr(result.gaussians, sample, rasterizer):.2f} {seconds:.1f}", result.gaussians.count)
+        print(
+            index,
+            0,
+            f"{novel_psnr(result.gaussians, sample, rasterizer):.2f} {seconds:.1f}",
+            result.gaussians.count,
+        )
         for steps in args.steps:
             method = edit3r.build("reconstructor", "refit", steps=steps)
             result, seconds = timed(lambda method=method, views=views: method(views))
             decibels = novel_psnr(result.gaussians, sample, rasterizer)
-            print(index, steps, f"{decibels:.2f} {seconds:.1f}", result.gaussians.count, flush=True)
+            print(
+                index,
+                steps,
+                f"{decibels:.2f} {seconds:.1f}",
+                result.gaussians.count,
+                flush=True,
+            )
 
 
 def measure_methods(args: argparse.Namespace) -> None:
@@ -70,14 +96,20 @@ def measure_methods(args: argparse.Namespace) -> None:
     views, request = posed_views(sample), EditRequest("make it red")
     editor = edit3r.build("editor", "recolor")
     edited = editor.edit(views, request)
-    wanted = editor.edit(Views(sample.target[None], sample.target_cameras.intrinsics), request)
+    wanted = editor.edit(
+        Views(sample.target[None], sample.target_cameras.intrinsics), request
+    )
     truth = replace(sample, target=wanted.images[0])
     rasterizer = edit3r.build("rasterizer", "numba")
     for name in METHODS:
         settings = {"steps": args.steps[0], "edit_steps": args.steps[0]}
         method = edit3r.build("reconstructor", name, {"editor": editor}, **settings)
         result, seconds = timed(lambda method=method: method(edited, views, request))
-        print(name, f"{novel_psnr(result.gaussians, truth, rasterizer):.2f} dB {seconds:.1f} s", flush=True)
+        print(
+            name,
+            f"{novel_psnr(result.gaussians, truth, rasterizer):.2f} dB {seconds:.1f} s",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -86,7 +118,9 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--steps", type=int, nargs="+", default=[100, 300, 1000])
-    parser.add_argument("--methods", action="store_true", help="one run of each method instead")
+    parser.add_argument(
+        "--methods", action="store_true", help="one run of each method instead"
+    )
     args = parser.parse_args()
     (measure_methods if args.methods else measure_steps)(args)
 

@@ -1,10 +1,12 @@
-"""Is what `retouch` shows behind a removed object true? Generated scenes whose object can really be taken away.
+"""Is what `retouch` shows behind a removed object true? Generated scenes whose object can really be
+taken away.
 
     python benchmarks/retouch.py --scenes 24 --size 128
 
-PSNR [dB] over the pixels of the holes, against the rendered truth: of OpenCV's inpainting of each photo alone, of
-`retouch`, and of `retouch` given the true depths; once where another photo sees behind the object (points of its true
-depths fall there), once over whole holes. Scenes whose photos cannot be matched are counted.
+PSNR [dB] over the pixels of the holes, against the rendered truth: of OpenCV's inpainting of each
+photo alone, of `retouch`, and of `retouch` given the true depths; once where another photo sees
+behind the object (points of its true depths fall there), once over whole holes. Scenes whose photos
+cannot be matched are counted.
 """
 
 import argparse
@@ -14,11 +16,11 @@ import torch
 from edit3r_editors.retouch import behind
 
 import edit3r
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.maps import dilate
-from edit3r.interfaces import MatchedGeometry
-from edit3r.types import EditRequest, Views
 
 
 def psnr(image: torch.Tensor, truth: torch.Tensor, where: torch.Tensor) -> float:
@@ -28,22 +30,38 @@ def psnr(image: torch.Tensor, truth: torch.Tensor, where: torch.Tensor) -> float
 
 
 def seen_behind(holes: torch.Tensor, depths: torch.Tensor, cameras) -> torch.Tensor:
-    """Pixels of the holes [view height width] where another view's points fall that are no part of what is removed."""
-    intrinsics, c2w, (height, width) = cameras.intrinsics[0], cameras.c2w[0], holes.shape[-2:]
-    points, kept, seen = unproject(depths, intrinsics, c2w), dilate(holes.float(), 2) == 0, torch.zeros_like(holes)
+    """Pixels of the holes [view height width] where another view's points fall that are no part of
+    what is removed.
+    """
+    intrinsics, c2w, (height, width) = (
+        cameras.intrinsics[0],
+        cameras.c2w[0],
+        holes.shape[-2:],
+    )
+    points, kept, seen = (
+        unproject(depths, intrinsics, c2w),
+        dilate(holes.float(), 2) == 0,
+        torch.zeros_like(holes),
+    )
     for view in range(len(holes)):
         places, z = project(torch.cat([p[k] for o, (p, k) in enumerate(zip(points, kept)) if o != view]),
                             intrinsics[view], c2w[view])  # fmt: skip
         column, row = (places * torch.tensor([width, height])).floor().long().unbind(-1)
-        inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        inside = (
+            (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        )
         seen[view][row[inside], column[inside]] = True
     return (dilate(seen.float(), 1) > 0) & holes
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scenes", type=int, default=24)
-    parser.add_argument("--size", type=int, default=128, help="side of the images [pixels]")
+    parser.add_argument(
+        "--size", type=int, default=128, help="side of the images [pixels]"
+    )
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--seed", type=int, default=77)
     options = parser.parse_args()
@@ -62,7 +80,11 @@ def main() -> None:
         changed = (sample.context != sample.edited_context).any(1)
         holes = dilate(changed.float(), 1) > 0
         cameras = sample.context_cameras
-        views = Views(sample.context[None], cameras.intrinsics, tuple(map(str, range(options.views))))
+        views = Views(
+            sample.context[None],
+            cameras.intrinsics,
+            tuple(map(str, range(options.views))),
+        )
         truth = MatchedGeometry(
             cameras.c2w, sample.context_depths[None], torch.ones_like(sample.context_depths)[None],
             torch.ones(1, options.views, dtype=torch.bool),
@@ -75,20 +97,32 @@ def main() -> None:
         except MatchingError:
             lost += 1
             continue
-        retouched = editor.edit(views, EditRequest("", 0, holes[None].float())).images[0]
-        alone = torch.stack([_alone(editor, *one) for one in zip(views.images[0], holes)])
+        retouched = editor.edit(views, EditRequest("", 0, holes[None].float())).images[
+            0
+        ]
+        alone = torch.stack(
+            [_alone(editor, *one) for one in zip(views.images[0], holes)]
+        )
         best, carried = behind(views, holes, truth, 0, 2)
-        best = torch.stack([_alone(editor, *one) for one in zip(best, holes & ~carried)])
+        best = torch.stack(
+            [_alone(editor, *one) for one in zip(best, holes & ~carried)]
+        )
         rows.append([psnr(image, sample.edited_context, where)
                      for where in (seen, holes) for image in (alone, retouched, best)])  # fmt: skip
         print(
-            f"{sample.name:20} hole {float(holes.float().mean()):.3f} seen {float(seen[holes].float().mean()):.2f}",
+            f"{sample.name:20} hole {float(holes.float().mean()):.3f} seen "
+            f"{float(seen[holes].float().mean()):.2f}",
             *(f"{v:.1f}" for v in rows[-1]),
         )
     means, gains = np.mean(rows, 0), np.array(rows)[:, 1] - np.array(rows)[:, 0]
-    told = [f"inpainting {a:.2f}, retouch {b:.2f}, with true depths {c:.2f} dB" for a, b, c in (means[:3], means[3:])]
-    print(f"{len(rows)} scenes, {lost} not matched; where another photo sees behind: {told[0]} (better in "
-          f"{(gains > 0).sum()} scenes, median gain {np.median(gains):.2f}); whole holes: {told[1]}")  # fmt: skip
+    told = [
+        f"inpainting {a:.2f}, retouch {b:.2f}, with true depths {c:.2f} dB"
+        for a, b, c in (means[:3], means[3:])
+    ]
+    print(f"{len(rows)} scenes, {lost} not matched; where another photo sees behind: {told[0]} "
+          "(better in "
+          f"{(gains > 0).sum()} scenes, median gain {np.median(gains):.2f}); whole holes: "
+          f"{told[1]}")  # fmt: skip
 
 
 def _alone(editor, image, hole):

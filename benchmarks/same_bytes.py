@@ -1,9 +1,10 @@
-"""Does the same seed give the same bytes? Runs the stages in many fresh processes with different numbers of threads.
+"""Does the same seed give the same bytes? Runs the stages in many fresh processes with different
+numbers of threads.
 
     python benchmarks/same_bytes.py --processes 200
 
-A fresh process matters: what differs is often only the first call of a library in it. Prints one line per stage: how
-many different answers there were. Exit code 1 where there was more than one.
+A fresh process matters: what differs is often only the first call of a library in it. Prints one
+line per stage: how many different answers there were. Exit code 1 where there was more than one.
 """
 
 import argparse
@@ -19,9 +20,9 @@ STAGES = """
 import hashlib, json, sys
 import torch
 from edit3r.io.images import load_views, packaged_pair
-from edit3r.pipeline import run
-from edit3r.run_config import RunConfig
-from edit3r.selection import Selection
+from edit3r.pipeline.steps import run
+from edit3r.pipeline.config import RunConfig
+from edit3r.selection.select import Selection
 
 def digest(*tensors):
     return hashlib.sha256(b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)).hexdigest()[:16]
@@ -41,20 +42,35 @@ print(json.dumps({
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--processes", type=int, default=200)
-    parser.add_argument("--size", type=int, default=96, help="longest side of the photos [pixels]")
+    parser.add_argument(
+        "--size", type=int, default=96, help="longest side of the photos [pixels]"
+    )
     options = parser.parse_args()
-    answers: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
+    answers: dict[str, collections.Counter] = collections.defaultdict(
+        collections.Counter
+    )
     for index in range(options.processes):
         threads = str(THREADS[index % len(THREADS)])
-        environment = {**os.environ, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": threads,
+            "NUMBA_NUM_THREADS": threads,
+        }
         command = [sys.executable, "-c", STAGES, threads, str(options.size)]
-        printed = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True).stdout
+        printed = subprocess.run(
+            command, env=environment, stdout=subprocess.PIPE, check=True
+        ).stdout
         for stage, found in json.loads(printed).items():
             answers[stage][found] += 1
     for stage, found in answers.items():
-        print(f"{stage:10} {len(found)} different in {options.processes} processes {list(found.values())}")
+        print(
+            f"{stage:10} {len(found)} different in {options.processes} processes "
+            f"{list(found.values())}"
+        )
     return int(any(len(found) > 1 for found in answers.values()))
 
 

@@ -1,11 +1,12 @@
-"""The resumable runner with 100,000 fake jobs, of which some fail, some kill their worker, and some are in the middle
-when the whole batch is killed.
+"""The resumable runner with 100,000 fake jobs, of which some fail, some kill their worker, and some
+are in the middle when the whole batch is killed.
 
     python benchmarks/scale.py DIR --jobs 100000 --workers 2 --kills 20
 
-A fake job leaves a file, as a real one leaves its folder; one that is there already would end the batch. At the end
-every job must have a row, and a file unless it failed. Also measured: what a folder that appears whole costs beside
-1,000, 10,000 and 100,000 others. Processor seconds, since the machine may do other things.
+A fake job leaves a file, as a real one leaves its folder; one that is there already would end the
+batch. At the end every job must have a row, and a file unless it failed. Also measured: what a
+folder that appears whole costs beside 1,000, 10,000 and 100,000 others. Processor seconds, since
+the machine may do other things.
 """
 
 import argparse
@@ -31,7 +32,9 @@ class FakeRunner:
     """What `edit3r batch` does with a job, without the scene."""
 
     out: Path
-    start: int  # of the batch: a worker that died of a job is not bound to die of it again
+    start: (
+        int  # of the batch: a worker that died of a job is not bound to die of it again
+    )
 
     def __call__(self, key: str) -> dict:
         place = self.out / "done" / key[-2:] / key
@@ -54,20 +57,37 @@ def serve(out: Path, count: int, workers: int, start: int) -> None:
     """One call of the batch: what failed is tried once more, as `edit3r batch` does."""
     rows = read_rows(out / "rows.jsonl")
     if any("died" in row.get("failure", "") for row in rows.values()):
-        write_rows(out / "rows.jsonl", [row for row in rows.values() if "died" not in row.get("failure", "")])
+        write_rows(
+            out / "rows.jsonl",
+            [row for row in rows.values() if "died" not in row.get("failure", "")],
+        )
     jobs = {f"job-{number:06d}": f"job-{number:06d}" for number in range(count)}
     runner, staff = FakeRunner(out, start), Workers(workers, may_die=True)
     run_resumable(jobs, runner, out / "rows.jsonl", workers=staff)
 
 
 def supervise(out: Path, count: int, workers: int, kills: int) -> None:
-    """Start the batch again and again, killing it `kills` times, until every job has a row that is no death."""
+    """Start the batch again and again, killing it `kills` times, until every job has a row that is
+    no death.
+    """
     began, start, deaths = time.monotonic(), 0, 0
-    places = sorted(random.Random(0).sample(range(count * 9 // 10), kills))  # rows after which to kill
+    places = sorted(
+        random.Random(0).sample(range(count * 9 // 10), kills)
+    )  # rows after which to kill
     while True:
-        command = [sys.executable, __file__, str(out), "--serve", str(start), "--jobs", str(count)]
+        command = [
+            sys.executable,
+            __file__,
+            str(out),
+            "--serve",
+            str(start),
+            "--jobs",
+            str(count),
+        ]
         child = subprocess.Popen([*command, "--workers", str(workers)])
-        while child.poll() is None and (not places or _lines(out / "rows.jsonl") < places[0]):
+        while child.poll() is None and (
+            not places or _lines(out / "rows.jsonl") < places[0]
+        ):
             time.sleep(0.2)
         if child.poll() is None and places:
             child.send_signal(signal.SIGKILL)
@@ -84,9 +104,17 @@ def supervise(out: Path, count: int, workers: int, kills: int) -> None:
     done = {path.name for path in (out / "done").glob("*/*")}
     failed = {key for key, row in rows.items() if "failure" in row}
     killed = kills - len(places)
-    print(f"{count:,} jobs, {workers} workers; batch killed {killed} times, {deaths} workers died, {start} starts")
-    print(f"rows {len(rows):,}: done {len(done):,}, failed {len(failed):,}; begun and not ended {begun - len(done):,}")
-    print(f"processor {used.ru_utime + used.ru_stime:.0f} s, wall {time.monotonic() - began:.0f} s")
+    print(
+        f"{count:,} jobs, {workers} workers; batch killed {killed} times, {deaths} workers died, "
+        f"{start} starts"
+    )
+    print(
+        f"rows {len(rows):,}: done {len(done):,}, failed {len(failed):,}; begun and not ended "
+        f"{begun - len(done):,}"
+    )
+    print(
+        f"processor {used.ru_utime + used.ru_stime:.0f} s, wall {time.monotonic() - began:.0f} s"
+    )
     assert len(rows) == count and len(done) + len(failed) == count and not done & failed
 
 
@@ -101,7 +129,9 @@ def folders(out: Path) -> None:
         for number in range(10):
             with atomic_folder(out / "folders" / f"new-{count}-{number}") as folder:
                 (folder / "run.json").write_text("{}")
-        print(f"a folder beside {count:,}: {100 * (time.process_time() - start):.1f} ms")
+        print(
+            f"a folder beside {count:,}: {100 * (time.process_time() - start):.1f} ms"
+        )
 
 
 def _lines(path: Path) -> int:
@@ -110,7 +140,9 @@ def _lines(path: Path) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("out", type=Path, help="an empty folder")
     parser.add_argument("--jobs", type=int, default=100_000)
     parser.add_argument("--workers", type=int, default=2)

@@ -1,8 +1,10 @@
-"""How large the viewer's page is and how soon it shows: `python benchmarks/viewer_page.py PAGE... [--pictures DIR]`.
+"""How large the viewer's page is and how soon it shows: `python benchmarks/viewer_page.py PAGE...
+[--pictures DIR]`.
 
-In headless Chromium that draws by software; needs playwright and the program chromium. CPU seconds are those of all
-processes of the browser from opening the page to its first picture, so they hold on a busy machine too. With
-`--pictures`, what people see is saved too: the start, the look before, turned a little and far, and enlarged.
+In headless Chromium that draws by software; needs playwright and the program chromium. CPU seconds
+are those of all processes of the browser from opening the page to its first picture, so they hold
+on a busy machine too. With `--pictures`, what people see is saved too: the start, the look before,
+turned a little and far, and enlarged.
 """
 
 import argparse
@@ -12,7 +14,12 @@ from pathlib import Path
 import psutil
 from playwright.sync_api import Page, sync_playwright
 
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
 WIDTH, HEIGHT = 960, 600
 
 
@@ -21,10 +28,14 @@ def main() -> None:
     parser.add_argument("pages", nargs="+", type=Path)
     parser.add_argument("--pictures", type=Path)
     args = parser.parse_args()
-    print("| page | Gaussians | MB | first picture, wall s | CPU s |\n| --- | --: | --: | --: | --: |")
+    print(
+        "| page | Gaussians | MB | first picture, wall s | CPU s |\n| --- | --: | --: | --: | --: |"
+    )
     with sync_playwright() as manager:
         for file in args.pages:
-            browser = manager.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+            browser = manager.chromium.launch(
+                executable_path=shutil.which("chromium"), args=FLAGS
+            )
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.set_default_timeout(300_000)
             start = cpu_seconds()
@@ -32,7 +43,11 @@ def main() -> None:
             page.wait_for_selector("body[data-drawn]")
             spent, count = cpu_seconds() - start, page.evaluate("meta.count")
             wall = int(page.evaluate("document.body.dataset.drawn")) / 1000
-            print(f"| {file} | {count:,} | {file.stat().st_size / 1e6:.1f} | {wall:.1f} | {spent:.1f} |", flush=True)
+            print(
+                f"| {file} | {count:,} | {file.stat().st_size / 1e6:.1f} | {wall:.1f} | "
+                f"{spent:.1f} |",
+                flush=True,
+            )
             if args.pictures:
                 pictures(page, args.pictures / (file.parent.name + "-" + file.stem))
             browser.close()

@@ -1,9 +1,10 @@
 """The pages that are made from the code: the reference, and the examples on the plugin pages.
 
-The reference (hooks, components with their settings, commands, Python) is built with the site and never checked in:
-mkdocs calls `on_files`. The examples stand in the pages, between markers, so that they can be read anywhere:
+The reference (hooks, components with their settings, commands, Python) is built with the site and
+never checked in: mkdocs calls `on_files`. The examples stand in the pages, between markers, so that
+they can be read anywhere:
 
-    python docs/generate.py            rewrite the marked parts: of docs/plugins/*.md from edit3r/templates, of
+    python docs/generate.py            rewrite the marked parts: of docs/plugins/*.md from edit3r/cli/templates, of
                                        docs/combinations.md from what components declare and a benchmark measured
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -20,34 +21,39 @@ from pathlib import Path
 import edit3r
 from edit3r.cli import COMMANDS
 from edit3r.cli.main import find_command
-from edit3r.component import KINDS, Component, hook_name
-from edit3r.description import metadata_lines, settings_lines, yaml_example
+from edit3r.contract.component import KINDS, Component, hook_name
 from edit3r.errors import Edit3rError
-from edit3r.plugins import Offer
-from edit3r.registry import Registry, default_registry
+from edit3r.plugins.describe import metadata_lines, settings_lines, yaml_example
+from edit3r.plugins.load import Offer
+from edit3r.plugins.registry import Registry, default_registry
 
 DOCS = Path(__file__).parent
-MARKED = re.compile(r"(<!-- begin: (\w+) ([\w-]+)(?: ([\w-]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(
+    r"(<!-- begin: (\w+) ([\w-]+)(?: ([\w-]+))? -->\n).*?(<!-- end -->)", re.DOTALL
+)
 PYTHON_MODULES = (
-    "edit3r.types",
-    "edit3r.interfaces",
-    "edit3r.component",
+    "edit3r.contract.types",
+    "edit3r.contract.interfaces",
+    "edit3r.contract.component",
     "edit3r.config",
-    "edit3r.pipeline",
-    "edit3r.registry",
+    "edit3r.pipeline.steps",
+    "edit3r.plugins.registry",
     "edit3r.reporting",
     "edit3r.errors",
     "edit3r.geometry.cameras",
     "edit3r.geometry.rotations",
     "edit3r.geometry.harmonics",
-    "edit3r.testing",
+    "edit3r_testing",
 )
 """Modules a plugin author or a script may import from."""
 
 
 def reference_pages(registry: Registry) -> dict[str, str]:
     """Path below docs/ to Markdown of every page of the reference."""
-    pages = {"reference/hooks.md": hooks_page(), "reference/commands.md": commands_page()}
+    pages = {
+        "reference/hooks.md": hooks_page(),
+        "reference/commands.md": commands_page(),
+    }
     for kind in KINDS:
         pages[f"reference/components/{kind}.md"] = components_page(registry, kind)
     pages["reference/run.md"] = run_page()
@@ -57,27 +63,43 @@ def reference_pages(registry: Registry) -> dict[str, str]:
 
 def hooks_page() -> str:
     """Every hook with its sentence and the interface its components follow."""
-    from edit3r import hookspecs
-    from edit3r.interfaces import INTERFACES
+    from edit3r.contract import hookspecs
+    from edit3r.contract.interfaces import INTERFACES
 
     rows = []
     for kind in KINDS:
         hook = hook_name(kind)
         sentence = inspect.getdoc(getattr(hookspecs, hook)).splitlines()[0]
-        rows.append(f"| [{kind}](../plugins/{kind}.md) | `{hook}` | {sentence} | `{INTERFACES[kind].__name__}` |")
-    table = "\n".join(["| kind | hook | what it offers | interface |", "| --- | --- | --- | --- |", *rows])
+        rows.append(
+            f"| [{kind}](../plugins/{kind}.md) | `{hook}` | {sentence} | "
+            f"`{INTERFACES[kind].__name__}` |"
+        )
+    table = "\n".join(
+        [
+            "| kind | hook | what it offers | interface |",
+            "| --- | --- | --- | --- |",
+            *rows,
+        ]
+    )
     return f"# Hooks\n\n{inspect.getdoc(hookspecs)}\n\nAPI version {hookspecs.API_VERSION}.\n\n{table}\n"
 
 
 def components_page(registry: Registry, kind: str) -> str:
     """Every installed component of a kind: what to know, and its settings."""
     sections = [component_section(registry, offer) for offer in registry.offers(kind)]
-    intro = f"What this installation offers; see [writing one](../../plugins/{kind}.md)."
-    return "\n\n".join([f"# {kind.title()} components", intro, *(sections or ["None."])]) + "\n"
+    intro = (
+        f"What this installation offers; see [writing one](../../plugins/{kind}.md)."
+    )
+    return (
+        "\n\n".join([f"# {kind.title()} components", intro, *(sections or ["None."])])
+        + "\n"
+    )
 
 
 def component_section(registry: Registry, offer: Offer) -> str:
-    facts = "\n".join(f"- {what}: {value}" for what, value in metadata_lines(offer.component))
+    facts = "\n".join(
+        f"- {what}: {value}" for what, value in metadata_lines(offer.component)
+    )
     head = f"## `{offer.component.name}`\n\nPlugin {offer.plugin}: {offer.component.summary}\n\n{facts}"
     try:
         settings = registry.settings_class(offer)
@@ -93,13 +115,15 @@ def settings_table(settings: type) -> str:
     for line in settings_lines(settings):
         kind = line.type.replace("|", "\\|")
         default = "required" if line.required else f"`{line.default_yaml}`"
-        rows.append(f"| `{line.name}` | {kind} | {line.range} | {default} | {line.sentence} |")
+        rows.append(
+            f"| `{line.name}` | {kind} | {line.range} | {default} | {line.sentence} |"
+        )
     return "\n".join(rows)
 
 
 def run_page() -> str:
     """The top-level keys of a run's configuration."""
-    from edit3r.run_config import RunConfig
+    from edit3r.pipeline.config import RunConfig
 
     return f"# Run configuration\n\n{inspect.getdoc(RunConfig)}\n\n{settings_table(RunConfig)}\n"
 
@@ -121,9 +145,15 @@ def _steps_of(name: str, parser: argparse.ArgumentParser) -> list[str]:
     """The help of `edit3r NAME STEP` for a command that is made of steps."""
     sections = []
     for action in parser._actions:
-        for step, inner in action.choices.items() if isinstance(action, argparse._SubParsersAction) else ():
+        for step, inner in (
+            action.choices.items()
+            if isinstance(action, argparse._SubParsersAction)
+            else ()
+        ):
             inner.formatter_class = _Narrow
-            sections.append(f"## `edit3r {name} {step}`\n\n```text\n{inner.format_help()}```")
+            sections.append(
+                f"## `edit3r {name} {step}`\n\n```text\n{inner.format_help()}```"
+            )
     return sections
 
 
@@ -141,44 +171,75 @@ class _Narrow(argparse.HelpFormatter):
 
 
 def python_page() -> str:
-    """Public classes and functions with their docstrings; data classes and interfaces as written, comments and all."""
-    sections = ["# Python", "Names that `edit3r` itself offers: " + ", ".join(f"`{n}`" for n in edit3r.__all__) + "."]
+    """Public classes and functions with their docstrings; data classes and interfaces as written,
+    comments and all.
+    """
+    sections = [
+        "# Python",
+        "Names that `edit3r` itself offers: "
+        + ", ".join(f"`{n}`" for n in edit3r.__all__)
+        + ".",
+    ]
     for name in PYTHON_MODULES:
         module = importlib.import_module(name)
         sections.append(f"## `{name}`\n\n{inspect.getdoc(module)}")
-        sections += [_described(name, thing, value) for thing, value in public_things(module)]
+        sections += [
+            _described(name, thing, value) for thing, value in public_things(module)
+        ]
     return "\n\n".join(sections) + "\n"
 
 
 def public_things(module: object) -> Iterator[tuple[str, object]]:
-    """Classes and functions that a module defines, or lists in `__all__`, without an underscore in front."""
+    """Classes and functions that a module defines, or lists in `__all__`, without an underscore in
+    front.
+    """
     listed = getattr(module, "__all__", None)
     for name, value in vars(module).items():
-        own = getattr(value, "__module__", "") == module.__name__ or (listed is not None and name in listed)
-        if own and not name.startswith("_") and (inspect.isclass(value) or inspect.isfunction(value)):
+        own = getattr(value, "__module__", "") == module.__name__ or (
+            listed is not None and name in listed
+        )
+        if (
+            own
+            and not name.startswith("_")
+            and (inspect.isclass(value) or inspect.isfunction(value))
+        ):
             yield name, value
 
 
 def _described(module: str, name: str, value: object) -> str:
-    if inspect.isclass(value) and (hasattr(value, "__dataclass_fields__") or module == "edit3r.interfaces"):
+    if inspect.isclass(value) and (
+        hasattr(value, "__dataclass_fields__") or module == "edit3r.contract.interfaces"
+    ):
         return f"### `{name}`\n\n```python\n{inspect.getsource(value).rstrip()}\n```"
     text = inspect.getdoc(value) or ""
     if inspect.isfunction(value):
         return f"### `{name}`\n\n```python\n{name}{inspect.signature(value)}\n```\n\n{text}"
     methods = [
-        f"- `{method}{inspect.signature(function)}`: {(inspect.getdoc(function) or '').splitlines()[0]}"
+        f"- `{method}{inspect.signature(function)}`: "
+        f"{(inspect.getdoc(function) or '').splitlines()[0]}"
         for method, function in vars(value).items()
-        if inspect.isfunction(function) and not method.startswith("_") and function.__doc__
+        if inspect.isfunction(function)
+        and not method.startswith("_")
+        and function.__doc__
     ]
-    return "\n\n".join(part for part in (f"### `{name}`", text, "\n".join(methods)) if part)
+    return "\n\n".join(
+        part for part in (f"### `{name}`", text, "\n".join(methods)) if part
+    )
 
 
 # ---- the marked parts of the plugin pages ----
 
 
 def refreshed(page: str) -> str:
-    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`, and tables."""
-    makers = {"example": example_part, "claims": claims_part, "parts": parts_part, "seconds": seconds_part}
+    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`,
+    and tables.
+    """
+    makers = {
+        "example": example_part,
+        "claims": claims_part,
+        "parts": parts_part,
+        "seconds": seconds_part,
+    }
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
 
 
@@ -186,21 +247,37 @@ def example_part(kind: str, name: str) -> str:
     """The files of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
     from edit3r.cli.new_plugin import package_files
 
-    files = {path: text for path, text in package_files(kind, name).items() if path.endswith(".py")}
-    blocks = [f'```python title="edit3r-{name}/{path}"\n{text}```' for path, text in files.items()]
+    files = {
+        path: text
+        for path, text in package_files(kind, name).items()
+        if path.endswith(".py")
+    }
+    blocks = [
+        f'```python title="edit3r-{name}/{path}"\n{text}```'
+        for path, text in files.items()
+    ]
     return "\n" + "\n\n".join(blocks) + "\n\n"
 
 
 def claims_part(kind: str, _: str | None) -> str:
     """What the contract of a kind asks."""
-    from edit3r.testing import CONTRACTS, claims
+    from edit3r_testing import CONTRACTS, claims
 
     contract = CONTRACTS[kind]
     rows = []
     for claim in claims(contract):
-        sentence = inspect.getdoc(vars(contract).get(claim)) if claim in vars(contract) else None
-        sentence = (sentence or inspect.getdoc(getattr(contract, claim)) or "").split("\n")[0]
-        rows.append(f"- {claim.removeprefix('test_').replace('_', ' ')}" + (f": {sentence}" if sentence else ""))
+        sentence = (
+            inspect.getdoc(vars(contract).get(claim))
+            if claim in vars(contract)
+            else None
+        )
+        sentence = (sentence or inspect.getdoc(getattr(contract, claim)) or "").split(
+            "\n"
+        )[0]
+        rows.append(
+            f"- {claim.removeprefix('test_').replace('_', ' ')}"
+            + (f": {sentence}" if sentence else "")
+        )
     return "\n" + "\n".join(rows) + "\n\n"
 
 
@@ -210,12 +287,18 @@ def claims_part(kind: str, _: str | None) -> str:
 def own_components(kind: str) -> list[Component]:
     """Components of the plugins in this repository, whatever else is installed."""
     own = {folder.name for folder in (DOCS.parent / "plugins").iterdir()}
-    return [offer.component for offer in default_registry().offers(kind) if offer.module.partition(".")[0] in own]
+    return [
+        offer.component
+        for offer in default_registry().offers(kind)
+        if offer.module.partition(".")[0] in own
+    ]
 
 
 def measured() -> dict:
     """What `python benchmarks/combinations.py` left."""
-    return json.loads((DOCS.parent / "benchmarks" / "combinations.json").read_text(encoding="utf-8"))
+    return json.loads(
+        (DOCS.parent / "benchmarks" / "combinations.json").read_text(encoding="utf-8")
+    )
 
 
 def parts_part(kind: str, _: str | None) -> str:
@@ -226,9 +309,14 @@ def parts_part(kind: str, _: str | None) -> str:
     ]
     for component in own_components(kind):
         weights = [
-            f"`{one.name}`: {one.size / 1e6:,.0f}, {one.licence}, **{one.commercial}**" for one in component.weights
+            f"`{one.name}`: {one.size / 1e6:,.0f}, {one.licence}, **{one.commercial}**"
+            for one in component.weights
         ]
-        elsewhere = "fetched by the name you give, or a service" if component.needs_network else "none from elsewhere"
+        elsewhere = (
+            "fetched by the name you give, or a service"
+            if component.needs_network
+            else "none from elsewhere"
+        )
         cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
                  "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip
         rows.append("| " + " | ".join(cells) + " |")
@@ -239,47 +327,97 @@ def tried(kind: str, component: Component) -> str:
     """Say what ran on real photos and with which weights; all else only in the tests."""
     found, key = measured(), {"reconstructor": "recon"}.get(kind, kind)
     shown = [
-        row for row in found["rows"] if row.get(key, "").partition(" ")[0] == component.name and "error" not in row
+        row
+        for row in found["rows"]
+        if row.get(key, "").partition(" ")[0] == component.name and "error" not in row
     ]
     said = ["real photos, below"] if shown else []
     for weights in component.weights:
         real = shown and weights.name in found["weights_at_hand"]
-        said.append(f"`{weights.name}`: {'real weights' if real else 'tiny random weights, in the tests'}")
-    return "; ".join(said) or ("stand-ins, in the tests" if component.needs_network else "the tests")
+        said.append(
+            f"`{weights.name}`: {'real weights' if real else 'tiny random weights, in the tests'}"
+        )
+    return "; ".join(said) or (
+        "stand-ins, in the tests" if component.needs_network else "the tests"
+    )
 
 
 def seconds_part(what: str, _: str | None) -> str:
-    """CPU seconds and memory of editor x reconstructor, matcher x reconstructor, or of segmenters."""
+    """CPU seconds and memory of editor x reconstructor, matcher x reconstructor, or of
+    segmenters.
+    """
     found = measured()
     if what == "segmenter":
-        lines = [f"| `{row['segmenter']}` | {row['seconds']} |" for row in found["rows"] if "segmenter" in row]
-        return "\n" + "\n".join(["| segmenter | CPU s |", "| --- | --: |", *lines]) + "\n\n"
-    rows = [row for row in found["rows"] if what in row and (row["matcher"] == "classical" or what == "matcher")]
+        lines = [
+            f"| `{row['segmenter']}` | {row['seconds']} |"
+            for row in found["rows"]
+            if "segmenter" in row
+        ]
+        return (
+            "\n"
+            + "\n".join(["| segmenter | CPU s |", "| --- | --: |", *lines])
+            + "\n\n"
+        )
+    rows = [
+        row
+        for row in found["rows"]
+        if what in row and (row["matcher"] == "classical" or what == "matcher")
+    ]
     rows = [row for row in rows if what == "editor" or row["editor"] == "none"]
     cells = {(row[what], row["recon"]): _cell(row) for row in rows}
     recons = sorted({recon for _, recon in cells})
-    lines = [f"| {what} | " + " | ".join(f"`{recon}`" for recon in recons) + " |", "| --- " * (len(recons) + 1) + "|"]
+    lines = [
+        f"| {what} | " + " | ".join(f"`{recon}`" for recon in recons) + " |",
+        "| --- " * (len(recons) + 1) + "|",
+    ]
     for name in dict.fromkeys(name for name, _ in cells):
-        lines.append(f"| `{name}` | " + " | ".join(cells.get((name, recon), "–") for recon in recons) + " |")
-    absent = [f"`{one.name}`" for one in own_components(what) if one.name not in {name for name, _ in cells}]
-    absent += [f"`{one.name}`" for one in own_components("reconstructor") if one.name not in recons]
-    return "\n" + "\n".join(lines) + f"\n\nNot measured here: {', '.join(absent)}; and – in the table.\n\n"
+        lines.append(
+            f"| `{name}` | "
+            + " | ".join(cells.get((name, recon), "–") for recon in recons)
+            + " |"
+        )
+    absent = [
+        f"`{one.name}`"
+        for one in own_components(what)
+        if one.name not in {name for name, _ in cells}
+    ]
+    absent += [
+        f"`{one.name}`"
+        for one in own_components("reconstructor")
+        if one.name not in recons
+    ]
+    return (
+        "\n"
+        + "\n".join(lines)
+        + f"\n\nNot measured here: {', '.join(absent)}; and – in the table.\n\n"
+    )
 
 
 def _cell(row: dict) -> str:
-    return row.get("error") or f"{row['edit']} + {row['rest']} s, {row['mb']} MB, {row['verdict']}"
+    return (
+        row.get("error")
+        or f"{row['edit']} + {row['rest']} s, {row['mb']} MB, {row['verdict']}"
+    )
 
 
 def unlisted_pages(nav: list) -> list[str]:
     """Pages in docs/ itself, one per part of the project, that the navigation does not name."""
-    return [page.name for page in sorted(DOCS.glob("*.md")) if f"'{page.name}'" not in repr(nav)]
+    return [
+        page.name
+        for page in sorted(DOCS.glob("*.md"))
+        if f"'{page.name}'" not in repr(nav)
+    ]
 
 
 def on_config(config):
-    """mkdocs hands over its configuration: pages that mkdocs.yml does not list go under 'In depth'."""
+    """mkdocs hands over its configuration: pages that mkdocs.yml does not list go under 'In
+    depth'.
+    """
     pages = unlisted_pages(config.nav)
     if pages:
-        before = next(i for i, entry in enumerate(config.nav) if "Write a plugin" in entry)
+        before = next(
+            i for i, entry in enumerate(config.nav) if "Write a plugin" in entry
+        )
         config.nav.insert(before, {"In depth": pages})
     return config
 

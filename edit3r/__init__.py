@@ -1,7 +1,7 @@
 """edit3r: edit 3D scenes from a few photos. Every stage is a plugin.
 
-The public names below load on first use, so `import edit3r` stays cheap (no torch) and a plugin's declaration
-module can import `Component` and `hookimpl` without paying for anything else.
+The public names below load on first use, so `import edit3r` stays cheap (no torch) and a plugin's
+declaration module can import `Component` and `hookimpl` without paying for anything else.
 """
 
 from importlib import import_module
@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 _HOME = {
-    "Component": "edit3r.component",
-    "hookimpl": "edit3r.hookspecs",
+    "Component": "edit3r.contract.component",
+    "hookimpl": "edit3r.contract.hookspecs",
     "Settings": "edit3r.config",
     "PartChoice": "edit3r.config",
     "Edit3rError": "edit3r.errors",
-    "Views": "edit3r.types",
-    "EditRequest": "edit3r.types",
-    "Cameras": "edit3r.types",
-    "Gaussians": "edit3r.types",
-    "Features": "edit3r.types",
-    "Reconstruction": "edit3r.types",
-    "Rendering": "edit3r.types",
-    "build": "edit3r.registry",
-    "components": "edit3r.registry",
+    "Views": "edit3r.contract.types",
+    "EditRequest": "edit3r.contract.types",
+    "Cameras": "edit3r.contract.types",
+    "Gaussians": "edit3r.contract.types",
+    "Features": "edit3r.contract.types",
+    "Reconstruction": "edit3r.contract.types",
+    "Rendering": "edit3r.contract.types",
+    "build": "edit3r.plugins.registry",
+    "components": "edit3r.plugins.registry",
     "load_views": "edit3r.io.images",
     "save_ply": "edit3r.io.ply",
     "load_ply": "edit3r.io.ply",
     "run": "edit3r.api",
-    "RunResult": "edit3r.pipeline",
-    "RunConfig": "edit3r.run_config",
-    "Selection": "edit3r.selection",
+    "RunResult": "edit3r.pipeline.steps",
+    "RunConfig": "edit3r.pipeline.config",
+    "Selection": "edit3r.selection.select",
     "Cache": "edit3r.cache",
-    "Command": "edit3r.command",
+    "Command": "edit3r.contract.command",
 }
 
 __all__ = [*sorted(_HOME), "__version__"]
@@ -53,15 +53,23 @@ def __dir__() -> list[str]:
 if TYPE_CHECKING:
     from edit3r.api import run
     from edit3r.cache import Cache
-    from edit3r.command import Command
-    from edit3r.component import Component
     from edit3r.config import PartChoice, Settings
+    from edit3r.contract.command import Command
+    from edit3r.contract.component import Component
+    from edit3r.contract.hookspecs import hookimpl
+    from edit3r.contract.types import (
+        Cameras,
+        EditRequest,
+        Features,
+        Gaussians,
+        Reconstruction,
+        Rendering,
+        Views,
+    )
     from edit3r.errors import Edit3rError
-    from edit3r.hookspecs import hookimpl
     from edit3r.io.images import load_views
     from edit3r.io.ply import load_ply, save_ply
-    from edit3r.pipeline import RunResult
-    from edit3r.registry import build, components
-    from edit3r.run_config import RunConfig
-    from edit3r.selection import Selection
-    from edit3r.types import Cameras, EditRequest, Features, Gaussians, Reconstruction, Rendering, Views
+    from edit3r.pipeline.config import RunConfig
+    from edit3r.pipeline.steps import RunResult
+    from edit3r.plugins.registry import build, components
+    from edit3r.selection.select import Selection

@@ -1,7 +1,9 @@
-"""Settings: one small frozen class per component, filled from defaults, YAML files and `--set key=value`.
+"""Settings: one small frozen class per component, filled from defaults, YAML files and `--set
+key=value`.
 
-Every field has a default, a range and a sentence (pydantic's `Field(default, ge=..., description=...)`); an unknown
-key or a value out of range is an error that names the key, the range and what was given.
+Every field has a default, a range and a sentence (pydantic's `Field(default, ge=...,
+description=...)`); an unknown key or a value out of range is an error that names the key, the range
+and what was given.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,7 +25,9 @@ class Settings(BaseModel):
 
 
 class PartChoice(Settings):
-    """Which component fills a part, and its settings: `backbone: name` or `backbone: {name: ..., width: 128}`."""
+    """Which component fills a part, and its settings: `backbone: name` or `backbone: {name: ...,
+    width: 128}`.
+    """
 
     name: str
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -34,12 +38,19 @@ class PartChoice(Settings):
         if isinstance(value, str):
             return {"name": value}
         if isinstance(value, Mapping) and "settings" not in value:
-            return {"name": value.get("name"), "settings": {k: v for k, v in value.items() if k != "name"}}
+            return {
+                "name": value.get("name"),
+                "settings": {k: v for k, v in value.items() if k != "name"},
+            }
         return value
 
 
-def make_settings(cls: type[SettingsType], values: Mapping[str, Any], where: str) -> SettingsType:
-    """Validate `values` into `cls`; `where` (such as 'editor') prefixes the key in error sentences."""
+def make_settings(
+    cls: type[SettingsType], values: Mapping[str, Any], where: str
+) -> SettingsType:
+    """Validate `values` into `cls`; `where` (such as 'editor') prefixes the key in error
+    sentences.
+    """
     try:
         return cls.model_validate(dict(values))
     except ValidationError as error:
@@ -63,7 +74,10 @@ def _shortened(value: Any, most: int = 200) -> str:
     """A value as an error shows it: its beginning, where it is long."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, a mapping nested as deep
+    except (
+        ValueError,
+        RecursionError,
+    ):  # an integer of thousands of digits, a mapping nested as deep
         return f"a {type(value).__name__} too large to show"
     return text if len(text) <= most else f"{text[:most]}..."
 
@@ -80,15 +94,17 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     if content is None:
         return {}
     if not isinstance(content, dict):
-        raise InputError(f"{path}: expected a mapping of settings at the top, got {type(content).__name__}.")
+        raise InputError(
+            f"{path}: expected a mapping of settings at the top, got {type(content).__name__}."
+        )
     return content
 
 
 def parse_yaml(text: str) -> Any:
     """Read YAML that may come from anybody: numbers, texts, lists and mappings with text as keys.
 
-    Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist, numbers and nestings
-    that Python refuses, keys that are no text.
+    Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist,
+    numbers and nestings that Python refuses, keys that are no text.
     """
     try:
         content = yaml.safe_load(text)
@@ -104,35 +120,54 @@ def _require_text_keys(content: Any) -> None:
     if isinstance(content, Mapping):
         wrong = [key for key in content if not isinstance(key, str)]
         if wrong:
-            raise ValueError(f"the key {_shortened(wrong[0])} is no text; put it in quotes")
+            raise ValueError(
+                f"the key {_shortened(wrong[0])} is no text; put it in quotes"
+            )
     if isinstance(content, Mapping | list):
         for item in content.values() if isinstance(content, Mapping) else content:
             _require_text_keys(item)
 
 
 def find_config(name: str) -> Path:
-    """Path of a configuration given as a file or by the name of one that ships with edit3r (without `.yaml`)."""
+    """Path of a configuration given as a file or by the name of one that ships with edit3r (without
+    `.yaml`).
+    """
     given = Path(name)
     if given.is_file():
         return given
     folders = [Path(__file__).parents[1] / "configs", Path(__file__).parent / "configs"]
-    # The checkout comes first: an editable install leaves a stale copy of configs/ inside the package.
+    # The checkout comes first: an editable install leaves a stale copy of configs/ inside the
+    # package.
     folder = next((f for f in folders if f.is_dir()), None)
-    shipped = {str(p.relative_to(folder).with_suffix("")): p for p in sorted(folder.rglob("*.yaml"))} if folder else {}
+    shipped = (
+        {
+            str(p.relative_to(folder).with_suffix("")): p
+            for p in sorted(folder.rglob("*.yaml"))
+        }
+        if folder
+        else {}
+    )
     if name in shipped:
         return shipped[name]
     listed = ", ".join(shipped) or "none"
-    raise InputError(f"{name}: neither a file nor a shipped configuration.{suggest(name, shipped)} Shipped: {listed}.")
+    raise InputError(
+        f"{name}: neither a file nor a shipped configuration.{suggest(name, shipped)} Shipped: "
+        f"{listed}."
+    )
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML (numbers, true, [1, 2], text)."""
+    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML (numbers, true, [1,
+    2], text).
+    """
     result: dict[str, Any] = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         path = key.strip().split(".")
         if not equals or not all(path):
-            raise SettingsError(f"--set {assignment}: expected KEY=VALUE, for example --set editor.seed=3.")
+            raise SettingsError(
+                f"--set {assignment}: expected KEY=VALUE, for example --set editor.seed=3."
+            )
         try:
             value = parse_yaml(text)
         except ValueError:
@@ -146,7 +181,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Deep merge: mappings are merged key by key, anything else in `over` replaces.
 
-    Settings over a component given by its name alone keep the name: `editor: recolor`, then `editor: {strength: 1}`.
+    Settings over a component given by its name alone keep the name: `editor: recolor`, then
+    `editor: {strength: 1}`.
     """
     result = dict(base)
     for key, value in over.items():

@@ -1,6 +1,8 @@
-"""Errors a user can act on: each message says what was given, what was expected, where, and what to do.
+"""Errors a user can act on: each message says what was given, what was expected, where, and what to
+do.
 
-The command line prints the message as one sentence and exits with `exit_code`; a traceback needs `--debug`.
+The command line prints the message as one sentence and exits with `exit_code`; a traceback needs
+`--debug`.
 """
 
 import difflib
@@ -45,7 +47,9 @@ class MatchingError(Edit3rError):
 
 
 class RunError(Edit3rError):
-    """The wish was fine but carrying it out failed: out of memory, a device or a service gave up."""
+    """The wish was fine but carrying it out failed: out of memory, a device or a service gave
+    up.
+    """
 
     exit_code = 1
 
@@ -69,11 +73,17 @@ def as_known(error: Exception) -> Edit3rError:
         return error
     if is_out_of_memory(error):
         return RunError(
-            "out of memory; lower --size, give fewer views, or choose a smaller --set reconstructor.* configuration."
+            "out of memory; lower --size, give fewer views, or choose a smaller --set "
+            "reconstructor.* configuration."
         )
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         where = f"{error.filename}: " if error.filename else ""
-        return RunError(f"{where}no space is left on the disk; free some, or give --out a folder on another disk.")
+        return RunError(
+            f"{where}no space is left on the disk; free some, or give --out a folder on another "
+            "disk."
+        )
     if isinstance(error, OSError) and error.filename:
         return Edit3rError(f"{error.filename}: {error.strerror}.")
-    return RunError(f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback.")
+    return RunError(
+        f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback."
+    )

@@ -1,7 +1,9 @@
-"""How stages say what they are doing without knowing who listens: progress, facts for `run.json`, warnings.
+"""How stages say what they are doing without knowing who listens: progress, facts for `run.json`,
+warnings.
 
-A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and the command line
-shows it. Outside a run nothing is kept, so a component used on its own needs no set-up.
+A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and
+the command line shows it. Outside a run nothing is kept, so a component used on its own needs no
+set-up.
 """
 
 import time
@@ -18,7 +20,9 @@ Item = TypeVar("Item")
 
 @dataclass
 class StageRecord:
-    """One finished stage: its name, wall and CPU seconds, and the process's peak memory when it ended."""
+    """One finished stage: its name, wall and CPU seconds, and the process's peak memory when it
+    ended.
+    """
 
     name: str
     seconds: float
@@ -28,7 +32,9 @@ class StageRecord:
 
 @dataclass
 class Report:
-    """What one run collected. `on_event` is told (event, text, done, total) as things happen, for progress bars."""
+    """What one run collected. `on_event` is told (event, text, done, total) as things happen, for
+    progress bars.
+    """
 
     stages: list[StageRecord] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)
@@ -45,7 +51,12 @@ class Report:
         self.emit("start", name)
         wall, cpu = time.perf_counter(), time.process_time()
         yield
-        record = StageRecord(name, time.perf_counter() - wall, time.process_time() - cpu, peak_memory_mb())
+        record = StageRecord(
+            name,
+            time.perf_counter() - wall,
+            time.process_time() - cpu,
+            peak_memory_mb(),
+        )
         self.stages.append(record)
         self.emit("end", name)
 
@@ -71,7 +82,9 @@ def note(key: str, value: Any) -> None:
 
 
 def say(key: str, text: str) -> None:
-    """Note a choice that was made for the user under `key`, such as 'matcher.picked', and show it; once per text."""
+    """Note a choice that was made for the user under `key`, such as 'matcher.picked', and show it;
+    once per text.
+    """
     report = _current.get()
     if report is not None and report.notes.get(key) != text:
         note(key, text)
@@ -113,13 +126,22 @@ def available_memory() -> int | None:
     """Memory that programs may still take [bytes]; None where the system does not tell."""
     table = Path("/proc/meminfo")
     lines = table.read_text().splitlines() if table.is_file() else []
-    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")), None)
+    return next(
+        (
+            int(line.split()[1]) * 1024
+            for line in lines
+            if line.startswith("MemAvailable:")
+        ),
+        None,
+    )
 
 
 def peak_memory_mb() -> float:
     """Peak resident memory of this process so far [MiB]; 0 where the platform does not tell."""
     status = Path("/proc/self/status")
-    if status.is_file():  # Linux's getrusage counts what the parent process had when it started this one
+    if (
+        status.is_file()
+    ):  # Linux's getrusage counts what the parent process had when it started this one
         for line in status.read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024

@@ -1,7 +1,9 @@
-"""One resumable runner for any list of jobs: in this process, in several processes, or on a Ray cluster.
+"""One resumable runner for any list of jobs: in this process, in several processes, or on a Ray
+cluster.
 
-A job is a key with something that can be pickled; a function turns it into a row of JSON data. Each row is one line of
-a file and is on disk before the next row is taken: a run that was killed at any moment goes on where it stopped.
+A job is a key with something that can be pickled; a function turns it into a row of JSON data. Each
+row is one line of a file and is on disk before the next row is taken: a run that was killed at any
+moment goes on where it stopped.
 """
 
 import json
@@ -24,7 +26,15 @@ from pydantic_core import to_json
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
 
-__all__ = ["Progress", "Workers", "append_row", "read_rows", "repair", "run_resumable", "write_rows"]
+__all__ = [
+    "Progress",
+    "Workers",
+    "append_row",
+    "read_rows",
+    "repair",
+    "run_resumable",
+    "write_rows",
+]
 
 Row = Mapping[str, Any]
 Function = Callable[[Any], Row]
@@ -38,8 +48,11 @@ class Workers:
 
     count: int = 1  # 1: this process does them itself, unless they are spread with Ray
     spread: Literal["processes", "ray"] = "processes"
-    threads: int | None = None  # of torch in each worker, which decide the order of sums; None: as they are
-    may_die: bool = False  # a worker that dies leaves its job a failure, and another takes its place; else all ends
+    threads: int | None = (
+        None  # of torch in each worker, which decide the order of sums; None: as they are
+    )
+    # a worker that dies leaves its job a failure, and another takes its place; else all ends
+    may_die: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,9 +66,13 @@ class Progress:
     seconds_left: float
 
     def said(self, what: str, of: str = "") -> str:
-        """One line about the job, in front what it is `of`, with what came of it and the time left."""
+        """One line about the job, in front what it is `of`, with what came of it and the time
+        left.
+        """
         left = self.seconds_left
-        size, unit = (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
+        size, unit = (
+            (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
+        )
         return f"  [{self.done}/{self.total}] {of}{self.key}: {what}; about {left / size:.0f} {unit} left"
 
 
@@ -69,14 +86,16 @@ def run_resumable(
     seconds: float | None = None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
-    """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the order of `jobs`.
+    """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the
+    order of `jobs`.
 
-    A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once and when read back.
-    `function` is pickled to each worker once, so an object may keep what it built at its first call. An error ends the
-    run and keeps the rows made so far. So does the death of a worker, which a job can cause that takes all memory; with
-    `Workers.may_die` it becomes the row `{"failure": sentence}`.
-    A single worker starts no job after `seconds` of wall time; jobs that did not start are missing in the answer. At
-    the end the file holds these rows in order, then rows of other keys, however the work was spread and interrupted.
+    A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once
+    and when read back. `function` is pickled to each worker once, so an object may keep what it
+    built at its first call. An error ends the run and keeps the rows made so far. So does the death
+    of a worker, which a job can cause that takes all memory; with `Workers.may_die` it becomes the
+    row `{"failure": sentence}`. A single worker starts no job after `seconds` of wall time; jobs
+    that did not start are missing in the answer. At the end the file holds these rows in order,
+    then rows of other keys, however the work was spread and interrupted.
     """
     repair(path)
     found = read_rows(path, key_name)
@@ -88,7 +107,15 @@ def run_resumable(
         for count, (key, row) in enumerate(rows, start=1):
             found[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
-            on_done(Progress(key, found[key], already + count, len(jobs), rate * (len(left) - count)))
+            on_done(
+                Progress(
+                    key,
+                    found[key],
+                    already + count,
+                    len(jobs),
+                    rate * (len(left) - count),
+                )
+            )
     ordered = {key: found[key] for key in jobs if key in found}
     if found:
         write_rows(path, {**ordered, **found}.values())
@@ -96,7 +123,9 @@ def run_resumable(
 
 
 def append_row(path: Path, row: Row) -> dict[str, Any]:
-    """Add one line, have it on disk before returning, and return the row as it will be read back."""
+    """Add one line, have it on disk before returning, and return the row as it will be read
+    back.
+    """
     line = _line(row)
     with path.open("a", encoding="utf-8") as file:
         file.write(line)
@@ -106,7 +135,9 @@ def append_row(path: Path, row: Row) -> dict[str, Any]:
 
 
 def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
-    """Return rows by key, without a last line that a kill cut off. Raises InputError for another bad line."""
+    """Return rows by key, without a last line that a kill cut off. Raises InputError for another
+    bad line.
+    """
     if not path.is_file():
         return {}
     found = {}
@@ -116,7 +147,9 @@ def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
             row = json.loads(line)
             found[row[key_name]] = row
         except (ValueError, TypeError, KeyError):
-            raise InputError(f"{path}, line {number}: not a result; delete the line to measure it anew.") from None
+            raise InputError(
+                f"{path}, line {number}: not a result; delete the line to measure it anew."
+            ) from None
     return found
 
 
@@ -136,8 +169,13 @@ def repair(path: Path) -> None:
 
 
 def _line(row: Row) -> str:
-    """Return the row as a line of JSON, with null in the place of every number that JSON does not have."""
-    return json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False) + "\n"
+    """Return the row as a line of JSON, with null in the place of every number that JSON does not
+    have.
+    """
+    return (
+        json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False)
+        + "\n"
+    )
 
 
 @dataclass(frozen=True)
@@ -156,7 +194,9 @@ class _Task:
         return job[0], self.function(job[1])
 
 
-def _spread(task: _Task, jobs: Iterator[KeyedJob], workers: Workers) -> Iterator[KeyedRow]:
+def _spread(
+    task: _Task, jobs: Iterator[KeyedJob], workers: Workers
+) -> Iterator[KeyedRow]:
     """Yield keys and rows in any order, each worker with one job at a time."""
     if workers.spread == "processes" and workers.count == 1 and not workers.may_die:
         yield from map(task.do, jobs)
@@ -192,7 +232,9 @@ class _WorkerDied(Exception):
 
 
 class _InProcesses:
-    """Workers as new processes of this machine; forking one that has used torch's threads can hang."""
+    """Workers as new processes of this machine; forking one that has used torch's threads can
+    hang.
+    """
 
     def __init__(self, task: _Task, workers: Workers) -> None:
         self._task, self._pools = task, []
@@ -200,7 +242,11 @@ class _InProcesses:
     def start(self) -> ProcessPoolExecutor:
         """A pool of one, so that it is known which job a process died of."""
         context = multiprocessing.get_context("spawn")
-        self._pools.append(ProcessPoolExecutor(1, context, initializer=_begin_worker, initargs=(self._task,)))
+        self._pools.append(
+            ProcessPoolExecutor(
+                1, context, initializer=_begin_worker, initargs=(self._task,)
+            )
+        )
         return self._pools[-1]
 
     def give(self, pool: ProcessPoolExecutor, job: KeyedJob) -> Future:
@@ -221,7 +267,9 @@ class _InProcesses:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-_task: _Task | None = None  # of this worker process; set once, so that what its function has built stays
+_task: _Task | None = (
+    None  # of this worker process; set once, so that what its function has built stays
+)
 
 
 def _begin_worker(task: _Task) -> None:
@@ -241,19 +289,27 @@ def _call_task(job: KeyedJob) -> KeyedRow:
 
 
 class _OnRay:
-    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must see the same paths."""
+    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must
+    see the same paths.
+    """
 
     def __init__(self, task: _Task, workers: Workers) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
             import ray
         except ImportError:
-            raise MissingDependencyError('--ray needs Ray; install with: pip install "edit3r[ray]"') from None
+            raise MissingDependencyError(
+                '--ray needs Ray; install with: pip install "edit3r[ray]"'
+            ) from None
         self._ray, self._task, cores = ray, task, workers.threads or 1
         self._started = not ray.is_initialized()
         if self._started:
             here = {"num_cpus": workers.count * cores, "include_dashboard": False}
-            ray.init(log_to_driver=False, logging_level="ERROR", **({} if os.environ.get("RAY_ADDRESS") else here))
+            ray.init(
+                log_to_driver=False,
+                logging_level="ERROR",
+                **({} if os.environ.get("RAY_ADDRESS") else here),
+            )
         self._actor = ray.remote(num_cpus=cores)(_Task)
 
     def start(self) -> Any:

@@ -1,19 +1,31 @@
 """Every registered component keeps its kind's contract: one test per component and claim.
 
-A component that needs files, a key or large weights is tried by its own tests, on small stand-ins of them; it is named
-here with the reason, so that nothing is left out in silence.
+A component that needs files, a key or large weights is tried by its own tests, on small stand-ins
+of them; it is named here with the reason, so that nothing is left out in silence.
 """
 
 from functools import cache
 
 import pytest
 
-from edit3r.plugins import Offer
-from edit3r.registry import default_registry
-from edit3r.testing import CONTRACTS, Contract, claims, contract_for
+from edit3r.plugins.load import Offer
+from edit3r.plugins.registry import default_registry
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
-SMALL_VIT = {"width": 32, "depth": 4, "heads": 2, "decoder_width": 24, "decoder_depth": 4, "decoder_heads": 2}
-SMALL_DPT = {"feature_width": 8, "point_width": 8, "layer_widths": (4, 4, 8, 8), "harmonics_degree": 1}
+SMALL_VIT = {
+    "width": 32,
+    "depth": 4,
+    "heads": 2,
+    "decoder_width": 24,
+    "decoder_depth": 4,
+    "decoder_heads": 2,
+}
+SMALL_DPT = {
+    "feature_width": 8,
+    "point_width": 8,
+    "layer_widths": (4, 4, 8, 8),
+    "harmonics_degree": 1,
+}
 
 SETTINGS: dict[tuple[str, str], dict] = {
     ("reconstructor", "noposplat"): {
@@ -44,11 +56,17 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("editor", "flux2-klein"): "needs weights of 16 GB",
     ("editor", "longcat-image-edit"): "needs weights of 29 GB",
     ("editor", "controlnet-depth"): "needs weights of 6 GB",
-    ("reconstructor", "refit"): "fits for minutes, and begins from a matcher that needs seconds a scene",
+    (
+        "reconstructor",
+        "refit",
+    ): "fits for minutes, and begins from a matcher that needs seconds a scene",
     ("reconstructor", "instruct-nerf2nerf"): "as refit",
     ("reconstructor", "gaussctrl"): "as refit",
     ("reconstructor", "editsplat"): "as refit",
-    ("matcher", "posed"): "does what the matcher classical does where the views carry no poses",
+    (
+        "matcher",
+        "posed",
+    ): "does what the matcher classical does where the views carry no poses",
     ("matcher", "da3"): "needs a package outside the pinned set",
     ("matcher", "auto"): "does what the matcher it picks does",
     ("segmenter", "sam2"): "needs weights of 0.2 GB",
@@ -74,7 +92,11 @@ def bound(offer: Offer) -> type[Contract]:
 def cases():
     for offer in default_registry().offers():
         for claim in claims(CONTRACTS[offer.kind]):
-            yield pytest.param(offer, claim, id=f"{offer.kind}-{offer.qualified_name}-{claim.removeprefix('test_')}")
+            yield pytest.param(
+                offer,
+                claim,
+                id=f"{offer.kind}-{offer.qualified_name}-{claim.removeprefix('test_')}",
+            )
 
 
 @pytest.mark.parametrize("offer, claim", cases())
@@ -87,7 +109,9 @@ def test_contract(offer: Offer, claim: str):
 
 
 def test_every_plugin_of_the_installation_loads():
-    assert [f"{failure.plugin}: {failure.reason}" for failure in default_registry().failures] == []
+    assert [
+        f"{failure.plugin}: {failure.reason}" for failure in default_registry().failures
+    ] == []
 
 
 def test_no_two_components_of_a_kind_share_a_name():
@@ -95,5 +119,7 @@ def test_no_two_components_of_a_kind_share_a_name():
 
 
 def test_every_exception_and_every_setting_names_a_component_that_exists():
-    known = {(offer.kind, offer.component.name) for offer in default_registry().offers()}
+    known = {
+        (offer.kind, offer.component.name) for offer in default_registry().offers()
+    }
     assert {*SETTINGS, *ATTRIBUTES, *DECLARATION_ONLY} <= known

@@ -1,4 +1,6 @@
-"""The documentation says all there is, and what it shows is true: examples run, generated parts are current."""
+"""The documentation says all there is, and what it shows is true: examples run, generated parts are
+current.
+"""
 
 import ast
 import importlib.util
@@ -10,20 +12,26 @@ import pytest
 import yaml
 
 import edit3r
-from edit3r import hookspecs
-from edit3r.component import KINDS, hook_name
-from edit3r.description import settings_lines
-from edit3r.registry import default_registry
-from edit3r.run_config import RunConfig
-from edit3r.testing import CONTRACTS, claims, contract_for
+from edit3r.contract import hookspecs
+from edit3r.contract.component import KINDS, hook_name
+from edit3r.pipeline.config import RunConfig
+from edit3r.plugins.describe import settings_lines
+from edit3r.plugins.registry import default_registry
+from edit3r_testing import CONTRACTS, claims, contract_for
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
+PAGES = {
+    path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted(DOCS.rglob("*.md"))
+}
 BLOCK = re.compile(r'```python title="([^"]+)"\n(.*?)```', re.DOTALL)
 LOCAL_FILES = {  # page: file, and the components it offers
     "plugins/how-plugins-are-found.md": ("grey.py", [("editor", "grey")]),
-    "plugins/reconstructor.md": ("learned.py", [("reconstructor", "learned"), ("head", "curtain")]),
+    "plugins/reconstructor.md": (
+        "learned.py",
+        [("reconstructor", "learned"), ("head", "curtain")],
+    ),
 }
 
 
@@ -60,7 +68,9 @@ def test_every_component_is_documented(offer):
     name = f"`{offer.component.name}`"
     assert f"## {name}" in REFERENCE[f"reference/components/{offer.kind}.md"]
     texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
-    assert any(name in text for text in texts), f"{offer.kind} {name} is named on no page of docs/ nor in README.md"
+    assert any(name in text for text in texts), (
+        f"{offer.kind} {name} is named on no page of docs/ nor in README.md"
+    )
     assert offer.component.summary.strip() and offer.component.licence.strip()
 
 
@@ -83,7 +93,9 @@ def test_every_setting_of_a_run_is_documented():
 def test_every_command_is_documented(command):
     assert f"## `edit3r {command}`" in REFERENCE["reference/commands.md"]
     texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
-    assert any(f"edit3r {command}" in text for text in texts), f"no page of docs/ shows `edit3r {command}`"
+    assert any(f"edit3r {command}" in text for text in texts), (
+        f"no page of docs/ shows `edit3r {command}`"
+    )
 
 
 def test_every_public_name_has_a_docstring():
@@ -95,7 +107,10 @@ def test_every_public_name_has_a_docstring():
 def test_every_contract_is_told_on_the_page_of_its_kind():
     for kind, contract in CONTRACTS.items():
         for claim in claims(contract):
-            assert claim.removeprefix("test_").replace("_", " ") in PAGES[f"plugins/{kind}.md"]
+            assert (
+                claim.removeprefix("test_").replace("_", " ")
+                in PAGES[f"plugins/{kind}.md"]
+            )
 
 
 def test_every_page_is_in_the_navigation_and_every_entry_exists():
@@ -103,17 +118,29 @@ def test_every_page_is_in_the_navigation_and_every_entry_exists():
     assert {*_leaves(nav), *generate.unlisted_pages(nav)} == {*PAGES, *REFERENCE}
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/model-card.md", "docs/network.md", "docs/training.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/model-card.md", "docs/network.md", "docs/training.md"]
+)
 def test_every_table_of_figures_names_the_command_that_makes_it(page):
-    """`<!-- figures: COMMAND -->` stands before each table with decimals that are measured, not set."""
+    """`<!-- figures: COMMAND -->` stands before each table with decimals that are measured, not
+    set.
+    """
     text = (ROOT / page).read_text(encoding="utf-8")
     for table in re.finditer(r"(?m)(?:^\|.*\n)+", text):
-        if re.search(r"\| (setting|recipe) \|", table[0]) or not re.search(r"\d\.\d", table[0]):
+        if re.search(r"\| (setting|recipe) \|", table[0]) or not re.search(
+            r"\d\.\d", table[0]
+        ):
             continue
-        named = re.search(r"<!-- figures: (edit3r|python) (\S+) .*-->\n$", text[: table.start()])
+        named = re.search(
+            r"<!-- figures: (edit3r|python) (\S+) .*-->\n$", text[: table.start()]
+        )
         assert named, f"{page}: no command before the table {table[0][:80]}"
         program, what = named.groups()
-        assert what in generate.commands() if program == "edit3r" else (ROOT / what).is_file(), f"{page}: {what}"
+        assert (
+            what in generate.commands()
+            if program == "edit3r"
+            else (ROOT / what).is_file()
+        ), f"{page}: {what}"
 
 
 NOT_MEASURED = r"`[^`]*`|<!--.*?-->|\(#?[\w./-]+\)|(Apache-|BY-NC-SA |section |torch |at least |above |\^)[\d.]+\S*"
@@ -122,14 +149,18 @@ NOT_MEASURED = r"`[^`]*`|<!--.*?-->|\(#?[\w./-]+\)|(Apache-|BY-NC-SA |section |t
 
 @pytest.mark.parametrize("page", ["README.md", "docs/model-card.md", "docs/network.md"])
 def test_every_figure_in_a_sentence_stands_in_a_table_or_beside_its_command(page):
-    text = re.sub(r"```.*?```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"```.*?```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     tables = "".join(table[0] for table in re.finditer(r"(?m)(?:^\|.*\n)+", text))
     known = set(re.findall(r"\d+\.\d+", tables))
     for paragraph in re.split(r"\n\s*\n", re.sub(r"(?m)^\|.*\n", "", text)):
         if re.search(r"`(edit3r|python) [^`]+`|\[figures\]\(", paragraph):
             continue
         found = set(re.findall(r"\d+\.\d+", re.sub(NOT_MEASURED, "", paragraph)))
-        assert found <= known, f"{page}: no command makes {sorted(found - known)} in: {paragraph.strip()[:100]}"
+        assert found <= known, (
+            f"{page}: no command makes {sorted(found - known)} in: {paragraph.strip()[:100]}"
+        )
 
 
 def test_links_between_pages_lead_somewhere():
@@ -138,21 +169,28 @@ def test_links_between_pages_lead_somewhere():
             if "://" not in target:
                 resolved = (DOCS / page).parent.joinpath(target).resolve()
                 known = resolved.exists() or (
-                    resolved.is_relative_to(DOCS) and resolved.relative_to(DOCS).as_posix() in REFERENCE
+                    resolved.is_relative_to(DOCS)
+                    and resolved.relative_to(DOCS).as_posix() in REFERENCE
                 )
                 assert known, f"docs/{page} links to {target}, which is not there"
 
 
 # ---- what is shown is true ----
 
-PLACES = re.findall(r"^\| (.+?) \| `([\w/.]+)` \| `([\w.]+)` \|$", PAGES["architecture.md"], re.MULTILINE)
+PLACES = re.findall(
+    r"^\| (.+?) \| `([\w/.]+)` \| `([\w.]+)` \|$",
+    PAGES["architecture.md"],
+    re.MULTILINE,
+)
 
 
 def test_the_architecture_page_answers_where_thirty_things_are():
     assert len(PLACES) >= 30 and len({what for what, _, _ in PLACES}) == len(PLACES)
 
 
-@pytest.mark.parametrize("what, file, symbol", PLACES, ids=[what for what, _, _ in PLACES])
+@pytest.mark.parametrize(
+    "what, file, symbol", PLACES, ids=[what for what, _, _ in PLACES]
+)
 def test_a_place_that_the_architecture_page_names_is_there(what, file, symbol):
     assert (ROOT / file).is_file(), f"{file} is gone; where is {what}?"
     scope = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
@@ -162,7 +200,10 @@ def test_a_place_that_the_architecture_page_names_is_there(what, file, symbol):
         scope = getattr(found[0], "body", [])
 
 
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:edit3r|tests)/[\w/.]+)`", PAGES["architecture.md"]))))
+@pytest.mark.parametrize(
+    "path",
+    sorted(set(re.findall(r"`((?:edit3r|tests)/[\w/.]+)`", PAGES["architecture.md"]))),
+)
 def test_a_file_that_the_architecture_page_names_is_there(path):
     assert (ROOT / path).exists()
 
@@ -171,13 +212,19 @@ def _names_of(node: ast.stmt) -> set[str]:
     """Names that a statement defines."""
     if isinstance(node, ast.ClassDef | ast.FunctionDef):
         return {node.name}
-    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    targets = (
+        node.targets
+        if isinstance(node, ast.Assign)
+        else [getattr(node, "target", None)]
+    )
     return {target.id for target in targets if isinstance(target, ast.Name)}
 
 
 def test_the_generated_parts_of_the_pages_are_current():
     for name, text in PAGES.items():
-        assert generate.refreshed(text) == text, f"docs/{name} is out of date; run: python docs/generate.py"
+        assert generate.refreshed(text) == text, (
+            f"docs/{name} is out of date; run: python docs/generate.py"
+        )
 
 
 @pytest.fixture(scope="module")
@@ -201,8 +248,12 @@ def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
     name = folder.name.removeprefix("edit3r_").replace("_", "-")
     settings = {"steps": 3} if kind == "trainer" else {}
     run_all_claims(contract_for(kind, name, (folder,), **settings))
-    for module in [module for module in sys.modules if module.split(".")[0] == folder.name]:
-        del sys.modules[module]  # else `new-plugin` takes it for installed in the tests that follow
+    for module in [
+        module for module in sys.modules if module.split(".")[0] == folder.name
+    ]:
+        del sys.modules[
+            module
+        ]  # else `new-plugin` takes it for installed in the tests that follow
 
 
 @pytest.mark.parametrize("page", LOCAL_FILES)
@@ -217,7 +268,7 @@ def test_the_one_file_plugins_of_the_pages_keep_their_contracts(page, tmp_path):
 
 @pytest.mark.parametrize("page", ["quickstart.md", "concepts.md"])
 def test_configurations_shown_are_accepted(page):
-    from edit3r.run_config import make_run_config
+    from edit3r.pipeline.config import make_run_config
 
     blocks = re.findall(r"```yaml\n(.*?)```", PAGES[page], re.DOTALL)
     assert blocks
@@ -230,14 +281,22 @@ def test_options_shown_exist(page):
     """Every `edit3r COMMAND ... --option` in a shell block is an option of that command."""
     text = PAGES.get(page) or (ROOT / page).read_text(encoding="utf-8")
     helps: dict[str, str] = {}  # a command's own, and those of its steps
-    shown = re.findall(r"## `edit3r ([\w-]+)[^`]*`.*?```text\n(.*?)```", REFERENCE["reference/commands.md"], re.DOTALL)
+    shown = re.findall(
+        r"## `edit3r ([\w-]+)[^`]*`.*?```text\n(.*?)```",
+        REFERENCE["reference/commands.md"],
+        re.DOTALL,
+    )
     for command, help_text in shown:
         helps[command] = helps.get(command, "") + help_text
     for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
-        for command, rest in re.findall(r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE):
+        for command, rest in re.findall(
+            r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE
+        ):
             assert command in helps, f"{page}: no command edit3r {command}"
             for option in re.findall(r"\s(--[\w-]+)", rest.split("#")[0]):
-                assert option in helps[command], f"{page}: edit3r {command} has no {option}"
+                assert option in helps[command], (
+                    f"{page}: edit3r {command} has no {option}"
+                )
 
 
 def run_all_claims(contract):
@@ -248,7 +307,13 @@ def run_all_claims(contract):
 def _leaves(tree):
     if isinstance(tree, str):
         yield tree
-    for branch in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ():
+    for branch in (
+        tree.values()
+        if isinstance(tree, dict)
+        else tree
+        if isinstance(tree, list)
+        else ()
+    ):
         yield from _leaves(branch)
 
 

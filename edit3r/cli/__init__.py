@@ -1,11 +1,17 @@
 """The command line: one file a command, each a `Command` like those that plugins bring."""
 
-from edit3r.component import Component
+from edit3r.contract.component import Component
 
 COMMANDS = (
-    Component("run", "edit3r.cli.run:RunCommand", "edit photos of a scene and reconstruct them in 3D"),
     Component(
-        "render", "edit3r.cli.render:RenderCommand", "pictures, a video and a viewer page from a saved scene (3DGS PLY)"
+        "run",
+        "edit3r.cli.run:RunCommand",
+        "edit photos of a scene and reconstruct them in 3D",
+    ),
+    Component(
+        "render",
+        "edit3r.cli.render:RenderCommand",
+        "pictures, a video and a viewer page from a saved scene (3DGS PLY)",
     ),
     Component(
         "list-plugins",
@@ -27,6 +33,10 @@ COMMANDS = (
         "edit3r.cli.weights:WeightsCommand",
         "learned weights that components can load: list them with licences, fetch them, find them",
     ),
-    Component("new-plugin", "edit3r.cli.new_plugin:NewPluginCommand", "write a working plugin package to start from"),
+    Component(
+        "new-plugin",
+        "edit3r.cli.new_plugin:NewPluginCommand",
+        "write a working plugin package to start from",
+    ),
 )
 """The core's own commands; all others come from plugins."""

@@ -1,9 +1,11 @@
-"""`edit3r describe`: one component's settings and what to know before using it, with YAML ready to paste."""
+"""`edit3r describe`: one component's settings and what to know before using it, with YAML ready to
+paste.
+"""
 
 import argparse
 
-from edit3r.command import Command
-from edit3r.component import KINDS
+from edit3r.contract.command import Command
+from edit3r.contract.component import KINDS
 
 
 class DescribeCommand(Command):
@@ -11,13 +13,21 @@ class DescribeCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")
-        parser.add_argument("name", help="name as in edit3r list-plugins, or plugin:name")
-        parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+        parser.add_argument(
+            "name", help="name as in edit3r list-plugins, or plugin:name"
+        )
+        parser.add_argument(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.description import metadata_lines
         from edit3r.errors import MissingDependencyError
-        from edit3r.registry import default_registry
+        from edit3r.plugins.describe import metadata_lines
+        from edit3r.plugins.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offer = registry.find(args.kind, args.name)
@@ -31,14 +41,15 @@ class DescribeCommand(Command):
 
 def _use(offer, settings) -> str:
     """Settings and how to give them; a command has arguments instead."""
-    from edit3r.description import settings_lines, yaml_example
+    from edit3r.plugins.describe import settings_lines, yaml_example
 
     if offer.kind == "command":
         return f"Its arguments: edit3r {offer.component.name} --help"
     lines = settings_lines(settings)
     return (
         f"Settings:\n{_settings(lines)}\n\n"
-        f"YAML to paste into a configuration (edit3r run --config FILE):\n\n{yaml_example(offer, settings)}\n\n"
+        "YAML to paste into a configuration (edit3r run --config "
+        f"FILE):\n\n{yaml_example(offer, settings)}\n\n"
         f"One setting on the command line: {_flag(offer, lines)}"
     )
 
@@ -59,12 +70,15 @@ def _settings(lines) -> str:
     rows = []
     for line in lines:
         value = "?" if line.required else line.default_yaml
-        rows.append(f"  {line.name} = {value}\n      {line.allowed}\n      {line.sentence or 'no description'}")
+        rows.append(
+            f"  {line.name} = {value}\n      {line.allowed}\n      "
+            f"{line.sentence or 'no description'}"
+        )
     return "\n".join(rows)
 
 
 def _flag(offer, lines) -> str:
-    from edit3r.description import PART_KINDS
+    from edit3r.plugins.describe import PART_KINDS
 
     if not lines:
         return "there is none to set"

@@ -1,4 +1,5 @@
-"""`edit3r doctor`: is this installation sound? Versions, devices, plugins, every rasterizer, and a tiny run.
+"""`edit3r doctor`: is this installation sound? Versions, devices, plugins, every rasterizer, and a
+tiny run.
 
 Exits with 1 when something is wrong.
 """
@@ -16,15 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import edit3r
-from edit3r.checks import check_offer
-from edit3r.command import Command
-from edit3r.hookspecs import API_VERSION
-from edit3r.registry import Registry, default_registry, install_hint
+from edit3r.contract.command import Command
+from edit3r.contract.hookspecs import API_VERSION
+from edit3r.plugins.check import check_offer
+from edit3r.plugins.registry import Registry, default_registry, install_hint
 from edit3r.reporting import available_memory
 
 if TYPE_CHECKING:
+    from edit3r.pipeline.config import RunConfig
     from edit3r.reporting import Report
-    from edit3r.run_config import RunConfig
 
 CORE_MODULES = {
     "torch": "torch",
@@ -50,13 +51,23 @@ class DoctorCommand(Command):
     """`edit3r doctor`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--device", metavar="D", help="torch device of the tiny job (default cpu)")
-        parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+        parser.add_argument(
+            "--device", metavar="D", help="torch device of the tiny job (default cpu)"
+        )
+        parser.add_argument(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.run_config import make_run_config
+        from edit3r.pipeline.config import make_run_config
 
-        config = make_run_config({"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})})
+        config = make_run_config(
+            {"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})}
+        )
         area, wrong = "", 0
         for finding in examine(default_registry(tuple(args.plugin)), config):
             if finding.area != area:
@@ -88,9 +99,13 @@ def examine(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
 
 
 def versions() -> Iterator[Finding]:
-    """Python, edit3r, and every core dependency imported for real: a package may be there and broken."""
+    """Python, edit3r, and every core dependency imported for real: a package may be there and
+    broken.
+    """
     python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
-    yield Finding("versions", f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), {python}")
+    yield Finding(
+        "versions", f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), {python}"
+    )
     good = []
     for module, package in CORE_MODULES.items():
         try:
@@ -100,7 +115,11 @@ def versions() -> Iterator[Finding]:
             good.append(f"{package} (version unknown)")
         except Exception as error:
             cure = f"reinstall it: pip install {package}"
-            yield Finding("versions", f"{package} cannot be imported ({_in_words(error)}); {cure}", False)
+            yield Finding(
+                "versions",
+                f"{package} cannot be imported ({_in_words(error)}); {cure}",
+                False,
+            )
     yield Finding("versions", ", ".join(good))
 
 
@@ -110,22 +129,35 @@ def devices() -> Iterator[Finding]:
 
     free = available_memory()
     memory = "" if free is None else f", {free / 2**30:.1f} GiB of memory free"
-    yield Finding("devices", f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads{memory}")
+    yield Finding(
+        "devices",
+        f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads{memory}",
+    )
     for index in range(torch.cuda.device_count()):
         free, total = (size / 2**30 for size in torch.cuda.mem_get_info(index))
         name = torch.cuda.get_device_name(index)
-        yield Finding("devices", f"cuda:{index}: {name}, {free:.1f} of {total:.1f} GiB free")
+        yield Finding(
+            "devices", f"cuda:{index}: {name}, {free:.1f} of {total:.1f} GiB free"
+        )
     if torch.backends.mps.is_available():
         yield Finding("devices", "mps: Apple GPU")
     if torch.cuda.device_count() == 0 and not torch.backends.mps.is_available():
-        yield Finding("devices", "no GPU; everything that does not declare needs_gpu runs on the CPU", None)
+        yield Finding(
+            "devices",
+            "no GPU; everything that does not declare needs_gpu runs on the CPU",
+            None,
+        )
 
 
 def plugins(registry: Registry) -> Iterator[Finding]:
-    """Failed plugins and components that break their promise are wrong; a missing extra is worth knowing."""
+    """Failed plugins and components that break their promise are wrong; a missing extra is worth
+    knowing.
+    """
     offers = registry.offers()
     for failure in registry.failures:
-        yield Finding("plugins", f"{failure.plugin} {failure.version}: {failure.reason}", False)
+        yield Finding(
+            "plugins", f"{failure.plugin} {failure.version}: {failure.reason}", False
+        )
     for clash in registry.clashes():
         yield Finding("plugins", clash, False)
     problems = {offer: check_offer(registry, offer) for offer in offers}
@@ -135,32 +167,53 @@ def plugins(registry: Registry) -> Iterator[Finding]:
         elif registry.missing(offer):
             needs = f"{offer.kind} {offer.component.name} needs {', '.join(registry.missing(offer))}"
             yield Finding("plugins", f"{needs}; {install_hint(offer)}", None)
-    usable = sum(1 for offer, problem in problems.items() if not problem and not registry.missing(offer))
+    usable = sum(
+        1
+        for offer, problem in problems.items()
+        if not problem and not registry.missing(offer)
+    )
     count = len({offer.plugin for offer in offers})
-    yield Finding("plugins", f"{usable} of {len(offers)} components from {count} plugins can be used here")
+    yield Finding(
+        "plugins",
+        f"{usable} of {len(offers)} components from {count} plugins can be used here",
+    )
 
 
 def rasterizers(registry: Registry) -> Iterator[Finding]:
     """Every rasterizer draws one small scene."""
     import torch
 
-    from edit3r.testing.scenes import cameras_around, gaussian_cloud
+    from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
     for offer in registry.offers("rasterizer"):
-        name, missing, gpu = offer.component.name, registry.missing(offer), offer.component.needs_gpu
+        name, missing, gpu = (
+            offer.component.name,
+            registry.missing(offer),
+            offer.component.needs_gpu,
+        )
         if missing or (gpu and not torch.cuda.is_available()):
-            yield Finding("rasterizers", f"{name}: not here, needs {', '.join(missing) or 'a CUDA GPU'}", None)
+            yield Finding(
+                "rasterizers",
+                f"{name}: not here, needs {', '.join(missing) or 'a CUDA GPU'}",
+                None,
+            )
             continue
         device, started = "cuda" if gpu else "cpu", time.perf_counter()
         try:
             rasterizer = registry.build("rasterizer", offer.qualified_name)
-            image = rasterizer.render(gaussian_cloud().to(device), cameras_around().to(device)).images
+            image = rasterizer.render(
+                gaussian_cloud().to(device), cameras_around().to(device)
+            ).images
         except Exception as error:
             yield Finding("rasterizers", f"{name}: {_in_words(error)}", False)
             continue
         told = f"60 Gaussians on {device} in {time.perf_counter() - started:.2f} s, compiling included"
         finite = bool(torch.isfinite(image).all())
-        yield Finding("rasterizers", f"{name}: {told if finite else 'its picture is not finite'}", finite)
+        yield Finding(
+            "rasterizers",
+            f"{name}: {told if finite else 'its picture is not finite'}",
+            finite,
+        )
 
 
 def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
@@ -173,11 +226,16 @@ def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
         return
     for stage in report.stages:
         yield Finding("tiny job", f"{stage.name}: {stage.seconds:.2f} s")
-    yield Finding("tiny job", f"{count} Gaussians rendered and saved, {time.perf_counter() - started:.1f} s in all")
+    yield Finding(
+        "tiny job",
+        f"{count} Gaussians rendered and saved, {time.perf_counter() - started:.1f} s in all",
+    )
 
 
 def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
-    """Run on the packaged photos as small as can be, render and save; the report, and how many Gaussians came."""
+    """Run on the packaged photos as small as can be, render and save; the report, and how many
+    Gaussians came.
+    """
     from edit3r.io.images import load_views, packaged_pair
     from edit3r.io.ply import save_ply
     from edit3r.reporting import Report, collecting
@@ -186,10 +244,28 @@ def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
     with collecting(report), report.stage("read photos"):
         photos, cameras = packaged_pair()
         views = load_views(photos, cameras=cameras, size=JOB_SIZE)
-    parts = {"editor": config.editor, "recon": config.reconstructor, "segmenter": config.segmenter}
-    result = edit3r.run(views, config.prompt, **parts, device=config.device, refine=4, registry=registry, report=report)
-    with collecting(report), report.stage("render and save"), tempfile.TemporaryDirectory() as folder:
-        rasterizer = registry.build("rasterizer", config.rasterizer.name, **config.rasterizer.settings)
+    parts = {
+        "editor": config.editor,
+        "recon": config.reconstructor,
+        "segmenter": config.segmenter,
+    }
+    result = edit3r.run(
+        views,
+        config.prompt,
+        **parts,
+        device=config.device,
+        refine=4,
+        registry=registry,
+        report=report,
+    )
+    with (
+        collecting(report),
+        report.stage("render and save"),
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        rasterizer = registry.build(
+            "rasterizer", config.rasterizer.name, **config.rasterizer.settings
+        )
         rasterizer.render(result.gaussians, result.cameras)
         save_ply(Path(folder) / "scene.ply", result.gaussians)
     return report, result.gaussians.count

@@ -5,8 +5,8 @@ import json
 import sys
 from collections.abc import Sequence
 
-from edit3r.command import Command
-from edit3r.component import KINDS
+from edit3r.contract.command import Command
+from edit3r.contract.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
@@ -16,24 +16,50 @@ class ListPluginsCommand(Command):
     """`edit3r list-plugins`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--kind", choices=KINDS, help="only components of this kind")
-        parser.add_argument("--json", action="store_true", help="machine-readable output")
-        parser.add_argument("--check", action="store_true", help="also import every component and check its interface")
-        parser.add_argument("--strict", action="store_true", help="exit with 1 when a plugin failed or a name clashes")
-        parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin")
+        parser.add_argument(
+            "--kind", choices=KINDS, help="only components of this kind"
+        )
+        parser.add_argument(
+            "--json", action="store_true", help="machine-readable output"
+        )
+        parser.add_argument(
+            "--check",
+            action="store_true",
+            help="also import every component and check its interface",
+        )
+        parser.add_argument(
+            "--strict",
+            action="store_true",
+            help="exit with 1 when a plugin failed or a name clashes",
+        )
+        parser.add_argument(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.checks import check_offer
-        from edit3r.registry import default_registry
+        from edit3r.plugins.check import check_offer
+        from edit3r.plugins.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offers = registry.offers(args.kind)
-        problems = {offer: check_offer(registry, offer) if args.check else "" for offer in offers}
+        problems = {
+            offer: check_offer(registry, offer) if args.check else ""
+            for offer in offers
+        }
         rows = [_row(registry, offer, problems[offer]) for offer in offers]
         failures = [vars(failure) for failure in registry.failures]
         clashes = registry.clashes()
         if args.json:
-            print(json.dumps({"components": rows, "failures": failures, "clashes": clashes}, indent=2))
+            print(
+                json.dumps(
+                    {"components": rows, "failures": failures, "clashes": clashes},
+                    indent=2,
+                )
+            )
         else:
             _print_table(rows, failures, clashes)
         broken = failures or clashes or any(problems.values())
@@ -41,8 +67,8 @@ class ListPluginsCommand(Command):
 
 
 def _row(registry, offer, problem: str) -> dict[str, str]:
-    from edit3r.registry import install_hint
-    from edit3r.weights import at_hand
+    from edit3r.plugins.registry import install_hint
+    from edit3r.plugins.weights import at_hand
 
     missing = registry.missing(offer)
     return {
@@ -53,17 +79,27 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "summary": offer.component.summary,
         "licence": offer.component.licence,
         "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
-        "weights": [f"{w.get} ({w.terms})" for w in offer.component.weights if at_hand(w) is None],
+        "weights": [
+            f"{w.get} ({w.terms})"
+            for w in offer.component.weights
+            if at_hand(w) is None
+        ],
         "problem": problem,
     }
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()) -> None:
-    """Print a table; columns in `whole` are not wrapped, and nothing is where the output is piped."""
+def table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()
+) -> None:
+    """Print a table; columns in `whole` are not wrapped, and nothing is where the output is
+    piped.
+    """
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
+    console = Console(
+        highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH
+    )
     shown = Table(box=None, header_style="bold", pad_edge=False)
     for column in columns:
         shown.add_column(column, overflow="fold", no_wrap=column in whole)
@@ -72,14 +108,32 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence
     console.print(shown, markup=False)
 
 
-def _print_table(rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]) -> None:
+def _print_table(
+    rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]
+) -> None:
     """The table, then one line for everything that is wrong, so that grep finds it whole."""
-    marked = [{**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows]
-    table(COLUMNS, [[row[column] for column in COLUMNS] for row in marked], ("kind", "name", "plugin", "version"))
-    lines = [f"* {row['kind']} {row['name']} needs {row['missing']}" for row in rows if row["missing"]]
-    lines += [f"weights: {row['kind']} {row['name']} can load: {get}" for row in rows for get in row["weights"]]
+    marked = [
+        {**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows
+    ]
+    table(
+        COLUMNS,
+        [[row[column] for column in COLUMNS] for row in marked],
+        ("kind", "name", "plugin", "version"),
+    )
+    lines = [
+        f"* {row['kind']} {row['name']} needs {row['missing']}"
+        for row in rows
+        if row["missing"]
+    ]
+    lines += [
+        f"weights: {row['kind']} {row['name']} can load: {get}"
+        for row in rows
+        for get in row["weights"]
+    ]
     lines += [f"problem: {row['problem']}" for row in rows if row["problem"]]
     for failure in failures:
         version = f" {failure['version']}" if failure["version"] else ""
-        lines.append(f"failed: plugin {failure['plugin']}{version}: {failure['reason']}")
+        lines.append(
+            f"failed: plugin {failure['plugin']}{version}: {failure['reason']}"
+        )
     print("\n".join([*lines, *(f"note: {remark}" for remark in remarks)]))

@@ -1,7 +1,7 @@
 """`edit3r new-plugin`: a plugin package that works at once, to change into one's own.
 
-The texts are in `edit3r/templates`: one module per kind, what every package has around it (settings, a test, a README),
-and in `starters.yaml` what differs from kind to kind.
+The texts are in `edit3r/cli/templates`: one module per kind, what every package has around it
+(settings, a test, a README), and in `starters.yaml` what differs from kind to kind.
 """
 
 import argparse
@@ -15,13 +15,13 @@ from string import Template
 from typing import Any
 
 import edit3r
-from edit3r.command import Command
-from edit3r.component import KINDS, hook_name
 from edit3r.config import read_yaml
+from edit3r.contract.command import Command
+from edit3r.contract.component import KINDS, hook_name
+from edit3r.contract.hookspecs import API_VERSION
 from edit3r.errors import InputError, suggest
-from edit3r.hookspecs import API_VERSION
 
-TEMPLATES = Path(__file__).parents[1] / "templates"
+TEMPLATES = Path(__file__).parent / "templates"
 STARTERS: dict[str, dict[str, Any]] = read_yaml(TEMPLATES / "starters.yaml")
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 MAX_NAME = 40
@@ -32,36 +32,57 @@ class NewPluginCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")
-        parser.add_argument("name", help="name of the component, such as sepia or warm-light")
         parser.add_argument(
-            "--path", metavar="DIR", default=".", help="folder to write edit3r-NAME into (default: here)"
+            "name", help="name of the component, such as sepia or warm-light"
+        )
+        parser.add_argument(
+            "--path",
+            metavar="DIR",
+            default=".",
+            help="folder to write edit3r-NAME into (default: here)",
         )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.registry import default_registry
+        from edit3r.plugins.registry import default_registry
 
-        taken = [offer.plugin for offer in default_registry().offers(args.kind) if offer.component.name == args.name]
+        taken = [
+            offer.plugin
+            for offer in default_registry().offers(args.kind)
+            if offer.component.name == args.name
+        ]
         if taken:
             raise InputError(
-                f"{args.kind} {args.name!r} is already offered by plugin {taken[0]!r}; choose another name."
+                f"{args.kind} {args.name!r} is already offered by plugin {taken[0]!r}; choose "
+                "another name."
             )
         folder = new_package(args.kind, args.name, Path(args.path))
-        files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+        files = sorted(
+            path.relative_to(folder) for path in folder.rglob("*") if path.is_file()
+        )
         print(f"Wrote {folder}:")
         print("\n".join(f"  {file}" for file in files))
         print("Next:")
-        print("\n".join(f"  {step}" for step in next_steps(args.kind, args.name, folder)))
+        print(
+            "\n".join(f"  {step}" for step in next_steps(args.kind, args.name, folder))
+        )
         return 0
 
 
 def new_package(kind: str, name: str, parent: Path) -> Path:
-    """Write the package into a new folder in `parent` and return it; nothing that exists is touched."""
+    """Write the package into a new folder in `parent` and return it; nothing that exists is
+    touched.
+    """
     if kind not in KINDS:
-        raise InputError(f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}.")
+        raise InputError(
+            f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}."
+        )
     check_name(name)
     folder = parent / f"edit3r-{name}"
     if folder.exists() or folder.is_symlink():
-        raise InputError(f"{folder} exists; nothing was written. Choose another name, or --path for another place.")
+        raise InputError(
+            f"{folder} exists; nothing was written. Choose another name, or --path for another "
+            "place."
+        )
     parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=parent, prefix=".edit3r-") as temporary:
         staged = Path(temporary) / folder.name
@@ -89,27 +110,39 @@ def package_files(kind: str, name: str) -> dict[str, str]:
 def next_steps(kind: str, name: str, folder: Path) -> tuple[str, ...]:
     """Commands that install, show, use and test the new package."""
     use = Template(STARTERS[kind].get("use", "")).substitute(name=name)
-    steps = (f'pip install -e "{folder}[test]"', f"edit3r describe {kind} {name}", use, f"pytest {folder}")
+    steps = (
+        f'pip install -e "{folder}[test]"',
+        f"edit3r describe {kind} {name}",
+        use,
+        f"pytest {folder}",
+    )
     return tuple(step for step in steps if step)
 
 
 def check_name(name: str) -> None:
-    """Raise InputError unless `name` can name a component, a package and a module that do not exist yet."""
+    """Raise InputError unless `name` can name a component, a package and a module that do not exist
+    yet.
+    """
     if not NAME.fullmatch(name) or len(name) > MAX_NAME:
         raise InputError(
-            f"name {name!r}: expected lower-case letters, digits and single dashes, starting with a letter, "
+            f"name {name!r}: expected lower-case letters, digits and single dashes, starting "
+            "with a letter, "
             f"at most {MAX_NAME} characters, such as {_nearest(name)!r}."
         )
     if keyword.iskeyword(name):
         raise InputError(f"name {name!r} is a Python keyword; choose another.")
     package = _package(name)
     if importlib.util.find_spec(package) is not None:
-        raise InputError(f"name {name!r}: a package {package!r} is already installed; choose another name.")
+        raise InputError(
+            f"name {name!r}: a package {package!r} is already installed; choose another name."
+        )
 
 
 def _nearest(name: str) -> str:
     """A valid name like the one given."""
-    tidy = re.sub(r"[^a-z0-9]+", "-", re.sub(r"([a-z0-9])([A-Z])", r"\1-\2", name).lower()).strip("-")
+    tidy = re.sub(
+        r"[^a-z0-9]+", "-", re.sub(r"([a-z0-9])([A-Z])", r"\1-\2", name).lower()
+    ).strip("-")
     tidy = tidy.lstrip("0123456789-")[:MAX_NAME].rstrip("-")
     return tidy or "my-plugin"
 
@@ -129,12 +162,19 @@ def _words(kind: str, name: str) -> dict[str, str]:
         "package": _package(name),
         "distribution": f"edit3r-{name}",
         "entry_point": name,
-        "class_name": "".join(part.title() for part in name.split("-")).removesuffix(suffix) + suffix,
+        "class_name": "".join(part.title() for part in name.split("-")).removesuffix(
+            suffix
+        )
+        + suffix,
         "contract": f"{suffix}Contract",
         "summary": starter["summary"],
-        "use": Template(starter.get("use", f"edit3r list-plugins --kind {kind} --check")).substitute(name=name),
+        "use": Template(
+            starter.get("use", f"edit3r list-plugins --kind {kind} --check")
+        ).substitute(name=name),
         "hook": hook_name(kind),
-        "declaration": "".join(f"\n            {argument}," for argument in starter.get("declaration", ())),
+        "declaration": "".join(
+            f"\n            {argument}," for argument in starter.get("declaration", ())
+        ),
         "test_settings": f"\n    {settings}" if settings else "",
         "article": "An" if kind[0] in "aeiou" else "A",
         "api_version": str(API_VERSION),
@@ -143,4 +183,6 @@ def _words(kind: str, name: str) -> dict[str, str]:
 
 
 def _fill(template: str, words: dict[str, str]) -> str:
-    return Template((TEMPLATES / f"{template}.txt").read_text(encoding="utf-8")).substitute(words)
+    return Template(
+        (TEMPLATES / f"{template}.txt").read_text(encoding="utf-8")
+    ).substitute(words)

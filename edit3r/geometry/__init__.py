@@ -1,1 +1,3 @@
-"""Geometry as pure functions of tensors, for the core and every plugin. Conventions: `edit3r.types`."""
+"""Geometry as pure functions of tensors, for the core and every plugin. Conventions:
+`edit3r.contract.types`.
+"""

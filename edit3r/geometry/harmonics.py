@@ -1,4 +1,6 @@
-"""Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley signs)."""
+"""Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley
+signs).
+"""
 
 from math import pi, sqrt
 
@@ -7,22 +9,46 @@ from jaxtyping import Float
 from torch import Tensor
 
 DC = 0.28209479177387814
-"""The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC."""
+"""The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC.
+"""
 
 # Factors of the functions of degree 1 to 4.
 C1 = 0.5 * sqrt(3 / pi)
-C2 = tuple(a * sqrt(b / pi) for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15)))
+C2 = tuple(
+    a * sqrt(b / pi)
+    for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15))
+)
 C3 = tuple(
     a * sqrt(b / pi)
-    for a, b in ((-0.25, 17.5), (0.5, 105), (-0.25, 10.5), (0.25, 7), (-0.25, 10.5), (0.25, 105), (-0.25, 17.5))
+    for a, b in (
+        (-0.25, 17.5),
+        (0.5, 105),
+        (-0.25, 10.5),
+        (0.25, 7),
+        (-0.25, 10.5),
+        (0.25, 105),
+        (-0.25, 17.5),
+    )
 )
 C4 = tuple(
     a * sqrt(b / pi) / 16
-    for a, b in ((12, 35), (-12, 17.5), (12, 5), (-12, 2.5), (3, 1), (-12, 2.5), (6, 5), (-12, 17.5), (3, 35))
+    for a, b in (
+        (12, 35),
+        (-12, 17.5),
+        (12, 5),
+        (-12, 2.5),
+        (3, 1),
+        (-12, 2.5),
+        (6, 5),
+        (-12, 17.5),
+        (3, 35),
+    )
 )
 
 
-def basis(directions: Float[Tensor, "*batch 3"], degree: int) -> Float[Tensor, "*batch coefficient"]:
+def basis(
+    directions: Float[Tensor, "*batch 3"], degree: int
+) -> Float[Tensor, "*batch coefficient"]:
     """The (degree + 1)^2 basis functions at unit directions."""
     x, y, z = directions.unbind(-1)
     values = [torch.full_like(x, DC)]

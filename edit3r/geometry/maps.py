@@ -6,32 +6,44 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.compiling import compiled
-from edit3r.layers import bilinear
+from edit3r.compute.compiling import compiled
+from edit3r.compute.layers import bilinear
 
 __all__ = ["dilate", "dilate_softly", "guided_upsample", "resize", "upsample_depth"]
 
 MARGIN = 0.01  # of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask
 SAME_COLOUR = 0.1  # colour distance [sRGB] at which a small pixel's weight falls to 1/e
-SAME_SURFACE = 0.04  # relative difference in inverse depth within which two pixels lie on one surface
+# relative difference in inverse depth within which two pixels lie on one surface
+SAME_SURFACE = 0.04
 
 
-def dilate(maps: Float[Tensor, "*batch height width"], radius: int) -> Float[Tensor, "*batch height width"]:
+def dilate(
+    maps: Float[Tensor, "*batch height width"], radius: int
+) -> Float[Tensor, "*batch height width"]:
     """The largest value in the square of `radius` pixels around each pixel; differentiable.
 
     Pixels outside the image do not count. The erosion of a map is `-dilate(-maps, radius)`.
     """
     found = maps.reshape(-1, 1, *maps.shape[-2:])
-    for kernel, padding in (((2 * radius + 1, 1), (radius, 0)), ((1, 2 * radius + 1), (0, radius))):  # columns, rows
+    for kernel, padding in (
+        ((2 * radius + 1, 1), (radius, 0)),
+        ((1, 2 * radius + 1), (0, radius)),
+    ):  # columns, rows
         found = F.max_pool2d(found, kernel, stride=1, padding=padding)
     return found.reshape(maps.shape)
 
 
-def dilate_softly(masks: Float[Tensor, "view height width"]) -> Float[Tensor, "view height width"]:
-    """0/1 masks with a soft margin outside: exactly 1 on the object, exactly 0 beyond the margin."""
+def dilate_softly(
+    masks: Float[Tensor, "view height width"],
+) -> Float[Tensor, "view height width"]:
+    """0/1 masks with a soft margin outside: exactly 1 on the object, exactly 0 beyond the
+    margin.
+    """
     radius = max(1, round(MARGIN * max(masks.shape[-2:])))
     wide = dilate(masks, radius)[:, None]
-    soft = F.avg_pool2d(wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False)[:, 0]
+    soft = F.avg_pool2d(
+        wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False
+    )[:, 0]
     return torch.maximum(masks, soft)
 
 
@@ -43,7 +55,9 @@ def resize(
         return images
     flat = images.flatten(0, -4)
     shrinks = size[0] <= images.shape[-2]
-    return (F.interpolate(flat, size, mode="area") if shrinks else bilinear(flat, size)).unflatten(0, images.shape[:-3])
+    return (
+        F.interpolate(flat, size, mode="area") if shrinks else bilinear(flat, size)
+    ).unflatten(0, images.shape[:-3])
 
 
 def guided_upsample(
@@ -52,10 +66,12 @@ def guided_upsample(
     radius: int = 1,
     eps: float = 1e-4,
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Maps at the guide's size, locally linear in the guide's grey value (fast guided filter, He and Sun 2015).
+    """Maps at the guide's size, locally linear in the guide's grey value (fast guided filter, He
+    and Sun 2015).
 
-    The coefficients are found on the coarse grid, in windows of `radius` [coarse pixels]; `eps` is the variance of the
-    guide below which it counts as flat. Maps already at the guide's size come back unchanged.
+    The coefficients are found on the coarse grid, in windows of `radius` [coarse pixels]; `eps` is
+    the variance of the guide below which it counts as flat. Maps already at the guide's size come
+    back unchanged.
     """
     if maps.shape[-2:] == guide.shape[-2:]:
         return maps
@@ -73,14 +89,18 @@ def guided_upsample(
 
 
 def _box(x: Float[Tensor, "b c h w"], radius: int) -> Float[Tensor, "b c h w"]:
-    return F.avg_pool2d(F.pad(x, (radius,) * 4, mode="replicate"), 2 * radius + 1, stride=1)
+    return F.avg_pool2d(
+        F.pad(x, (radius,) * 4, mode="replicate"), 2 * radius + 1, stride=1
+    )
 
 
 def _peak(x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
     return F.max_pool2d(F.pad(x, (1, 1, 1, 1), mode="replicate"), 3, stride=1)
 
 
-def _bilinear(x: Float[Tensor, "b c h w"], like: Float[Tensor, "b d h2 w2"]) -> Float[Tensor, "b c h2 w2"]:
+def _bilinear(
+    x: Float[Tensor, "b c h w"], like: Float[Tensor, "b d h2 w2"]
+) -> Float[Tensor, "b c h2 w2"]:
     return bilinear(x, like.shape[-2:])
 
 
@@ -92,13 +112,19 @@ def upsample_depth(
 ) -> tuple[Float[np.ndarray, "height2 width2"], Float[np.ndarray, "height2 width2"]]:
     """Inverse depth and confidence of the small image `guide` for every pixel of the large `image`.
 
-    Each pixel joins the surface of the nearby small pixel that looks most like it, so depth edges stay sharp: depths
-    are interpolated within a surface, never across two. Joint bilateral upsampling (Kopf et al. 2007) over the four
-    nearest small pixels. Colours in [0, 1]. Not differentiable.
+    Each pixel joins the surface of the nearby small pixel that looks most like it, so depth edges
+    stay sharp: depths are interpolated within a surface, never across two. Joint bilateral
+    upsampling (Kopf et al. 2007) over the four nearest small pixels. Colours in [0, 1]. Not
+    differentiable.
     """
     if guide.shape == image.shape:
         return inverse, confidence.astype(np.float32)
-    return _joint_upsample(inverse, confidence.astype(np.float32), guide, np.ascontiguousarray(image, np.float32))
+    return _joint_upsample(
+        inverse,
+        confidence.astype(np.float32),
+        guide,
+        np.ascontiguousarray(image, np.float32),
+    )
 
 
 @compiled(nogil=True)
@@ -107,12 +133,20 @@ def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - comp
     height, width = photo.shape[:2]
     result = np.empty((height, width), np.float32)
     trust = np.empty((height, width), np.float32)
-    weights, depths, trusts = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
+    weights, depths, trusts = (
+        np.empty(4, np.float32),
+        np.empty(4, np.float32),
+        np.empty(4, np.float32),
+    )
     for y in range(height):
-        place_y = min(max((y + 0.5) * small_height / height - 0.5, 0.0), small_height - 1.0)
+        place_y = min(
+            max((y + 0.5) * small_height / height - 0.5, 0.0), small_height - 1.0
+        )
         top = min(int(place_y), max(small_height - 2, 0))
         for x in range(width):
-            place_x = min(max((x + 0.5) * small_width / width - 0.5, 0.0), small_width - 1.0)
+            place_x = min(
+                max((x + 0.5) * small_width / width - 0.5, 0.0), small_width - 1.0
+            )
             left = min(int(place_x), max(small_width - 2, 0))
             best = 0
             for corner in range(4):
@@ -122,7 +156,9 @@ def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - comp
                 for channel in range(3):
                     distance += (photo[y, x, channel] - guide[v, u, channel]) ** 2
                 near = max(1 - abs(place_y - v), 0.0) * max(1 - abs(place_x - u), 0.0)
-                likeness = max(np.exp(-distance / SAME_COLOUR**2), 1e-5)  # none alike: then all the same
+                likeness = max(
+                    np.exp(-distance / SAME_COLOUR**2), 1e-5
+                )  # none alike: then all the same
                 weights[corner] = (near + 1e-3) * likeness
                 depths[corner], trusts[corner] = inverse[v, u], measured[v, u]
                 if weights[corner] > weights[best]:

@@ -1,7 +1,8 @@
-"""Poses of the input views from predicted Gaussians: the centres a view contributed against the pixels they came from.
+"""Poses of the input views from predicted Gaussians: the centres a view contributed against the
+pixels they came from.
 
-For reconstructors that predict no cameras. PnP with RANSAC, after the evaluation of pose-free splatting (Ye et al.,
-NoPoSplat, ICLR 2025).
+For reconstructors that predict no cameras. PnP with RANSAC, after the evaluation of pose-free
+splatting (Ye et al., NoPoSplat, ICLR 2025).
 """
 
 import cv2
@@ -10,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import to_pixels
-from edit3r.types import Cameras, Gaussians, Views
 
 MIN_OPACITY = 0.3
 """Fainter Gaussians are guesses and do not vote."""
@@ -27,11 +28,13 @@ REPROJECTION_ERROR = 5 / 256
 def estimate_cameras(gaussians: Gaussians, views: Views) -> Cameras:
     """Cameras of `views` in the frame of `gaussians`; view 0 is the identity.
 
-    Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on the grid that
-    `pixel_layout` finds.
-    Deterministic, not differentiable. Raises MatchingError for a view that cannot be placed.
+    Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on
+    the grid that `pixel_layout` finds. Deterministic, not differentiable. Raises MatchingError for
+    a view that cannot be placed.
     """
-    poses = [_scene_poses(gaussians, views, scene) for scene in range(len(views.images))]
+    poses = [
+        _scene_poses(gaussians, views, scene) for scene in range(len(views.images))
+    ]
     c2w = torch.from_numpy(np.stack(poses)).to(views.images)
     return Cameras(c2w, views.intrinsics, views.image_size)
 
@@ -44,7 +47,9 @@ def pixel_layout(count: int, image_size: tuple[int, int]) -> tuple[int, int]:
     return height, count // height
 
 
-def _scene_poses(gaussians: Gaussians, views: Views, scene: int) -> Float[np.ndarray, "view 4 4"]:
+def _scene_poses(
+    gaussians: Gaussians, views: Views, scene: int
+) -> Float[np.ndarray, "view 4 4"]:
     """Camera-to-world poses of one scene's views."""
     poses = [np.eye(4)]
     for view in range(1, views.count):
@@ -54,7 +59,15 @@ def _scene_poses(gaussians: Gaussians, views: Views, scene: int) -> Float[np.nda
             raise MatchingError(f"view {view} has 0 Gaussians, expected one per pixel.")
         layout = pixel_layout(len(points), views.image_size)
         name = views.names[view] if views.names else f"view {view}"
-        poses.append(_pose(points, gaussians.opacities[scene, own], views.intrinsics[scene, view], layout, name))
+        poses.append(
+            _pose(
+                points,
+                gaussians.opacities[scene, own],
+                views.intrinsics[scene, view],
+                layout,
+                name,
+            )
+        )
     return np.stack(poses)
 
 
@@ -69,9 +82,12 @@ def _pose(
     points, pixels = _voters(points, opacities, layout)
     if len(points) < MIN_POINTS:
         raise MatchingError(
-            f"{name} cannot be placed: only {len(points)} of its Gaussians are visible enough, {MIN_POINTS} are needed."
+            f"{name} cannot be placed: only {len(points)} of its Gaussians are visible enough, "
+            f"{MIN_POINTS} are needed."
         )
-    unit = float(np.median(np.linalg.norm(points, axis=1))) or 1.0  # PnP is better conditioned near 1
+    unit = (
+        float(np.median(np.linalg.norm(points, axis=1))) or 1.0
+    )  # PnP is better conditioned near 1
     camera = to_pixels(intrinsics.detach().cpu().double(), layout).numpy()
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         points / unit,
@@ -84,23 +100,32 @@ def _pose(
         flags=cv2.SOLVEPNP_SQPNP,
     )
     if not found or inliers is None or len(inliers) < MIN_POINTS:
-        raise MatchingError(f"{name} cannot be placed: its Gaussians fit no camera; the photos may not overlap enough.")
+        raise MatchingError(
+            f"{name} cannot be placed: its Gaussians fit no camera; the photos may not overlap "
+            "enough."
+        )
     chosen = inliers[:, 0]
     rotation, translation = cv2.solvePnPRefineLM(
         points[chosen] / unit, pixels[chosen], camera, None, rotation, translation
     )
-    pose = np.eye(4)  # OpenCV's rotation vector and translation take the world to the camera
+    pose = np.eye(
+        4
+    )  # OpenCV's rotation vector and translation take the world to the camera
     pose[:3, :3] = cv2.Rodrigues(rotation)[0].T
     pose[:3, 3] = -pose[:3, :3] @ (translation[:, 0] * unit)
     return pose
 
 
 def _voters(
-    points: Float[Tensor, "pixel 3"], opacities: Float[Tensor, "pixel"], layout: tuple[int, int]
+    points: Float[Tensor, "pixel 3"],
+    opacities: Float[Tensor, "pixel"],
+    layout: tuple[int, int],
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 2"]]:
     """Visible, finite centres and the (x, y) of their pixels, thinned evenly."""
     visible = (opacities > MIN_OPACITY) & points.isfinite().all(-1)
     index = visible.nonzero()[:, 0]
     index = index[:: max(1, -(-len(index) // MAX_POINTS))].cpu().numpy()
     pixels = np.stack((index % layout[1] + 0.5, index // layout[1] + 0.5), -1)
-    return points[torch.from_numpy(index).to(points.device)].detach().cpu().double().numpy(), pixels
+    return points[
+        torch.from_numpy(index).to(points.device)
+    ].detach().cpu().double().numpy(), pixels

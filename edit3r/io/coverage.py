@@ -1,7 +1,8 @@
 """Which of many photos, and which frames of a video, to use: few that together show what all show.
 
-Two pictures share what their features (ORB, Rublee et al. 2011) have in common. Photos are chosen greedily, each time
-the one that shows most of what those chosen so far do not (facility location; Krause and Golovin 2014, section 1).
+Two pictures share what their features (ORB, Rublee et al. 2011) have in common. Photos are chosen
+greedily, each time the one that shows most of what those chosen so far do not (facility location;
+Krause and Golovin 2014, section 1).
 """
 
 import atexit
@@ -22,9 +23,13 @@ from edit3r.reporting import track, warn
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
 USUAL_FRAMES = 8  # of a video, where no number is asked for
 MOST_LOOKED_AT = 90  # frames of a video
-MOST_FRAMES = 200_000  # a longer video is taken for a damaged one: an hour has 108,000 at 30 a second
+# a longer video is taken for a damaged one: an hour has 108,000 at 30 a second
+MOST_FRAMES = 200_000
 SIDE = 400  # longer side of the pictures that are compared [pixels]
-FEATURES, ALIKE = 600, 48  # features of a picture; bits of 256 in which those of one point may differ
+FEATURES, ALIKE = (
+    600,
+    48,
+)  # features of a picture; bits of 256 in which those of one point may differ
 LINKED = 0.04  # least share of features that two neighbours have in common
 LEAST_MOTION = 0.01  # of features between frames that are kept [picture widths]
 
@@ -42,18 +47,24 @@ class Look:
 
 
 def choose_photos(files: Sequence[Path], most: int | None) -> list[Path]:
-    """At most `most` of the photos, in their order, that cover what all show; all of them for None."""
+    """At most `most` of the photos, in their order, that cover what all show; all of them for
+    None.
+    """
     if most is None or len(files) <= most:
         return list(files)
-    looks = [look(np.asarray(read_image(file))) for file in track(list(files), "compare photos")]
+    looks = [
+        look(np.asarray(read_image(file)))
+        for file in track(list(files), "compare photos")
+    ]
     return [files[index] for index in covering(shared(looks), most)]
 
 
 def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
     """The frames to use of a video, as picture files that last as long as the process.
 
-    The sharpest of each stretch, without those in which nothing has moved, and of these the ones that cover the scene.
-    Raises InputError for a file that is no video, or has fewer than two frames that differ.
+    The sharpest of each stretch, without those in which nothing has moved, and of these the ones
+    that cover the scene. Raises InputError for a file that is no video, or has fewer than two
+    frames that differ.
     """
     rows = _sharpest(video, 3 * most)
     moved = rows[:1]
@@ -61,16 +72,25 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
         if motion(moved[-1][0], row[0]) >= LEAST_MOTION:
             moved.append(row)
     if len(moved) < 2:
-        raise InputError(f"{video}: shows the scene from one place only; move the camera sideways while filming.")
+        raise InputError(
+            f"{video}: shows the scene from one place only; move the camera sideways while filming."
+        )
     if len(moved) < min(most, len(rows)):
-        warn(f"{video}: {len(rows) - len(moved)} of {len(rows)} frames are left out, nothing has moved in them.")
+        warn(
+            f"{video}: {len(rows) - len(moved)} of {len(rows)} frames are left out, nothing has "
+            "moved in them."
+        )
     folder = Path(tempfile.mkdtemp(prefix="edit3r-video-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     taken = []
-    for _, frame, number in (moved[index] for index in covering(shared([row[0] for row in moved]), most)):
+    for _, frame, number in (
+        moved[index] for index in covering(shared([row[0] for row in moved]), most)
+    ):
         file = folder / f"{video.stem}_{number:05d}.png"
         if not cv2.imwrite(str(file), frame):
-            raise InputError(f"{video}: a frame of it could not be written to {folder}.")
+            raise InputError(
+                f"{video}: a frame of it could not be written to {folder}."
+            )
         frame_origins[file] = f"{video}, frame {number}"
         taken.append(file)
     return taken
@@ -79,9 +99,17 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
 def look(pixels: UInt8[np.ndarray, "height width 3"]) -> Look:
     """Features and sharpness of a picture, measured on a copy of `SIDE` pixels."""
     scale = SIDE / max(pixels.shape[:2])
-    grey = cv2.cvtColor(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-    points, descriptors = cv2.ORB_create(FEATURES, fastThreshold=7).detectAndCompute(grey, None)  # None: no feature
-    places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) / grey.shape[1]
+    grey = cv2.cvtColor(
+        cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA),
+        cv2.COLOR_RGB2GRAY,
+    )
+    points, descriptors = cv2.ORB_create(FEATURES, fastThreshold=7).detectAndCompute(
+        grey, None
+    )  # None: no feature
+    places = (
+        np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2)
+        / grey.shape[1]
+    )
     return Look(places, descriptors, float(cv2.Laplacian(grey, cv2.CV_64F).var()))
 
 
@@ -90,7 +118,13 @@ def motion(first: Look, second: Look) -> float:
     pairs = _matches(first, second)
     if len(pairs) < LINKED * len(first.points) or not len(pairs):
         return float("inf")
-    return float(np.median(np.linalg.norm(first.points[pairs[:, 0]] - second.points[pairs[:, 1]], axis=1)))
+    return float(
+        np.median(
+            np.linalg.norm(
+                first.points[pairs[:, 0]] - second.points[pairs[:, 1]], axis=1
+            )
+        )
+    )
 
 
 def shared(looks: Sequence[Look]) -> Float[np.ndarray, "photo photo"]:
@@ -104,12 +138,16 @@ def shared(looks: Sequence[Look]) -> Float[np.ndarray, "photo photo"]:
 
 
 def covering(common: Float[np.ndarray, "photo photo"], most: int) -> list[int]:
-    """Indices, in order, of at most `most` photos that show most of what all show, each linked to another of them."""
+    """Indices, in order, of at most `most` photos that show most of what all show, each linked to
+    another of them.
+    """
     chosen: list[int] = []
     best = np.zeros(len(common))
     while len(chosen) < min(most, len(common)):
         gains = np.maximum(common - best[:, None], 0).sum(0)
-        linked = (common[chosen].max(0) >= LINKED) if chosen else np.ones(len(common), bool)
+        linked = (
+            (common[chosen].max(0) >= LINKED) if chosen else np.ones(len(common), bool)
+        )
         free = ~np.isin(np.arange(len(common)), chosen)
         eligible = free & linked if (free & linked).any() else free
         chosen.append(int(np.argmax(np.where(eligible, gains, -1))))
@@ -121,22 +159,35 @@ def _matches(first: Look, second: Look) -> np.ndarray:
     """Index pairs of features that are each other's nearest and alike."""
     if first.descriptors is None or second.descriptors is None:
         return np.zeros((0, 2), int)
-    found = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(first.descriptors, second.descriptors)
-    pairs = [(match.queryIdx, match.trainIdx) for match in found if match.distance < ALIKE]
+    found = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        first.descriptors, second.descriptors
+    )
+    pairs = [
+        (match.queryIdx, match.trainIdx) for match in found if match.distance < ALIKE
+    ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def _sharpest(video: Path, stretches: int) -> list[tuple[Look, np.ndarray, int]]:
-    """Look, pixels (BGR) and number of the sharpest frame of each stretch, of the frames that are looked at."""
+    """Look, pixels (BGR) and number of the sharpest frame of each stretch, of the frames that are
+    looked at.
+    """
     count = _frame_count(video)
     stretches = min(stretches, count)
     step = max(1, count // max(MOST_LOOKED_AT, stretches))
     best: dict[int, tuple[Look, np.ndarray, int]] = {}
     capture = cv2.VideoCapture(str(video))
     for number in track(range(count), "read video"):
-        good, frame = capture.retrieve() if capture.grab() and number % step == 0 else (False, None)
+        good, frame = (
+            capture.retrieve()
+            if capture.grab() and number % step == 0
+            else (False, None)
+        )
         if good:
-            seen, stretch = look(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)), number * stretches // count
+            seen, stretch = (
+                look(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)),
+                number * stretches // count,
+            )
             if stretch not in best or seen.sharpness > best[stretch][0].sharpness:
                 best[stretch] = (seen, frame, number)
     capture.release()
@@ -146,7 +197,9 @@ def _sharpest(video: Path, stretches: int) -> list[tuple[Look, np.ndarray, int]]
 def _frame_count(video: Path) -> int:
     """Number of frames that can be read; headers may lie, so they are counted."""
     capture = cv2.VideoCapture(str(video))
-    size = capture.get(cv2.CAP_PROP_FRAME_WIDTH) * capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    size = capture.get(cv2.CAP_PROP_FRAME_WIDTH) * capture.get(
+        cv2.CAP_PROP_FRAME_HEIGHT
+    )
     if not capture.isOpened() or not 0 < size <= MAX_PIXELS:
         raise InputError(f"{video}: not a video that OpenCV can read.")
     count = 0

@@ -1,4 +1,5 @@
-"""The scene in the formats of other programs, and from them, by gaussforge (extra `export`); GLB is written here.
+"""The scene in the formats of other programs, and from them, by gaussforge (extra `export`); GLB is
+written here.
 
 gaussforge works in a process of its own: a damaged file can end it, and it prints.
 """
@@ -14,17 +15,19 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from edit3r.contract.types import Gaussians
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
 from edit3r.io.ply import SMALLEST_SCALE, VIEWER_DEGREE, load_ply, save_ply
-from edit3r.run_config import FORMATS
-from edit3r.types import Gaussians
+from edit3r.pipeline.config import FORMATS
 
 __all__ = ["FORMATS", "export_scene", "load_scene"]
 
-LONGEST = 600  # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
+LONGEST = (
+    600  # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
+)
 _CONVERT = """
 import sys, gaussforge
 data = open(sys.argv[1], "rb").read()
@@ -57,13 +60,19 @@ def export_scene(path: str | Path, gaussians: Gaussians, form: str) -> None:
 
 
 def load_scene(path: str | Path) -> Gaussians:
-    """Read a scene of any of `FORMATS` but GLB, told by its suffix. Raises InputError for a file that is damaged."""
+    """Read a scene of any of `FORMATS` but GLB, told by its suffix. Raises InputError for a file
+    that is damaged.
+    """
     path = Path(path)
-    found = [form for form, suffix in FORMATS.items() if path.name.lower().endswith(suffix)]
+    found = [
+        form for form, suffix in FORMATS.items() if path.name.lower().endswith(suffix)
+    ]
     if found in ([], ["ply"]):
         return load_ply(path, visible=True)
     if found == ["glb"]:
-        raise InputError(f"{path}: GLB is written but not read; export from the scene.ply of the run.")
+        raise InputError(
+            f"{path}: GLB is written but not read; export from the scene.ply of the run."
+        )
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     with tempfile.TemporaryDirectory() as scratch:
@@ -72,13 +81,18 @@ def load_scene(path: str | Path) -> Gaussians:
             _convert(path, plain, found[0].replace("-", "."), "ply")
             return load_ply(plain, visible=True)
         except (RunError, InputError) as error:
-            raise InputError(f"{path}: cannot be read as {found[0]}; {error}".replace(str(plain), "it")) from None
+            raise InputError(
+                f"{path}: cannot be read as {found[0]}; {error}".replace(
+                    str(plain), "it"
+                )
+            ) from None
 
 
 def _for_gaussforge(gaussians: Gaussians, form: str) -> Gaussians:
     """The scene in the order that makes gaussforge 0.6 write it right.
 
-    It writes the harmonics of a compressed PLY by coefficient; the format (and its own reader) has them by colour.
+    It writes the harmonics of a compressed PLY by coefficient; the format (and its own reader) has
+    them by colour.
     """
     if form != "compressed-ply":
         return gaussians
@@ -91,18 +105,25 @@ def _convert(source: Path, target: Path, *forms: str) -> None:
     """Let gaussforge turn a file of one format into another."""
     command = [sys.executable, "-c", _CONVERT, str(source), str(target), *forms]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=LONGEST)
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=LONGEST
+        )
     except subprocess.TimeoutExpired:
         raise RunError(f"gaussforge gave no answer within {LONGEST} seconds.") from None
-    reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with code {done.returncode}"]
+    reason = done.stderr.strip().splitlines()[-1:] or [
+        f"it ended with code {done.returncode}"
+    ]
     if "gaussforge" in reason[0] and "ModuleNotFoundError" in reason[0]:
-        raise MissingDependencyError(f"{' to '.join(forms)} needs gaussforge; pip install 'edit3r[export]'.")
+        raise MissingDependencyError(
+            f"{' to '.join(forms)} needs gaussforge; pip install 'edit3r[export]'."
+        )
     if done.returncode or not target.is_file():
         raise RunError(f"gaussforge: {reason[0][:200]}.")
 
 
 def _glb(gaussians: Gaussians) -> bytes:
-    """Binary glTF 2.0 with the extension KHR_gaussian_splatting; programs without it show coloured points.
+    """Binary glTF 2.0 with the extension KHR_gaussian_splatting; programs without it show coloured
+    points.
 
     The node turns the frame of view 0 (y down, z forward) to that of glTF (y up, z backward).
     """
@@ -112,32 +133,69 @@ def _glb(gaussians: Gaussians) -> bytes:
     own = "KHR_gaussian_splatting"
     attributes = {
         "POSITION": columns.means[0].numpy(),
-        "COLOR_0": np.column_stack((plain**2.2, columns.opacities[0].numpy())),  # linear, as glTF wants it
-        f"{own}:ROTATION": normalise_quats(columns.quats[0]).roll(-1, -1).numpy(),  # xyzw
+        "COLOR_0": np.column_stack(
+            (plain**2.2, columns.opacities[0].numpy())
+        ),  # linear, as glTF wants it
+        f"{own}:ROTATION": normalise_quats(columns.quats[0])
+        .roll(-1, -1)
+        .numpy(),  # xyzw
         f"{own}:SCALE": columns.scales[0].clamp(min=SMALLEST_SCALE).numpy(),
         f"{own}:OPACITY": columns.opacities[0].clamp(0, 1).numpy(),
     }
     for index in range(harmonics.shape[1]):
         degree = int(index**0.5)
-        attributes[f"{own}:SH_DEGREE_{degree}_COEF_{index - degree**2}"] = harmonics[:, index]
-    parts = [np.ascontiguousarray(values, dtype="<f4") for values in attributes.values()]
+        attributes[f"{own}:SH_DEGREE_{degree}_COEF_{index - degree**2}"] = harmonics[
+            :, index
+        ]
+    parts = [
+        np.ascontiguousarray(values, dtype="<f4") for values in attributes.values()
+    ]
     starts = np.cumsum([0, *(part.nbytes for part in parts)]).tolist()
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
     accessors = [
-        {"bufferView": i, "componentType": 5126, "count": len(p), "type": kinds[1 if p.ndim == 1 else p.shape[1]]}
+        {
+            "bufferView": i,
+            "componentType": 5126,
+            "count": len(p),
+            "type": kinds[1 if p.ndim == 1 else p.shape[1]],
+        }
         for i, p in enumerate(parts)
     ]
     accessors[0] |= {"min": parts[0].min(0).tolist(), "max": parts[0].max(0).tolist()}
-    primitive = {"mode": 0, "attributes": {name: index for index, name in enumerate(attributes)}}
-    primitive["extensions"] = {own: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}}
+    primitive = {
+        "mode": 0,
+        "attributes": {name: index for index, name in enumerate(attributes)},
+    }
+    primitive["extensions"] = {
+        own: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    }
     tree = {
-        **{"asset": {"version": "2.0", "generator": "edit3r"}, "extensionsUsed": [own], "scene": 0},
-        **{"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "rotation": [1, 0, 0, 0]}]},
-        **{"meshes": [{"primitives": [primitive]}], "accessors": accessors, "buffers": [{"byteLength": starts[-1]}]},
-        "bufferViews": [{"buffer": 0, "byteOffset": at, "byteLength": p.nbytes} for at, p in zip(starts, parts)],
+        **{
+            "asset": {"version": "2.0", "generator": "edit3r"},
+            "extensionsUsed": [own],
+            "scene": 0,
+        },
+        **{
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "rotation": [1, 0, 0, 0]}],
+        },
+        **{
+            "meshes": [{"primitives": [primitive]}],
+            "accessors": accessors,
+            "buffers": [{"byteLength": starts[-1]}],
+        },
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": at, "byteLength": p.nbytes}
+            for at, p in zip(starts, parts)
+        ],
     }
     text = json.dumps(tree, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     data = b"".join(part.tobytes() for part in parts)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    chunks = (
+        struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(data), b"BIN\0")
+        + data
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -1,4 +1,6 @@
-"""Where each photo's intrinsics come from: a camera file, else `--fov`, else EXIF, else a stated default."""
+"""Where each photo's intrinsics come from: a camera file, else `--fov`, else EXIF, else a stated
+default.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,10 +19,13 @@ from edit3r.io.framing import Lens
 from edit3r.reporting import warn
 
 DEFAULT_FOV = 60.0
-"""Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a phone's main camera
-(about 67) and a standard lens (about 40)."""
+"""Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a
+phone's main camera (about 67) and a standard lens (about 40).
+"""
 
-SHAPE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding of scaled sizes explains
+SHAPE_TOLERANCE = (
+    0.01  # relative difference of aspect ratios that rounding of scaled sizes explains
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,9 @@ class Intrinsics:
 
 
 def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
-    """The photos' poses where one file knows all of them: those of two files have no frame in common."""
+    """The photos' poses where one file knows all of them: those of two files have no frame in
+    common.
+    """
     poses = [one.c2w for one in found if one.c2w is not None]
     complete = len(poses) == len(found) and len({one.source for one in found}) == 1
     return torch.stack(poses) if complete else None
@@ -56,10 +63,16 @@ class IntrinsicsFinder:
         size = (height, width)
         for camera_file in self._camera_files(file):
             camera = camera_file.find(file, by_name=camera_file is self.given)
-            if camera is not None and camera.K is not None and self._fits(camera, camera_file, file, size):
+            if (
+                camera is not None
+                and camera.K is not None
+                and self._fits(camera, camera_file, file, size)
+            ):
                 c2w = None if camera.c2w is None else torch.from_numpy(camera.c2w)
                 source = f"camera file {camera_file.path}"
-                return Intrinsics(torch.from_numpy(camera.intrinsics), source, c2w, lens=camera.lens)
+                return Intrinsics(
+                    torch.from_numpy(camera.intrinsics), source, c2w, lens=camera.lens
+                )
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
         if image.focal is not None:
@@ -69,12 +82,18 @@ class IntrinsicsFinder:
         return Intrinsics(_from_focal(focal, size), source, assumed=True)
 
     def check_all_used(self, files: Sequence[Path]) -> None:
-        """Raise InputError when a given camera file knows none of the photos; warn for those it does not know."""
+        """Raise InputError when a given camera file knows none of the photos; warn for those it
+        does not know.
+        """
         if self.given is None:
             return
-        unknown = [file.name for file in files if self.given.find(file, by_name=True) is None]
+        unknown = [
+            file.name for file in files if self.given.find(file, by_name=True) is None
+        ]
         if len(unknown) == len(files):
-            raise InputError(f"{self.given.path}: has no camera for any of the photos (looked for {unknown[0]}).")
+            raise InputError(
+                f"{self.given.path}: has no camera for any of the photos (looked for {unknown[0]})."
+            )
         if unknown:
             warn(f"{self.given.path}: has no camera for {', '.join(unknown)}.")
 
@@ -94,15 +113,23 @@ class IntrinsicsFinder:
             if path.is_file():
                 try:
                     self._found[path] = _CameraFile(path)
-                except InputError as error:  # found, not given: it may be another program's file of that name
+                # found, not given: it may be another program's file of that name
+                except InputError as error:
                     warn(f"{error} It is ignored.")
         return self._found[path]
 
-    def _fits(self, camera: PosedCamera, camera_file: "_CameraFile", file: Path, size: tuple[int, int]) -> bool:
+    def _fits(
+        self,
+        camera: PosedCamera,
+        camera_file: "_CameraFile",
+        file: Path,
+        size: tuple[int, int],
+    ) -> bool:
         if abs(camera.width / camera.height * size[0] / size[1] - 1) <= SHAPE_TOLERANCE:
             return True
         problem = (
-            f"{camera_file.path}: its camera for {file.name} is {camera.width}x{camera.height}, but the upright photo "
+            f"{camera_file.path}: its camera for {file.name} is {camera.width}x{camera.height}, "
+            "but the upright photo "
             f"is {size[1]}x{size[0]}."
         )
         if camera_file is self.given:
@@ -121,7 +148,9 @@ class _CameraFile:
         for camera in read_cameras(path):
             self._by_path[(path.parent / camera.file).resolve()] = camera
             name = Path(camera.file).name
-            self._by_name[name] = None if name in self._by_name else camera  # None: two images of that name
+            self._by_name[name] = (
+                None if name in self._by_name else camera
+            )  # None: two images of that name
 
     def find(self, file: Path, by_name: bool) -> PosedCamera | None:
         camera = self._by_path.get(file.resolve())
@@ -134,5 +163,7 @@ def _from_fov(fov: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:
 
 def _from_focal(focal: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:
     height, width = size
-    pixels = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    pixels = torch.tensor(
+        [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64
+    )
     return from_pixels(pixels, size)

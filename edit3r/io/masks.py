@@ -17,15 +17,19 @@ from edit3r.io.intrinsics import SHAPE_TOLERANCE
 from edit3r.reporting import warn
 
 
-def load_masks(paths: Sequence[str | Path], photos: LoadedPhotos) -> Float[Tensor, "1 view height width"]:
+def load_masks(
+    paths: Sequence[str | Path], photos: LoadedPhotos
+) -> Float[Tensor, "1 view height width"]:
     """One mask per photo, in the photos' order: black 0, white 1, greys between.
 
-    A mask has the shape of its original photo (any size), and is then cropped as the photo was, or exactly the size of
-    the view. Raises InputError for a wrong number, shape or file.
+    A mask has the shape of its original photo (any size), and is then cropped as the photo was, or
+    exactly the size of the view. Raises InputError for a wrong number, shape or file.
     """
     paths = [Path(path) for path in paths]
     if len(paths) != len(photos.photos):
-        raise InputError(f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(paths)}.")
+        raise InputError(
+            f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(paths)}."
+        )
     masks = [read_mask(path, photo.frame) for path, photo in zip(paths, photos.photos)]
     for path, mask in zip(paths, masks):
         if not mask.any():
@@ -34,10 +38,15 @@ def load_masks(paths: Sequence[str | Path], photos: LoadedPhotos) -> Float[Tenso
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
-    """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts from the photo."""
+    """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts from
+    the photo.
+    """
     decoded = decode(path)
     if decoded.transparent:  # a hole may mean black to one program and white to another
-        raise InputError(f"{path}: this mask has transparent parts; expected black (keep) and white (may change).")
+        raise InputError(
+            f"{path}: this mask has transparent parts; expected black (keep) and white (may "
+            "change)."
+        )
     image, (height, width) = decoded.pixels.convert("L"), frame.source
     if image.getextrema() == (0, 1):  # as programs write truth values
         warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
@@ -45,8 +54,11 @@ def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
     if image.size != frame.target[::-1]:
         if abs(image.width / image.height * height / width - 1) > SHAPE_TOLERANCE:
             raise InputError(
-                f"{path}: this mask is {image.width}x{image.height}; expected the shape of its photo "
+                f"{path}: this mask is {image.width}x{image.height}; expected the shape of its "
+                "photo "
                 f"({width}x{height}) or the size of its view ({frame.target[1]}x{frame.target[0]})."
             )
-        image = frame.cut(image, Image.Resampling.BILINEAR)  # never leaves [0, 1], unlike Lanczos
+        image = frame.cut(
+            image, Image.Resampling.BILINEAR
+        )  # never leaves [0, 1], unlike Lanczos
     return torch.from_numpy(np.array(image, dtype=np.float32) / 255)

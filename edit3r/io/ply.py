@@ -1,7 +1,8 @@
 """Gaussians as the PLY of 3D Gaussian Splatting, which every splat viewer opens.
 
-One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (channel-major: all of red,
-then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3 (wxyz). The header's comments say in which frame.
+One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
+(channel-major: all of red, then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3
+(wxyz). The header's comments say in which frame.
 """
 
 import os
@@ -14,10 +15,10 @@ import numpy as np
 import torch
 from jaxtyping import Float64, Int64
 
+from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
 from edit3r.reporting import warn
-from edit3r.types import MAX_DEGREE, Gaussians
 
 __all__ = ["load_ply", "save_ply"]
 
@@ -35,32 +36,63 @@ _REQUIRED = (
 )
 
 MOST_HEADER_BYTES = 1 << 20
-MOST_COMMENT = 1000  # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
+# characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
+MOST_COMMENT = 1000
 LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 _TYPES = {
-    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2"},
-    **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4"},
+    **{
+        "char": "i1",
+        "int8": "i1",
+        "uchar": "u1",
+        "uint8": "u1",
+        "short": "i2",
+        "int16": "i2",
+        "ushort": "u2",
+    },
+    **{
+        "uint16": "u2",
+        "int": "i4",
+        "int32": "i4",
+        "uint": "u4",
+        "uint32": "u4",
+        "float": "f4",
+        "float32": "f4",
+    },
     **{"double": "f8", "float64": "f8"},
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def save_ply(
-    path: str | Path, gaussians: Gaussians, *, degree: int | None = None, comment_lines: Sequence[str] = ()
+    path: str | Path,
+    gaussians: Gaussians,
+    *,
+    degree: int | None = None,
+    comment_lines: Sequence[str] = (),
 ) -> None:
     """Write one scene (batch 1); the same Gaussians give the same bytes.
 
-    All harmonics are written. Common viewers stop at degree 3 (some refuse more): `degree` cuts to that many, which
-    loses the finest change of colour with direction. `view_index` goes into the header as runs of equal values, where
-    no viewer stumbles over it; more than 256 runs are not kept. Opacities 0 and 1 come back as 1e-7 and 1 - 1e-7.
+    All harmonics are written. Common viewers stop at degree 3 (some refuse more): `degree` cuts to
+    that many, which loses the finest change of colour with direction. `view_index` goes into the
+    header as runs of equal values, where no viewer stumbles over it; more than 256 runs are not
+    kept. Opacities 0 and 1 come back as 1e-7 and 1 - 1e-7.
     """
     if gaussians.means.shape[0] != 1:
-        raise ValueError(f"save_ply writes one scene, got a batch of {gaussians.means.shape[0]}")
+        raise ValueError(
+            f"save_ply writes one scene, got a batch of {gaussians.means.shape[0]}"
+        )
     degree = gaussians.degree if degree is None else min(degree, gaussians.degree)
     if degree > VIEWER_DEGREE:
-        warn(f"{path}: harmonics of degree {degree}; many viewers read {VIEWER_DEGREE} at most.")
+        warn(
+            f"{path}: harmonics of degree {degree}; many viewers read {VIEWER_DEGREE} at most."
+        )
     table = _to_table(gaussians, degree)
-    comments = ["3D Gaussians by edit3r", _FRAME, *_view_runs(gaussians.view_index.cpu().numpy()), *comment_lines]
+    comments = [
+        "3D Gaussians by edit3r",
+        _FRAME,
+        *_view_runs(gaussians.view_index.cpu().numpy()),
+        *comment_lines,
+    ]
     with atomic_write(path) as partial, partial.open("wb") as file:
         file.write(_header(table, comments))
         file.write(table.data)
@@ -69,26 +101,37 @@ def save_ply(
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a binary 3DGS PLY (any number type, extra properties ignored) as one scene on the CPU.
 
-    Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are left out with a
-    warning. Raises InputError for a file that is no such PLY, or is cut off; with `visible` also for a scene in which
-    nothing can be drawn.
+    Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are
+    left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
+    `visible` also for a scene in which nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
     missing = [name for name in _REQUIRED if name not in header.names]
     if missing:
-        raise InputError(f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}.")
+        raise InputError(
+            f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
+        )
     gaussians = _from_table(header.read_vertices(), header)
     if visible and not (gaussians.opacities >= LEAST_OPACITY).any():
-        raise InputError(f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255.")
+        raise InputError(
+            f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255."
+        )
     return gaussians
 
 
 def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
-    """Structured array of the vertex element; logits and logarithms are taken in double precision."""
+    """Structured array of the vertex element; logits and logarithms are taken in double
+    precision.
+    """
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
-    opacities = gaussians.opacities[0].detach().double().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    opacities = (
+        gaussians.opacities[0]
+        .detach()
+        .double()
+        .clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    )
     harmonics = gaussians.harmonics[0, :, :coefficients].detach()
     columns = (
         gaussians.means[0].detach(),
@@ -99,29 +142,54 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
         torch.from_numpy(_unit(quats.cpu().numpy())),
     )
-    table = torch.empty(gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32)
-    for part, column in zip(table.split([column.shape[1] for column in columns], 1), columns):
+    table = torch.empty(
+        gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32
+    )
+    for part, column in zip(
+        table.split([column.shape[1] for column in columns], 1), columns
+    ):
         part.copy_(column)
     if not torch.isfinite(table).all():
         raise ValueError("save_ply: the Gaussians hold values that are not finite")
     names = [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
         *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
-        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+        *(
+            "opacity",
+            "scale_0",
+            "scale_1",
+            "scale_2",
+            "rot_0",
+            "rot_1",
+            "rot_2",
+            "rot_3",
+        ),
     ]
-    return table.numpy().astype("<f4", copy=False).view([(name, "<f4") for name in names])[:, 0]
+    return (
+        table.numpy()
+        .astype("<f4", copy=False)
+        .view([(name, "<f4") for name in names])[:, 0]
+    )
 
 
 def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {_one_line(comment)}" for comment in comments]
-    lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in table.dtype.names), "end_header"]
+    lines += [
+        f"element vertex {len(table)}",
+        *(f"property float {name}" for name in table.dtype.names),
+        "end_header",
+    ]
     return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
 
 
 def _one_line(comment: str) -> str:
     line = " ".join(comment.split())
-    return line if len(line) <= MOST_COMMENT or comment.startswith(_VIEWS) else f"{line[:MOST_COMMENT]}..."
+    return (
+        line
+        if len(line) <= MOST_COMMENT or comment.startswith(_VIEWS)
+        else f"{line[:MOST_COMMENT]}..."
+    )
 
 
 def _view_runs(view_index: np.ndarray) -> list[str]:
@@ -131,12 +199,16 @@ def _view_runs(view_index: np.ndarray) -> list[str]:
     if len(starts) > MOST_RUNS:
         return []
     counts = np.diff(np.append(starts, len(view_index)))
-    runs = " ".join(f"{view}:{count}" for view, count in zip(view_index[starts], counts))
+    runs = " ".join(
+        f"{view}:{count}" for view, count in zip(view_index[starts], counts)
+    )
     return [f"{_VIEWS} {runs}"]
 
 
 def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
-    """`view_index` from the header's comment, -1 where it says nothing that fits the number of Gaussians."""
+    """`view_index` from the header's comment, -1 where it says nothing that fits the number of
+    Gaussians.
+    """
     for comment in header.comments:
         if comment.startswith(_VIEWS):
             runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
@@ -150,7 +222,9 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
     degree = _degree(header)
     rest = (degree + 1) ** 2 - 1  # coefficients per colour above degree 0
     dc = _columns(table, ("f_dc_0", "f_dc_1", "f_dc_2"))[:, None]
-    higher = _columns(table, [f"f_rest_{i}" for i in range(3 * rest)]).reshape(header.count, 3, rest)
+    higher = _columns(table, [f"f_rest_{i}" for i in range(3 * rest)]).reshape(
+        header.count, 3, rest
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
         columns = {
@@ -161,18 +235,29 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
             "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
         }
         # Through float32 first: what is finite in double may not be afterwards.
-        tensors = {name: torch.from_numpy(values.astype(np.float32)) for name, values in columns.items()}
+        tensors = {
+            name: torch.from_numpy(values.astype(np.float32))
+            for name, values in columns.items()
+        }
     finite = torch.ones(header.count, dtype=torch.bool)
     for values in tensors.values():
         finite &= torch.isfinite(values[:, None].flatten(1)).all(1)
     if not finite.all():
-        warn(f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite and left out.")
+        warn(
+            f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite "
+            "and left out."
+        )
     view_index = torch.from_numpy(_read_view_runs(header))[finite]
-    return Gaussians(**{name: values[finite][None] for name, values in tensors.items()}, view_index=view_index)
+    return Gaussians(
+        **{name: values[finite][None] for name, values in tensors.items()},
+        view_index=view_index,
+    )
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so files can go round."""
+    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so
+    files can go round.
+    """
     norms = np.linalg.norm(quats, axis=-1, keepdims=True)
     return np.where(np.abs(norms - 1) < 1e-6, quats, quats / np.maximum(norms, 1e-12))
 
@@ -183,11 +268,14 @@ def _degree(header: "PlyHeader") -> int:
         if rest == {f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))}:
             return degree
     raise InputError(
-        f"{header.path}: {len(rest)} f_rest properties; expected 0, 9, 24, 45 or 72 in a row (degree 0 to 4)."
+        f"{header.path}: {len(rest)} f_rest properties; expected 0, 9, 24, 45 or 72 in a row "
+        "(degree 0 to 4)."
     )
 
 
-def _columns(table: np.ndarray, names: Sequence[str]) -> Float64[np.ndarray, "gaussian column"]:
+def _columns(
+    table: np.ndarray, names: Sequence[str]
+) -> Float64[np.ndarray, "gaussian column"]:
     """The columns called `names`, in double precision."""
     if not names:
         return np.zeros((len(table), 0))
@@ -216,13 +304,16 @@ class PlyHeader:
         available = max(0, os.path.getsize(self.path) - self.offset) // dtype.itemsize
         if available < self.count:
             raise InputError(
-                f"{self.path}: cut off, the header promises {self.count} Gaussians, {available} are there."
+                f"{self.path}: cut off, the header promises {self.count} Gaussians, {available} "
+                "are there."
             )
         return np.fromfile(self.path, dtype, self.count, offset=self.offset)
 
 
 def read_header(path: Path) -> PlyHeader:
-    """Read up to `end_header`. The vertex element must come first and hold no lists. Raises InputError."""
+    """Read up to `end_header`. The vertex element must come first and hold no lists. Raises
+    InputError.
+    """
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:
@@ -235,8 +326,14 @@ def read_header(path: Path) -> PlyHeader:
     for end in (b"\nend_header\n", b"\nend_header\r\n"):
         if end in start:
             text, _, _ = start.partition(end)
-            return _parse(path, text.decode("utf-8", "replace").splitlines()[1:], len(text) + len(end))
-    raise InputError(f"{path}: a PLY without the end of its header; it is cut off or damaged.")
+            return _parse(
+                path,
+                text.decode("utf-8", "replace").splitlines()[1:],
+                len(text) + len(end),
+            )
+    raise InputError(
+        f"{path}: a PLY without the end of its header; it is cut off or damaged."
+    )
 
 
 def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
@@ -250,20 +347,30 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
             layout = fields[0]
         elif word == "element" and len(fields) == 2:
             if count is None and fields[0] != "vertex":
-                raise InputError(f"{path}: its first element is {fields[0]!r}, expected 'vertex'.")
+                raise InputError(
+                    f"{path}: its first element is {fields[0]!r}, expected 'vertex'."
+                )
             element = fields[0]
             if element == "vertex":
                 if not re.fullmatch("[0-9]{1,15}", fields[1]):
-                    raise InputError(f"{path}: expected a number of vertices, got {fields[1][:60]!r}.")
+                    raise InputError(
+                        f"{path}: expected a number of vertices, got {fields[1][:60]!r}."
+                    )
                 count = int(fields[1])
         elif word == "property" and element == "vertex":
             if len(fields) != 2 or fields[0] not in _TYPES:
-                raise InputError(f"{path}: a vertex property of an unknown type: {line.strip()!r}.")
+                raise InputError(
+                    f"{path}: a vertex property of an unknown type: {line.strip()!r}."
+                )
             columns.append((fields[1], _TYPES[fields[0]]))
     if layout == "ascii":
-        raise InputError(f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do.")
+        raise InputError(
+            f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do."
+        )
     if layout not in _BYTE_ORDERS or count is None or not columns:
-        raise InputError(f"{path}: a PLY header without a known format or without vertices.")
+        raise InputError(
+            f"{path}: a PLY header without a known format or without vertices."
+        )
     if len({name for name, _ in columns}) < len(columns):
         raise InputError(f"{path}: two vertex properties have the same name.")
     return PlyHeader(path, layout, tuple(comments), count, tuple(columns), offset)

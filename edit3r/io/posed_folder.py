@@ -1,4 +1,6 @@
-"""A folder of photos with known cameras (`cameras.json`, or nerfstudio's `transforms.json`), as evaluation uses it."""
+"""A folder of photos with known cameras (`cameras.json`, or nerfstudio's `transforms.json`), as
+evaluation uses it.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +27,9 @@ class Photo:
 
 @dataclass(frozen=True)
 class PosedFolder:
-    """A scene: the photos of a camera file that have both a pose and intrinsics, in the file's order."""
+    """A scene: the photos of a camera file that have both a pose and intrinsics, in the file's
+    order.
+    """
 
     name: str
     path: Path
@@ -35,9 +39,13 @@ class PosedFolder:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
         image = read_image(self.path / camera.file)
-        frame = frame_for((image.height, image.width), (size, size)).through(camera.lens)
+        frame = frame_for((image.height, image.width), (size, size)).through(
+            camera.lens
+        )
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
-        return Photo(np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w)
+        return Photo(
+            np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w
+        )
 
 
 def read_posed_folder(path: str | Path) -> PosedFolder:
@@ -45,8 +53,16 @@ def read_posed_folder(path: str | Path) -> PosedFolder:
     path = Path(path)
     found = [path / name for name in CAMERA_FILES if (path / name).is_file()]
     if not found:
-        raise InputError(f"{path}: expected a folder of photos with a {' or a '.join(CAMERA_FILES)}.")
-    cameras = tuple(camera for camera in read_cameras(found[0]) if camera.K is not None and camera.c2w is not None)
+        raise InputError(
+            f"{path}: expected a folder of photos with a {' or a '.join(CAMERA_FILES)}."
+        )
+    cameras = tuple(
+        camera
+        for camera in read_cameras(found[0])
+        if camera.K is not None and camera.c2w is not None
+    )
     if not cameras:
-        raise InputError(f"{found[0]}: no photo has both a pose (c2w) and intrinsics (K).")
+        raise InputError(
+            f"{found[0]}: no photo has both a pose (c2w) and intrinsics (K)."
+        )
     return PosedFolder(path.resolve().name, path, cameras)

@@ -1,4 +1,6 @@
-"""The folder that a run leaves: where each result lies in it, and `run.json`, which says how the run was made."""
+"""The folder that a run leaves: where each result lies in it, and `run.json`, which says how the
+run was made.
+"""
 
 import dataclasses
 import importlib.metadata
@@ -19,8 +21,20 @@ from edit3r.reporting import StageRecord
 FORMAT = 1
 """Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
 
-_PACKAGES = ("torch", "numpy", "pillow", "opencv-contrib-python-headless", "kornia", "scikit-image", "scipy", "numba")
-_SECRET = re.compile(r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$", re.IGNORECASE)
+_PACKAGES = (
+    "torch",
+    "numpy",
+    "pillow",
+    "opencv-contrib-python-headless",
+    "kornia",
+    "scikit-image",
+    "scipy",
+    "numba",
+)
+_SECRET = re.compile(
+    r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$",
+    re.IGNORECASE,
+)
 
 
 class RunFolder:
@@ -29,7 +43,9 @@ class RunFolder:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.scene = root / "scene.ply"  # the edited 3D Gaussians
-        self.before_after = root / "before_after.png"  # photo, 2D edit and 3D result of each view on one sheet
+        self.before_after = (
+            root / "before_after.png"
+        )  # photo, 2D edit and 3D result of each view on one sheet
         self.video = root / "video.webm"  # the camera path
         self.viewer = root / "viewer.html"  # the scene in one page that opens from disk
         self.cameras = root / "cameras.json"  # intrinsics and poses of the input views
@@ -89,7 +105,7 @@ class RunManifest:
     inputs: Sequence[Photo]
     masks: Mapping[str, str]  # file: sha256
     weights: Sequence[WeightsRecord]
-    verdict: Any  # `edit3r.verdict.Verdict`
+    verdict: Any  # `edit3r.pipeline.verdict.Verdict`
     gaussians: int
     harmonics_degree: int
     stages: Sequence[StageRecord]
@@ -101,8 +117,13 @@ class RunManifest:
 
 
 def write_manifest(path: str | Path, manifest: RunManifest) -> None:
-    """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite as null."""
-    content = {item.name: recorded(getattr(manifest, item.name)) for item in dataclasses.fields(manifest)}
+    """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite
+    as null.
+    """
+    content = {
+        item.name: recorded(getattr(manifest, item.name))
+        for item in dataclasses.fields(manifest)
+    }
     with atomic_write(path) as partial:
         text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
         partial.write_text(text + "\n", encoding="utf-8")
@@ -110,7 +131,11 @@ def write_manifest(path: str | Path, manifest: RunManifest) -> None:
 
 def installed_versions() -> dict[str, str]:
     """Versions of Python, edit3r and the packages that results depend on, and the platform."""
-    versions = {"edit3r": edit3r.__version__, "python": platform.python_version(), "platform": platform.platform()}
+    versions = {
+        "edit3r": edit3r.__version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
     for name in _PACKAGES:
         try:
             versions[name] = importlib.metadata.version(name)
@@ -124,7 +149,9 @@ def recorded(value: Any, name: str = "") -> Any:
     if isinstance(value, str) and value and _SECRET.search(name):
         return "(not recorded)"
     if isinstance(value, str):
-        return value.encode(errors="backslashreplace").decode()  # a file name may be no UTF-8
+        return value.encode(
+            errors="backslashreplace"
+        ).decode()  # a file name may be no UTF-8
     if value is None or isinstance(value, (bool, int)):
         return value
     if isinstance(value, float):
@@ -134,9 +161,14 @@ def recorded(value: Any, name: str = "") -> Any:
     if hasattr(value, "model_dump"):
         return recorded(value.model_dump())
     if dataclasses.is_dataclass(value):
-        return {item.name: recorded(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+        return {
+            item.name: recorded(getattr(value, item.name), item.name)
+            for item in dataclasses.fields(value)
+        }
     if isinstance(value, Mapping):
-        return {str(key): recorded(value[key], str(key)) for key in sorted(value, key=str)}
+        return {
+            str(key): recorded(value[key], str(key)) for key in sorted(value, key=str)
+        }
     if isinstance(value, (list, tuple, set, frozenset)):
         items = sorted(value) if isinstance(value, (set, frozenset)) else value
         return [recorded(item) for item in items]

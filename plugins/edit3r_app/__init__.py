@@ -1,4 +1,6 @@
-"""The app: photos, a click on the object, a sentence, and before and after in 3D, in the browser."""
+"""The app: photos, a click on the object, a sentence, and before and after in 3D, in the
+browser.
+"""
 
 from edit3r import Component, hookimpl
 

@@ -8,30 +8,61 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from edit3r.command import Command
+from edit3r.contract.command import Command
 from edit3r.errors import InputError
 
 
 class AppCommand(Command):
-    """Edit in the browser: drop photos, click the object, say what to change, and see before and after in 3D."""
+    """Edit in the browser: drop photos, click the object, say what to change, and see before and
+    after in 3D.
+    """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
         add(
-            "photos", nargs="*", metavar="PHOTO|FOLDER", help="photos to begin with; more can be dropped in the browser"
+            "photos",
+            nargs="*",
+            metavar="PHOTO|FOLDER",
+            help="photos to begin with; more can be dropped in the browser",
         )
-        add("--jobs", default="edit3r-jobs", metavar="FOLDER", help="where everything is kept (default edit3r-jobs)")
-        add("--host", default="127.0.0.1", help="address to listen on; any but this machine's own asks for a token")
-        add("--port", type=int, metavar="N", help="port to listen on; default: 8090, or the next that is free")
-        add("--no-browser", action="store_true", help="print the address and open nothing")
-        add("--size", type=int, default=512, metavar="N", help="longer side that photos are reduced to (default 512)")
+        add(
+            "--jobs",
+            default="edit3r-jobs",
+            metavar="FOLDER",
+            help="where everything is kept (default edit3r-jobs)",
+        )
+        add(
+            "--host",
+            default="127.0.0.1",
+            help="address to listen on; any but this machine's own asks for a token",
+        )
+        add(
+            "--port",
+            type=int,
+            metavar="N",
+            help="port to listen on; default: 8090, or the next that is free",
+        )
+        add(
+            "--no-browser",
+            action="store_true",
+            help="print the address and open nothing",
+        )
+        add(
+            "--size",
+            type=int,
+            default=512,
+            metavar="N",
+            help="longer side that photos are reduced to (default 512)",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.io.images import find_photos
         from edit3r_app.jobs import JobsFolder
 
         if not 8 <= args.size <= 8192 or not 0 <= (args.port or 0) < 65536:
-            raise InputError("--size: expected 8 to 8192 pixels; --port: expected 0 to 65535.")
+            raise InputError(
+                "--size: expected 8 to 8192 pixels; --port: expected 0 to 65535."
+            )
         photos = find_photos(args.photos) if args.photos else []
         host = "127.0.0.1" if args.host == "localhost" else args.host
         port = free_port(host, args.port)
@@ -42,21 +73,36 @@ class AppCommand(Command):
         from edit3r_app.uploads import copied
 
         token = (
-            None if host in ("127.0.0.1", "::1") else os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
+            None
+            if host in ("127.0.0.1", "::1")
+            else os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
         )
         start = "/"
         if photos:
             start = f"/s/{quote(copied(folder, Path(args.photos[0]).resolve().stem, photos))}"
-        serve(folder, host=host, port=port, token=token, size=args.size, start=start, show=not args.no_browser)
+        serve(
+            folder,
+            host=host,
+            port=port,
+            token=token,
+            size=args.size,
+            start=start,
+            show=not args.no_browser,
+        )
         return 0
 
 
 def free_port(host: str, wish: int | None) -> int:
     """`wish`, or without one 8090 or the next that is free. Raises InputError where it is taken."""
     for port in [wish] if wish is not None else [*range(8090, 8190), 0]:
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe, suppress(OSError):
+        with (
+            socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe,
+            suppress(OSError),
+        ):
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
             return probe.getsockname()[1]
     asked = f"--host {host}" if wish is None else f"--host {host} --port {wish}"
-    raise InputError(f"{asked}: cannot be listened on; is another program there? Try another port.")
+    raise InputError(
+        f"{asked}: cannot be listened on; is another program there? Try another port."
+    )

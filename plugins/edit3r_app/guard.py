@@ -1,4 +1,6 @@
-"""Who may talk to the server: requests and sockets are checked before the page library sees them."""
+"""Who may talk to the server: requests and sockets are checked before the page library sees
+them.
+"""
 
 import hmac
 import urllib.parse
@@ -12,14 +14,17 @@ COOKIE = "edit3r-token"
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 HEADERS = {
     # Nothing is fetched from elsewhere, and no other page may show this one in a frame.
-    "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; frame-ancestors 'self'",
+    "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "frame-ancestors 'self'",
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
 }
 
 
 class Guard:
-    """ASGI middleware: refuses foreign hosts (DNS rebinding), foreign origins, missing tokens, and endless bodies."""
+    """ASGI middleware: refuses foreign hosts (DNS rebinding), foreign origins, missing tokens, and
+    endless bodies.
+    """
 
     def __init__(self, app: ASGIApp, *, token: str | None, most_bytes: int) -> None:
         self.app, self.token, self.most_bytes = app, token, most_bytes
@@ -45,7 +50,9 @@ class Guard:
         name, _, port = host.rpartition(":")
         if self.token is None and (name if port.isdigit() else host) not in LOOPBACK:
             return 421, "This server answers to localhost only."
-        if origin is not None and urllib.parse.urlsplit(origin).netloc != host:  # "null" has none
+        if (
+            origin is not None and urllib.parse.urlsplit(origin).netloc != host
+        ):  # "null" has none
             return 403, "Requests of other pages are refused."
         if self.token is not None:
             given = asked.query_params.get("token") or asked.cookies.get(COOKIE, "")
@@ -59,10 +66,16 @@ class Guard:
 
 def _entry(asked: HTTPConnection) -> Response:
     """Turn the token of the address into a cookie, and the address into one without it."""
-    rest = urllib.parse.urlencode([(k, v) for k, v in asked.query_params.multi_items() if k != "token"])
-    path = urllib.parse.quote("/" + asked.scope["path"].lstrip("/\\"))  # never an address of another host
+    rest = urllib.parse.urlencode(
+        [(k, v) for k, v in asked.query_params.multi_items() if k != "token"]
+    )
+    path = urllib.parse.quote(
+        "/" + asked.scope["path"].lstrip("/\\")
+    )  # never an address of another host
     answer = RedirectResponse(path + (f"?{rest}" if rest else ""), 303)
-    answer.set_cookie(COOKIE, asked.query_params["token"], httponly=True, samesite="Strict")
+    answer.set_cookie(
+        COOKIE, asked.query_params["token"], httponly=True, samesite="Strict"
+    )
     return answer
 
 

@@ -1,9 +1,10 @@
-"""The jobs folder: everything the app knows is a file in it, so that a reload or a restart loses nothing.
+"""The jobs folder: everything the app knows is a file in it, so that a reload or a restart loses
+nothing.
 
-NAME/                 a set of photos (`NAME/images`, as `edit3r run NAME` takes it) or the folder of a run
-.edit3r-app/NAME.json what was asked for in run NAME, and what came of it; without one, a run of the command line
-.edit3r-app/NAME.log  the child process's progress, one line of JSON an event
-.edit3r-app/NAME/     its masks, or the marks on a set of photos
+NAME/                 a set of photos (`NAME/images`, as `edit3r run NAME` takes it) or the folder
+of a run .edit3r-app/NAME.json what was asked for in run NAME, and what came of it; without one, a
+run of the command line .edit3r-app/NAME.log  the child process's progress, one line of JSON an
+event .edit3r-app/NAME/     its masks, or the marks on a set of photos
 """
 
 import json
@@ -33,7 +34,9 @@ class Job:
     name: str  # of its run folder
     scene: str  # the set of photos, or the run of the command line, that its history begins with
     parent: str = ""  # the run whose scene is edited again; "": from the photos
-    settings: dict[str, Any] = field(default_factory=dict)  # of the run, as a configuration file holds them
+    settings: dict[str, Any] = field(
+        default_factory=dict
+    )  # of the run, as a configuration file holds them
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
     state: State = "queued"
@@ -73,10 +76,18 @@ class JobsFolder:
             ) from None
 
     def path(self, name: str) -> Path:
-        """Folder of a set of photos or a run. Raises InputError for anything that is no name of one."""
-        if is_plain_name(name) and not name.startswith(".") and (self.root / name).is_dir():
+        """Folder of a set of photos or a run. Raises InputError for anything that is no name of
+        one.
+        """
+        if (
+            is_plain_name(name)
+            and not name.startswith(".")
+            and (self.root / name).is_dir()
+        ):
             return self.root / name
-        raise InputError(f"{str(name)[:60]!r}: no photos and no run of that name in {self.root}.")
+        raise InputError(
+            f"{str(name)[:60]!r}: no photos and no run of that name in {self.root}."
+        )
 
     def is_run(self, name: str) -> bool:
         return (self.root / name / "run.json").is_file()
@@ -84,7 +95,9 @@ class JobsFolder:
     def scenes(self) -> list[Scene]:
         """All that a history can begin with, newest first."""
         jobs = list(self.jobs())
-        roots = {job.scene for job in jobs} | {path.parent.name for path in self.root.glob("*/images")}
+        roots = {job.scene for job in jobs} | {
+            path.parent.name for path in self.root.glob("*/images")
+        }
         found = []
         for name in roots:
             try:
@@ -93,20 +106,32 @@ class JobsFolder:
                 continue
             edits = sum(job.scene == name and job.name != name for job in jobs)
             found.append((self.path(name).stat().st_mtime, Scene(name, photos, edits)))
-        return [scene for _, scene in sorted(found, key=lambda one: (-one[0], one[1].name))]
+        return [
+            scene for _, scene in sorted(found, key=lambda one: (-one[0], one[1].name))
+        ]
 
     def photos(self, name: str) -> list[Path]:
-        """Picture files of a set of photos, or of what a run was made from; none yet is no error."""
+        """Picture files of a set of photos, or of what a run was made from; none yet is no
+        error.
+        """
         folder = self.path(name)
         if self.is_run(name):
             return self.pictures(name, "inputs")
         images = folder / "images"
-        return find_photos([images]) if any(p.suffix.lower() in SUFFIXES for p in images.glob("*")) else []
+        return (
+            find_photos([images])
+            if any(p.suffix.lower() in SUFFIXES for p in images.glob("*"))
+            else []
+        )
 
     def pictures(self, run: str, kind: str) -> list[Path]:
         """The pictures of a run, one for each of its photos: kind inputs, edited or renders."""
         folder = self.path(run)
-        names = [path.name for path in find_photos([folder / "inputs"])] if (folder / "inputs").is_dir() else []
+        names = (
+            [path.name for path in find_photos([folder / "inputs"])]
+            if (folder / "inputs").is_dir()
+            else []
+        )
         return [folder / kind / name for name in names]
 
     def new_scene(self, wish: str) -> str:
@@ -121,7 +146,9 @@ class JobsFolder:
     def new_job(self, job: Job) -> Job:
         """Write down a job under a name that is still free; `job.name` is ignored."""
         stem, number = job.scene[:80], 1
-        while (self.root / f"{stem}-{number}").exists() or self._record(f"{stem}-{number}").exists():
+        while (self.root / f"{stem}-{number}").exists() or self._record(
+            f"{stem}-{number}"
+        ).exists():
             number += 1
         job = replace(job, name=f"{stem}-{number}", made=time.time())
         self.write(job)
@@ -133,7 +160,11 @@ class JobsFolder:
 
     def jobs(self) -> Iterator[Job]:
         """Every run that was asked for or that lies there, in the order of asking."""
-        names = {path.parent.name for path in self.root.glob("*/run.json") if is_plain_name(path.parent.name)}
+        names = {
+            path.parent.name
+            for path in self.root.glob("*/run.json")
+            if is_plain_name(path.parent.name)
+        }
         names = {name for name in names if not name.startswith(".")}
         names |= {path.stem for path in self.private.glob("*.json")}
         found = [job for job in map(self._read, names) if job is not None]
@@ -141,13 +172,19 @@ class JobsFolder:
 
     def job(self, name: str) -> Job:
         """One job. Raises InputError where there is none of that name."""
-        job = self._read(name) if is_plain_name(name) and not name.startswith(".") else None
+        job = (
+            self._read(name)
+            if is_plain_name(name) and not name.startswith(".")
+            else None
+        )
         if job is None:
             raise InputError(f"{str(name)[:60]!r}: no run of that name in {self.root}.")
         return job
 
     def history(self, scene: str) -> list[Job]:
-        """The jobs of one scene, in the order of asking; the parent of each is in the list, or is the scene itself."""
+        """The jobs of one scene, in the order of asking; the parent of each is in the list, or is
+        the scene itself.
+        """
         return [job for job in self.jobs() if job.scene == scene]
 
     def log(self, name: str) -> Path:
@@ -168,20 +205,40 @@ class JobsFolder:
         try:
             job = _JOB.validate_json(self._record(name).read_bytes())
         except (OSError, ValueError):  # no record, or a damaged one
-            job = Job(name, scene=name, state="done", made=run.stat().st_mtime if run.is_dir() else 0.0)
+            job = Job(
+                name,
+                scene=name,
+                state="done",
+                made=run.stat().st_mtime if run.is_dir() else 0.0,
+            )
             if not self.is_run(name):
                 return None
         if not self.is_run(name):
-            return replace(job, name=name, state="failed" if job.state == "done" else job.state)
+            return replace(
+                job, name=name, state="failed" if job.state == "done" else job.state
+            )
         manifest = manifest_of(run)
-        verdict = manifest.get("verdict") if isinstance(manifest.get("verdict"), dict) else {}
-        label, reason = (str(verdict.get(key, ""))[:1000] for key in ("label", "reason"))
+        verdict = (
+            manifest.get("verdict") if isinstance(manifest.get("verdict"), dict) else {}
+        )
+        label, reason = (
+            str(verdict.get(key, ""))[:1000] for key in ("label", "reason")
+        )
         settings = job.settings or {"prompt": str(manifest.get("prompt", ""))}
-        return replace(job, name=name, state="done", label=label, sentence=reason, settings=settings)
+        return replace(
+            job,
+            name=name,
+            state="done",
+            label=label,
+            sentence=reason,
+            settings=settings,
+        )
 
 
 def manifest_of(run: Path) -> dict[str, Any]:
-    """Content of a run's run.json; empty where it cannot be read, since the folder may come from a stranger."""
+    """Content of a run's run.json; empty where it cannot be read, since the folder may come from a
+    stranger.
+    """
     try:
         return _read_manifest(run / "run.json", (run / "run.json").stat().st_mtime_ns)
     except (OSError, ValueError, RecursionError):
@@ -205,18 +262,24 @@ def undo(history: list[Job], at: str) -> str | None:
 def redo(history: list[Job], at: str) -> str | None:
     """The newest finished edit made from `at`; None where there is none."""
     after = [
-        job.name for job in history if job.parent == at and job.state == "done" and job.name not in (at, job.scene)
+        job.name
+        for job in history
+        if job.parent == at and job.state == "done" and job.name not in (at, job.scene)
     ]
     return after[-1] if after else None
 
 
 def tree(history: list[Job]) -> list[tuple[int, Job]]:
-    """(depth, job) with every job below the one that it goes on from; siblings in the order of asking."""
+    """(depth, job) with every job below the one that it goes on from; siblings in the order of
+    asking.
+    """
     names = {job.name for job in history}
 
     def below(parent: str, depth: int) -> Iterator[tuple[int, Job]]:
         for job in history:
-            if (job.parent if job.parent in names else "") == parent and job.name != parent:
+            if (
+                job.parent if job.parent in names else ""
+            ) == parent and job.name != parent:
                 yield depth, job
                 yield from below(job.name, depth + 1)
 

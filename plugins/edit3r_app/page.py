@@ -1,4 +1,6 @@
-"""The pages: where photos are dropped, and where one scene is marked, edited, judged and edited again."""
+"""The pages: where photos are dropped, and where one scene is marked, edited, judged and edited
+again.
+"""
 
 import time
 import zlib
@@ -12,15 +14,20 @@ from nicegui import run, ui
 
 from edit3r.errors import Edit3rError, InputError
 from edit3r.io.images import packaged_pair
-from edit3r.quality import PRESETS
-from edit3r.registry import default_registry
-from edit3r.run_config import DEFAULTS, RunConfig
+from edit3r.pipeline.config import DEFAULTS, RunConfig
+from edit3r.pipeline.quality import PRESETS
+from edit3r.plugins.registry import default_registry
 from edit3r_app import forms, uploads
 from edit3r_app.choosing import Chooser, Draft, Stroke, read_draft, write_draft
 from edit3r_app.jobs import Job, JobsFolder, redo, tree, undo
 from edit3r_app.runner import Runner, read_progress, time_left
 
-COLOURS = {"good": "positive", "fair": "primary", "poor": "warning", "failed": "negative"}
+COLOURS = {
+    "good": "positive",
+    "fair": "primary",
+    "poor": "warning",
+    "failed": "negative",
+}
 DOWNLOADS = {
     "scene.ply": "the scene for other programs (3D Gaussians)",
     "viewer.html": "one page that opens anywhere, to send",
@@ -59,12 +66,19 @@ def add_pages(folder: JobsFolder, runner: Runner, chooser: Chooser) -> None:
 
 def _frame(title: str) -> None:
     """What every page has: styles, our script, and the line at the top."""
-    ui.add_head_html('<link rel="stylesheet" href="/static/app.css"><script src="/static/app.js" defer></script>')
+    ui.add_head_html(
+        '<link rel="stylesheet" href="/static/app.css"><script src="/static/app.js" defer></script>'
+    )
     ui.colors(primary="#5b4be1")
     with ui.header().classes("items-center").style("padding: 8px 20px"):
         ui.link("edit3r", "/").classes("text-white text-lg font-medium no-underline")
         ui.label(title).classes("ellipsis").style("max-width: 60vw")
-    ui.on("edit3r_sending", lambda e: ui.notify(f"sending {e.args['done'] + 1} of {e.args['total']}", timeout=700))
+    ui.on(
+        "edit3r_sending",
+        lambda e: ui.notify(
+            f"sending {e.args['done'] + 1} of {e.args['total']}", timeout=700
+        ),
+    )
 
 
 def _card(title: str = "") -> ui.element:
@@ -120,7 +134,10 @@ def _told_of_uploads() -> None:
             return
         refused.clear()
         with refused:
-            for sentence in [*sentences[:10], *([f"and {len(sentences) - 10} more"] if len(sentences) > 10 else [])]:
+            for sentence in [
+                *sentences[:10],
+                *([f"and {len(sentences) - 10} more"] if len(sentences) > 10 else []),
+            ]:
                 _quiet(sentence, warning=True)
             if scene:
                 ui.link("Go on with the photos that were taken", _address(scene))
@@ -133,15 +150,25 @@ def _start(folder: JobsFolder) -> None:
     _drop_zone("", "Drop two or more photos of one scene here, or a folder of them")
 
     def example() -> None:
-        ui.navigate.to(_address(uploads.copied(folder, "motorcycle", [Path(file) for file in packaged_pair()[0]])))
+        ui.navigate.to(
+            _address(
+                uploads.copied(
+                    folder, "motorcycle", [Path(file) for file in packaged_pair()[0]]
+                )
+            )
+        )
 
-    ui.button("Or try it with two photos of a motorcycle", on_click=example).props("flat")
+    ui.button("Or try it with two photos of a motorcycle", on_click=example).props(
+        "flat"
+    )
     scenes = folder.scenes()
     if scenes:
         ui.label("Your scenes").classes("e3-title")
     with ui.element("div").classes("e3-thumbs"):
         for scene in scenes[:200]:
-            with ui.link(target=_address(scene.name)).classes("no-underline text-black"):
+            with ui.link(target=_address(scene.name)).classes(
+                "no-underline text-black"
+            ):
                 with ui.element("div").classes("e3-photo e3-cover"):
                     if scene.photos:
                         _img(f"/thumbnail/{quote(scene.name)}/0", scene.name)
@@ -152,11 +179,19 @@ def _start(folder: JobsFolder) -> None:
 class ScenePage:
     """One scene in one tab, in one state: its photos, or a run that was made from them."""
 
-    def __init__(self, folder: JobsFolder, runner: Runner, chooser: Chooser, scene: str, at: str) -> None:
+    def __init__(
+        self, folder: JobsFolder, runner: Runner, chooser: Chooser, scene: str, at: str
+    ) -> None:
         folder.path(scene)
         if at and folder.job(at).scene != scene:
             raise InputError(f"{at}: not an edit of {scene}.")
-        self.folder, self.runner, self.chooser, self.scene, self.state = folder, runner, chooser, scene, at or scene
+        self.folder, self.runner, self.chooser, self.scene, self.state = (
+            folder,
+            runner,
+            chooser,
+            scene,
+            at or scene,
+        )
         self.names = [path.stem for path in folder.photos(self.state)]
         self.is_run = folder.is_run(self.state)
         self.at = self.state if self.is_run else ""  # as the parent of a job
@@ -175,7 +210,9 @@ class ScenePage:
                     self._wish()
                     self.progress()
                 else:
-                    _drop_zone(self.scene, "One more photo at least, taken from another place")
+                    _drop_zone(
+                        self.scene, "One more photo at least, taken from another place"
+                    )
             with ui.column().classes("w-full"):
                 self.history()
                 if not self.is_run:
@@ -198,7 +235,9 @@ class ScenePage:
             self.following = ""  # once: asking again would break off the loading
         elif signature != before:
             self.history.refresh()
-        if signature != before or any(state in ("running", "queued") for _, state in signature):
+        if signature != before or any(
+            state in ("running", "queued") for _, state in signature
+        ):
             self.progress.refresh()
         if self.pictures and self._version() != self.version:
             self._show_masks()
@@ -207,17 +246,25 @@ class ScenePage:
     def progress(self) -> None:
         """What is running and waiting, and what went wrong last."""
         jobs = list(self.folder.jobs())
-        if self.following and (job := self.folder.job(self.following)).state in ("failed", "cancelled"):
+        if self.following and (job := self.folder.job(self.following)).state in (
+            "failed",
+            "cancelled",
+        ):
             with _card():
                 _quiet(f"“{job.prompt}”: {job.sentence}", warning=True)
-        active = [job for state in ("running", "queued") for job in jobs if job.state == state]
+        active = [
+            job for state in ("running", "queued") for job in jobs if job.state == state
+        ]
         for place, job in enumerate(active):
             with _card(f"“{job.prompt}” ({job.scene})"):
                 if job.state == "queued":
                     _quiet(f"waiting, {place} before it")
                 else:
                     self._stages(job)
-                ui.button("Cancel", on_click=partial(run.io_bound, self.runner.cancel, job.name)).props("flat dense")
+                ui.button(
+                    "Cancel",
+                    on_click=partial(run.io_bound, self.runner.cancel, job.name),
+                ).props("flat dense")
 
     def _stages(self, job: Job) -> None:
         found = read_progress(self.folder.log(job.name))
@@ -225,7 +272,10 @@ class ScenePage:
         for name, seconds in found.done:
             _quiet(f"✓ {name}: {seconds:.1f} s")
         share = f", {found.share:.0%}" if found.share is not None else ""
-        ui.label(f"{found.stage or 'starting'}{share}" + ("" if left is None else f"; about {left + 1:.0f} s left"))
+        ui.label(
+            f"{found.stage or 'starting'}{share}"
+            + ("" if left is None else f"; about {left + 1:.0f} s left")
+        )
         bar = ui.linear_progress(found.share or 0.0, show_value=False)
         if found.share is None:
             bar.props("indeterminate")
@@ -236,9 +286,18 @@ class ScenePage:
         jobs = self.folder.history(self.scene)
         with _card("History"), ui.column().classes("gap-1"):
             with ui.row():
-                for label, target in (("Undo", undo(jobs, self.state)), ("Redo", redo(jobs, self.at))):
-                    button = ui.button(label, icon=label.lower(), on_click=partial(self._go_to, target or ""))
-                    button.props("outline dense padding='4px 10px'").set_enabled(target is not None)
+                for label, target in (
+                    ("Undo", undo(jobs, self.state)),
+                    ("Redo", redo(jobs, self.at)),
+                ):
+                    button = ui.button(
+                        label,
+                        icon=label.lower(),
+                        on_click=partial(self._go_to, target or ""),
+                    )
+                    button.props("outline dense padding='4px 10px'").set_enabled(
+                        target is not None
+                    )
             if not self.folder.is_run(self.scene):
                 self._node("photos as they are", "", 0, "")
             for depth, job in tree(jobs):
@@ -248,12 +307,16 @@ class ScenePage:
                     _quiet(job.sentence, warning=True)
 
     def _node(self, text: str, name: str, depth: int, label: str) -> None:
-        with ui.button(on_click=partial(self._go_to, name)).props("dense align=left") as button:
+        with ui.button(on_click=partial(self._go_to, name)).props(
+            "dense align=left"
+        ) as button:
             ui.label(text).classes("ellipsis")
             if label:
                 ui.badge(label, color=COLOURS.get(label, "grey"))
         button.classes("e3-node").style(f"margin-left: {min(depth, 8) * 12}px")
-        button.props("" if name == self.at else "flat").set_enabled(not name or self.folder.is_run(name))
+        button.props("" if name == self.at else "flat").set_enabled(
+            not name or self.folder.is_run(name)
+        )
 
     def _go_to(self, name: str) -> None:
         ui.navigate.to(_address(self.scene, name))
@@ -267,8 +330,12 @@ class ScenePage:
                     with ui.element("div").classes("e3-photo"):
                         _img(f"/thumbnail/{quote(self.scene)}/{view}", name)
                         if not fixed:
-                            away = ui.button(icon="close", on_click=partial(self._take_out, view)).classes("e3-away")
-                            away.props("round dense size=xs color=dark aria-label='take out'")
+                            away = ui.button(
+                                icon="close", on_click=partial(self._take_out, view)
+                            ).classes("e3-away")
+                            away.props(
+                                "round dense size=xs color=dark aria-label='take out'"
+                            )
             if not fixed and len(self.names) > 1:
                 _chooser_of_files("Add photos", self.scene).props("flat dense")
                 _told_of_uploads()
@@ -282,16 +349,39 @@ class ScenePage:
 
     def _choose(self) -> None:
         with _card("Click the thing to change"):
-            _quiet("One click on one photo; its mask shows on all. Without a mark the wish itself says where.")
+            _quiet(
+                "One click on one photo; its mask shows on all. Without a mark the wish itself "
+                "says where."
+            )
             with ui.row().classes("items-center w-full"):
-                modes = {"add": "Add", "remove": "Remove", "box": "Box", "paint": "Paint", "erase": "Erase"}
-                ui.toggle(modes, value="add", on_change=lambda event: self._set_mode(event.value))
-                self.brush = ui.slider(min=1, max=12, value=4, on_change=lambda: self._set_mode(self.mode))
-                self.brush.props("aria-label='size of the brush'").style("width: 110px").set_visibility(False)
-                words = ui.input(placeholder="or in words: the sky", value=self._draft().words).props("outlined")
+                modes = {
+                    "add": "Add",
+                    "remove": "Remove",
+                    "box": "Box",
+                    "paint": "Paint",
+                    "erase": "Erase",
+                }
+                ui.toggle(
+                    modes,
+                    value="add",
+                    on_change=lambda event: self._set_mode(event.value),
+                )
+                self.brush = ui.slider(
+                    min=1, max=12, value=4, on_change=lambda: self._set_mode(self.mode)
+                )
+                self.brush.props("aria-label='size of the brush'").style(
+                    "width: 110px"
+                ).set_visibility(False)
+                words = ui.input(
+                    placeholder="or in words: the sky", value=self._draft().words
+                ).props("outlined")
                 words.on("keydown.enter", lambda: self._find(words.value or ""))
-                ui.button("Find", on_click=lambda: self._find(words.value or "")).props("outline")
-                ui.button("Clear", on_click=lambda: self._change(Draft.clear_marks)).props("flat")
+                ui.button("Find", on_click=lambda: self._find(words.value or "")).props(
+                    "outline"
+                )
+                ui.button(
+                    "Clear", on_click=lambda: self._change(Draft.clear_marks)
+                ).props("flat")
                 self.busy = ui.spinner(size="sm")
             self.told = ui.column().classes("gap-1")
             self.grid = ui.element("div").classes("e3-photos")
@@ -326,7 +416,9 @@ class ScenePage:
         brushing = mode in ("paint", "erase")
         self.mode = mode
         self.brush.set_visibility(brushing)
-        self.grid.classes(replace="e3-photos" + " e3-box" * (mode == "box") + " e3-brush" * brushing)
+        self.grid.classes(
+            replace="e3-photos" + " e3-box" * (mode == "box") + " e3-brush" * brushing
+        )
         self.grid._props["data-brush"] = str(2 * self.brush.value / 100)
         self.grid.update()
 
@@ -334,7 +426,10 @@ class ScenePage:
         """A click or a drag on a photo, as the page's script tells it."""
         try:
             view, box = int(event.args["view"]), bool(event.args["box"])
-            places = [tuple(min(max(float(n), 0.0), 1.0) for n in place) for place in event.args["places"]]
+            places = [
+                tuple(min(max(float(n), 0.0), 1.0) for n in place)
+                for place in event.args["places"]
+            ]
             (x, y), (u, v) = places[0], places[-1]
         except (IndexError, KeyError, TypeError, ValueError):
             return
@@ -342,7 +437,9 @@ class ScenePage:
 
         def mark(draft: Draft) -> None:
             if self.mode in ("paint", "erase"):
-                draft.strokes.append(Stroke(view, self.mode == "paint", self.brush.value / 100, places))
+                draft.strokes.append(
+                    Stroke(view, self.mode == "paint", self.brush.value / 100, places)
+                )
             elif box:
                 draft.boxes[view] = (min(x, u), min(y, v), abs(u - x), abs(v - y))
             else:
@@ -352,7 +449,9 @@ class ScenePage:
             await self._change(mark)
 
     async def _find(self, words: str, guess: bool = False) -> None:
-        await self._change(lambda draft: vars(draft).update(words=words.strip()[:200], guess=guess))
+        await self._change(
+            lambda draft: vars(draft).update(words=words.strip()[:200], guess=guess)
+        )
 
     async def _change(self, change: Callable[[Draft], Any]) -> None:
         try:
@@ -375,9 +474,15 @@ class ScenePage:
         self.told.clear()
         with self.told:
             if error and draft.words and not draft.positive and not draft.boxes:
-                _quiet(f"“{draft.words}” is not known here. Click on it in a photo, or draw a box around it.", True)
+                _quiet(
+                    f"“{draft.words}” is not known here. Click on it in a photo, or draw a box "
+                    "around it.",
+                    True,
+                )
                 guess = partial(self._find, draft.words, True)
-                ui.button("Take what stands out most", on_click=guess).props("flat dense")
+                ui.button("Take what stands out most", on_click=guess).props(
+                    "flat dense"
+                )
             elif error:
                 _quiet(error, warning=True)
             for warning in warnings:
@@ -389,17 +494,45 @@ class ScenePage:
         form = self._draft().form
         with _card("Say what to change"):
             with ui.row().classes("items-center w-full no-wrap"):
-                wish = ui.input(placeholder="paint it golden", value=form.get("prompt", "")).classes("grow")
-                wish.props("outlined debounce=300 aria-label='what to change' maxlength=2000")
+                wish = ui.input(
+                    placeholder="paint it golden", value=form.get("prompt", "")
+                ).classes("grow")
+                wish.props(
+                    "outlined debounce=300 aria-label='what to change' maxlength=2000"
+                )
                 wish.on_value_change(partial(self._typed, "prompt"))
-                ui.button("Go", on_click=lambda: self._go(wish.value or "")).props("padding='8px 26px'")
-            with ui.expansion("Editor, reconstructor, quality and their settings").props("dense"):
+                ui.button("Go", on_click=lambda: self._go(wish.value or "")).props(
+                    "padding='8px 26px'"
+                )
+            with ui.expansion(
+                "Editor, reconstructor, quality and their settings"
+            ).props("dense"):
                 with ui.row().classes("w-full"):
-                    unsaid = "as before" if self.is_run else f"automatic ({DEFAULTS['reconstructor']})"
-                    editors, reconstructors = (forms.offered(self.registry, kind) for kind in forms.CHOSEN)
-                    self._select("editor", list(editors), form.get("editor") or DEFAULTS["editor"])
-                    self._select("reconstructor", ["", *reconstructors], form.get("reconstructor", ""), unsaid)
-                    self._select("quality", ["", *PRESETS], form.get("quality", ""), "as the settings say")
+                    unsaid = (
+                        "as before"
+                        if self.is_run
+                        else f"automatic ({DEFAULTS['reconstructor']})"
+                    )
+                    editors, reconstructors = (
+                        forms.offered(self.registry, kind) for kind in forms.CHOSEN
+                    )
+                    self._select(
+                        "editor",
+                        list(editors),
+                        form.get("editor") or DEFAULTS["editor"],
+                    )
+                    self._select(
+                        "reconstructor",
+                        ["", *reconstructors],
+                        form.get("reconstructor", ""),
+                        unsaid,
+                    )
+                    self._select(
+                        "quality",
+                        ["", *PRESETS],
+                        form.get("quality", ""),
+                        "as the settings say",
+                    )
                 self.settings()
 
     def _select(self, key: str, names: list[str], value: str, unsaid: str = "") -> None:
@@ -409,7 +542,9 @@ class ScenePage:
 
         value = value if value in names else names[0]
         options = {name: name or unsaid for name in names}
-        ui.select(options, value=value, label=key, on_change=chosen).props("outlined").style("min-width: 200px")
+        ui.select(options, value=value, label=key, on_change=chosen).props(
+            "outlined"
+        ).style("min-width: 200px")
 
     def _typed(self, key: str, event: Event) -> None:
         self._edit_draft(lambda draft: draft.form.update({key: event.value}))
@@ -426,24 +561,38 @@ class ScenePage:
                 ui.label(f"{name}: {offers[name]}").classes("font-medium")
                 self._fields(f"{kind} {name}", forms.form_fields(cls, self.registry))
         with ui.expansion("Settings of the run").props("dense"):
-            self._fields("run", forms.form_fields(RunConfig, self.registry, forms.NOT_IN_FORM))
+            self._fields(
+                "run", forms.form_fields(RunConfig, self.registry, forms.NOT_IN_FORM)
+            )
 
     def _fields(self, group: str, fields: tuple[forms.FormField, ...]) -> None:
         typed = self._draft().form.get("settings", {}).get(group, {})
 
         def change(name: str, event: Event) -> None:
             def into(draft: Draft) -> None:
-                draft.form.setdefault("settings", {}).setdefault(group, {})[name] = event.value
+                draft.form.setdefault("settings", {}).setdefault(group, {})[name] = (
+                    event.value
+                )
 
             self._edit_draft(into)
 
         for field in fields:
-            value, on_change = typed.get(field.name, field.default), partial(change, field.name)
+            value, on_change = (
+                typed.get(field.name, field.default),
+                partial(change, field.name),
+            )
             if field.form == "switch":
-                ui.switch(field.name, value=bool(value), on_change=on_change).props("dense")
+                ui.switch(field.name, value=bool(value), on_change=on_change).props(
+                    "dense"
+                )
             elif field.form == "choice":
                 value = value if value in field.choices else field.default
-                ui.select(list(field.choices), value=value, label=field.name, on_change=on_change).classes("w-full")
+                ui.select(
+                    list(field.choices),
+                    value=value,
+                    label=field.name,
+                    on_change=on_change,
+                ).classes("w-full")
             else:
                 text = ui.input(field.name, value=str(value), on_change=on_change)
                 text.props("debounce=400").classes("w-full")
@@ -457,9 +606,18 @@ class ScenePage:
             settings = forms.run_settings(draft.form, self.registry, len(self.names))
             if not settings["prompt"] and settings["editor"]["name"] != "none":
                 raise InputError("say what to change, such as: paint it golden.")
-            wished = Job("", self.scene, self.at, settings, size=self.chooser.size, state="cancelled")
+            wished = Job(
+                "",
+                self.scene,
+                self.at,
+                settings,
+                size=self.chooser.size,
+                state="cancelled",
+            )
             job = self.folder.new_job(wished)
-            masks = await run.io_bound(self.chooser.save_masks, self.state, draft, job.name)
+            masks = await run.io_bound(
+                self.chooser.save_masks, self.state, draft, job.name
+            )
         except Edit3rError as error:
             ui.notify(str(error), type="negative", multi_line=True, timeout=8000)
             return
@@ -474,20 +632,34 @@ class ScenePage:
         job = self.folder.job(self.state)
         with _card():
             with ui.row().classes("items-center no-wrap"):
-                ui.badge(job.label or "not judged", color=COLOURS.get(job.label, "grey")).classes("text-sm")
+                ui.badge(
+                    job.label or "not judged", color=COLOURS.get(job.label, "grey")
+                ).classes("text-sm")
                 ui.label(job.sentence)
             with ui.row().classes("items-center"):
                 ui.label("Before and after").classes("e3-title")
-                ui.toggle({"renders": "in 3D", "edited": "the photos"}, value=self.after, on_change=self._set_after)
+                ui.toggle(
+                    {"renders": "in 3D", "edited": "the photos"},
+                    value=self.after,
+                    on_change=self._set_after,
+                )
             self.sliders()
             ui.label("Walk around").classes("e3-title")
-            viewer, address = ui.element("iframe").classes("e3-viewer"), f"/viewer/{quote(self.state)}"
-            allowed = {"sandbox": "allow-scripts allow-downloads", "title": "the scene in 3D"}
+            viewer, address = (
+                ui.element("iframe").classes("e3-viewer"),
+                f"/viewer/{quote(self.state)}",
+            )
+            allowed = {
+                "sandbox": "allow-scripts allow-downloads",
+                "title": "the scene in 3D",
+            }
             viewer._props.update({"src": address, "loading": "lazy", **allowed})
             ui.label("Take it along").classes("e3-title")
             with ui.row():
                 for what, told in DOWNLOADS.items():
-                    link = ui.link(what, f"/download/{quote(self.state)}/{what}").tooltip(told)
+                    link = ui.link(
+                        what, f"/download/{quote(self.state)}/{what}"
+                    ).tooltip(told)
                     link._props["download"] = ""
 
     def _set_after(self, event: Event) -> None:
@@ -501,9 +673,19 @@ class ScenePage:
             for view, name in enumerate(self.names):
                 with ui.element("div").classes("e3-photo e3-slider"):
                     _img(f"{address}/{self.after}/{view}", f"{name} after")
-                    _img(f"{address}/inputs/{view}", f"{name} before").classes("e3-before")
+                    _img(f"{address}/inputs/{view}", f"{name} before").classes(
+                        "e3-before"
+                    )
                     ui.label("before").classes("e3-tag").style("left: 8px")
                     ui.label("after").classes("e3-tag").style("right: 8px")
                     handle = ui.element("input").on("input", js_handler=CUT)
                     told = f"before and after: {name}"
-                    handle._props.update({"type": "range", "min": 0, "max": 100, "value": 50, "aria-label": told})
+                    handle._props.update(
+                        {
+                            "type": "range",
+                            "min": 0,
+                            "max": 100,
+                            "value": 50,
+                            "aria-label": told,
+                        }
+                    )

@@ -10,7 +10,12 @@ from functools import lru_cache
 from pathlib import Path
 
 from fastapi import Request
-from fastapi.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from fastapi.responses import (
+    FileResponse,
+    PlainTextResponse,
+    Response,
+    StreamingResponse,
+)
 from nicegui import app, ui
 
 from edit3r.errors import Edit3rError, InputError
@@ -25,10 +30,21 @@ SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'unsafe-inline' 'unsafe-eval' data: blob:; "
     "frame-ancestors 'self'"
 )
-"""A run may come from a stranger: its page gets an origin of its own, from which nothing here can be reached."""
+"""A run may come from a stranger: its page gets an origin of its own, from which nothing here can
+be reached.
+"""
 
 
-def serve(folder: JobsFolder, *, host: str, port: int, token: str | None, size: int, start: str, show: bool) -> None:
+def serve(
+    folder: JobsFolder,
+    *,
+    host: str,
+    port: int,
+    token: str | None,
+    size: int,
+    start: str,
+    show: bool,
+) -> None:
     """Serve the app until it is interrupted; `start` is the path that the browser opens."""
     runner, chooser = Runner(folder), Chooser(folder, size)
     app.add_middleware(Guard, token=token, most_bytes=uploads.MOST_BYTES)
@@ -37,9 +53,16 @@ def serve(folder: JobsFolder, *, host: str, port: int, token: str | None, size: 
     page.add_pages(folder, runner, chooser)
     app.on_startup(runner.start)
     app.on_shutdown(runner.stop)
-    path = start + (f"{'&' if '?' in start else '?'}token={urllib.parse.quote(token)}" if token else "")
+    path = start + (
+        f"{'&' if '?' in start else '?'}token={urllib.parse.quote(token)}"
+        if token
+        else ""
+    )
     address = f"http://{'localhost' if host == '127.0.0.1' else host}:{port}{path}"
-    print(f"edit3r app: {address}\n  jobs are kept in {folder.root}\n  Ctrl-C ends it", flush=True)
+    print(
+        f"edit3r app: {address}\n  jobs are kept in {folder.root}\n  Ctrl-C ends it",
+        flush=True,
+    )
     ui.run(
         host=host,
         port=port,
@@ -59,13 +82,18 @@ def _add_routes(folder: JobsFolder, chooser: Chooser) -> None:
 
     @app.post("/upload/{scene}")
     async def upload(scene: str, request: Request) -> Response:
-        name, wish = (urllib.parse.unquote(request.headers.get(key, "")) for key in ("x-name", "x-folder"))
+        name, wish = (
+            urllib.parse.unquote(request.headers.get(key, ""))
+            for key in ("x-name", "x-folder")
+        )
         length = request.headers.get("content-length")
         new = scene == "-"
         scene = folder.new_scene(wish or Path(name).stem) if new else scene
         folder.path(scene)
         try:
-            await uploads.receive(folder, scene, name, int(length) if length else None, request.stream())
+            await uploads.receive(
+                folder, scene, name, int(length) if length else None, request.stream()
+            )
         except Edit3rError:
             if new:
                 uploads.discard(folder, scene)
@@ -75,38 +103,55 @@ def _add_routes(folder: JobsFolder, chooser: Chooser) -> None:
     @app.get("/thumbnail/{state}/{view}")
     def thumbnail(state: str, view: int) -> Response:
         photo = _one_of(folder.photos(state), view)
-        return Response(_small(photo, photo.stat().st_mtime_ns), media_type="image/jpeg")
+        return Response(
+            _small(photo, photo.stat().st_mtime_ns), media_type="image/jpeg"
+        )
 
     @app.get("/photo/{state}/{view}")
     def photo(state: str, view: int) -> Response:
         _one_of(folder.photos(state), view)
-        return Response(chooser.picture(state, read_draft(folder, state), view), media_type="image/jpeg")
+        return Response(
+            chooser.picture(state, read_draft(folder, state), view),
+            media_type="image/jpeg",
+        )
 
     @app.get("/shown/{run}/{kind}/{view}")
     def shown(run: str, kind: str, view: int) -> Response:
         if kind not in ("inputs", "edited", "renders"):
             raise InputError(f"{kind[:20]!r}: no pictures of that kind.")
-        return FileResponse(_one_of(folder.pictures(run, kind), view), media_type="image/png")
+        return FileResponse(
+            _one_of(folder.pictures(run, kind), view), media_type="image/png"
+        )
 
     @app.get("/viewer/{run}")
     def viewer(run: str) -> Response:
         file = _one_of([folder.path(run) / "viewer.html"], 0)
-        return FileResponse(file, media_type="text/html", headers={"content-security-policy": SANDBOX})
+        return FileResponse(
+            file, media_type="text/html", headers={"content-security-policy": SANDBOX}
+        )
 
     @app.get("/download/{run}/{what}")
     def download(run: str, what: str) -> Response:
         if what == "all.zip":
             named = urllib.parse.quote(f"{run}.zip")
             headers = {"content-disposition": f"attachment; filename*=UTF-8''{named}"}
-            return StreamingResponse(_zipped(folder.path(run)), media_type="application/zip", headers=headers)
+            return StreamingResponse(
+                _zipped(folder.path(run)), media_type="application/zip", headers=headers
+            )
         if what not in page.DOWNLOADS:
             raise InputError(f"{what[:40]!r}: not a file of a run.")
         file = _one_of([folder.path(run) / what], 0)
-        return FileResponse(file, media_type="application/octet-stream", filename=f"{run}-{what}")
+        return FileResponse(
+            file, media_type="application/octet-stream", filename=f"{run}-{what}"
+        )
 
 
 def _one_of(paths: list[Path], index: int) -> Path:
-    if not (0 <= index < len(paths) and paths[index].is_file() and not paths[index].is_symlink()):
+    if not (
+        0 <= index < len(paths)
+        and paths[index].is_file()
+        and not paths[index].is_symlink()
+    ):
         raise InputError("no such picture or file.")
     return paths[index]
 

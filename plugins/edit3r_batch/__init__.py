@@ -7,4 +7,10 @@ EDIT3R_API = 1
 
 @hookimpl
 def register_commands() -> list[Component]:
-    return [Component("batch", "edit3r_batch.command:BatchCommand", "run thousands of scenes, a job a line of a file")]
+    return [
+        Component(
+            "batch",
+            "edit3r_batch.command:BatchCommand",
+            "run thousands of scenes, a job a line of a file",
+        )
+    ]

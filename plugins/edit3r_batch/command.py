@@ -1,4 +1,6 @@
-"""`edit3r batch`: a file of jobs (`jobs`), each a run folder (`scenes`), spread over workers (`edit3r.workers`)."""
+"""`edit3r batch`: a file of jobs (`jobs`), each a run folder (`scenes`), spread over workers
+(`edit3r.workers`).
+"""
 
 import argparse
 import json
@@ -8,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r.command import Command
+from edit3r.contract.command import Command
 from edit3r.errors import InputError, RunError, SettingsError
 
 if TYPE_CHECKING:
@@ -20,61 +22,129 @@ MOST_SHOWN = 40  # jobs in the table on the terminal
 
 
 class BatchCommand(Command):
-    """Run thousands of scenes: each line of a file is a job in JSON, with `photos`, `prompt` and any setting of a run.
+    """Run thousands of scenes: each line of a file is a job in JSON, with `photos`, `prompt` and
+    any setting of a run.
 
-    A batch that was killed is called again and goes on: what is finished stays, what failed is tried once more.
+    A batch that was killed is called again and goes on: what is finished stays, what failed is
+    tried once more.
     """
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("jobs", metavar="JOBS.jsonl", help='lines such as {"id": "bike", "photos": ["a.jpg", "b.jpg"], "seed": 1}')
-        add("--out", required=True, metavar="DIR", help="folder for the results, with the folder of a run for each job")
-        add("--workers", type=int, default=1, metavar="N", help="processes (default 1); the results are the same")
-        add("--ray", action="store_true", help="spread the workers with Ray instead, here or over RAY_ADDRESS")
-        add("--threads", type=int, default=1, metavar="N", help="threads of each worker (default 1)")
-        add("--config", metavar="FILE", help="YAML file of run settings, for jobs that do not say otherwise")
-        add("--set", action="append", default=[], metavar="KEY=VALUE", help="one such setting, such as size=256")
-        add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
-        add("--overwrite", action="store_true", help="do jobs again that were done with other settings")
+        add(
+            "jobs",
+            metavar="JOBS.jsonl",
+            help='lines such as {"id": "bike", "photos": ["a.jpg", "b.jpg"], "seed": 1}',
+        )
+        add(
+            "--out",
+            required=True,
+            metavar="DIR",
+            help="folder for the results, with the folder of a run for each job",
+        )
+        add(
+            "--workers",
+            type=int,
+            default=1,
+            metavar="N",
+            help="processes (default 1); the results are the same",
+        )
+        add(
+            "--ray",
+            action="store_true",
+            help="spread the workers with Ray instead, here or over RAY_ADDRESS",
+        )
+        add(
+            "--threads",
+            type=int,
+            default=1,
+            metavar="N",
+            help="threads of each worker (default 1)",
+        )
+        add(
+            "--config",
+            metavar="FILE",
+            help="YAML file of run settings, for jobs that do not say otherwise",
+        )
+        add(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="one such setting, such as size=256",
+        )
+        add(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin file",
+        )
+        add(
+            "--overwrite",
+            action="store_true",
+            help="do jobs again that were done with other settings",
+        )
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
         from filelock import FileLock, Timeout
 
         from edit3r.config import find_config, merge, parse_assignments, read_yaml
-        from edit3r.registry import default_registry
-        from edit3r.verdict import LABELS
+        from edit3r.pipeline.verdict import LABELS
+        from edit3r.plugins.registry import default_registry
         from edit3r.workers import Workers
         from edit3r_batch.jobs import read_jobs
 
         for option in ("workers", "threads"):
             if getattr(args, option) < 1:
-                raise SettingsError(f"--{option}: must be at least 1, got {getattr(args, option)}.")
+                raise SettingsError(
+                    f"--{option}: must be at least 1, got {getattr(args, option)}."
+                )
         args.plugin = tuple(str(Path(file).resolve()) for file in args.plugin)
-        defaults = merge(read_yaml(find_config(args.config)) if args.config else {}, parse_assignments(args.set))
+        defaults = merge(
+            read_yaml(find_config(args.config)) if args.config else {},
+            parse_assignments(args.set),
+        )
         jobs = read_jobs(Path(args.jobs), defaults, default_registry(args.plugin))
         out = Path(args.out).expanduser().resolve()
         done = _done(jobs, out, args)
-        workers = Workers(args.workers, "ray" if args.ray else "processes", args.threads, may_die=True)
+        workers = Workers(
+            args.workers, "ray" if args.ray else "processes", args.threads, may_die=True
+        )
         try:
             out.mkdir(parents=True, exist_ok=True)
             with FileLock(out / ".batch.lock", blocking=False):
                 rows = _run(jobs, done, out, args, workers)
         except Timeout:
-            raise InputError(f"{out}: another batch is at work there; wait for it, or give --out another.") from None
+            raise InputError(
+                f"{out}: another batch is at work there; wait for it, or give --out another."
+            ) from None
         counts = Counter(row["verdict"] for row in rows)
         _write_summary(out, rows, counts)
         if not args.quiet:
             worst = [NO_RESULT, *reversed(LABELS)]
-            print(_table(sorted(rows, key=lambda row: worst.index(row["verdict"]))[:MOST_SHOWN], longest=80))
+            print(
+                _table(
+                    sorted(rows, key=lambda row: worst.index(row["verdict"]))[
+                        :MOST_SHOWN
+                    ],
+                    longest=80,
+                )
+            )
             print(f"{_counted(counts)}; {out / 'summary.md'}")
         if counts[NO_RESULT]:
-            raise RunError(f"{counts[NO_RESULT]} of {len(rows)} jobs gave no result; {out / 'summary.md'} says why.")
+            raise RunError(
+                f"{counts[NO_RESULT]} of {len(rows)} jobs gave no result; {out / 'summary.md'} "
+                "says why."
+            )
         return 0
 
 
 def _done(jobs: "Mapping[str, Job]", out: Path, args: argparse.Namespace) -> set[str]:
-    """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not be replaced."""
+    """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not
+    be replaced.
+    """
     from edit3r.io.atomic import check_replaceable
     from edit3r_batch.scenes import record_of
 
@@ -85,16 +155,29 @@ def _done(jobs: "Mapping[str, Job]", out: Path, args: argparse.Namespace) -> set
             done.add(job.id)
         elif folder.exists():
             check_replaceable(folder, args.overwrite)
-            keys = sorted(key for key in {*record, *job.record} if record.get(key) != job.record.get(key))
-            changed.append(f"line {job.line}: {job.id!r} was done with another {', '.join(keys)}")
+            keys = sorted(
+                key
+                for key in {*record, *job.record}
+                if record.get(key) != job.record.get(key)
+            )
+            changed.append(
+                f"line {job.line}: {job.id!r} was done with another {', '.join(keys)}"
+            )
     if changed and not args.overwrite:
         more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
-        raise InputError(f"{args.jobs}, {changed[0]}{more}; give --out another folder, or --overwrite to replace it.")
+        raise InputError(
+            f"{args.jobs}, {changed[0]}{more}; give --out another folder, or --overwrite to "
+            "replace it."
+        )
     return done
 
 
 def _run(
-    jobs: "Mapping[str, Job]", done: set[str], out: Path, args: argparse.Namespace, workers: "Workers"
+    jobs: "Mapping[str, Job]",
+    done: set[str],
+    out: Path,
+    args: argparse.Namespace,
+    workers: "Workers",
 ) -> list[dict[str, Any]]:
     """Do the jobs that are left and return the rows of all."""
     from edit3r.io.atomic import remove_abandoned
@@ -103,37 +186,59 @@ def _run(
 
     path = out / "results.jsonl"
     before = read_rows(path, "id")
-    if any(id in jobs and (id not in done or "failure" in row) for id, row in before.items()):
-        write_rows(path, [row for id, row in before.items() if id in done or id not in jobs])
+    if any(
+        id in jobs and (id not in done or "failure" in row)
+        for id, row in before.items()
+    ):
+        write_rows(
+            path, [row for id, row in before.items() if id in done or id not in jobs]
+        )
     tell = (lambda progress: None) if args.quiet else _print_progress
     function = SceneRunner(out, args.plugin, args.overwrite)
-    rows = run_resumable(jobs, function, path, workers=workers, key_name="id", on_done=tell)
+    rows = run_resumable(
+        jobs, function, path, workers=workers, key_name="id", on_done=tell
+    )
     for id in (id for id, row in rows.items() if "failure" in row):
         remove_abandoned(out / id, id)  # by a worker that died
     return [
-        {"id": id, "verdict": NO_RESULT, "reason": row["failure"]} if "failure" in row else row
+        {"id": id, "verdict": NO_RESULT, "reason": row["failure"]}
+        if "failure" in row
+        else row
         for id, row in rows.items()
     ]
 
 
 def _print_progress(progress: "Progress") -> None:
-    """Say what came of a job and how long the others take: on a terminal one line that changes, else a line a job."""
+    """Say what came of a job and how long the others take: on a terminal one line that changes,
+    else a line a job.
+    """
     row = progress.row
-    what = f"{NO_RESULT}: {row['failure'][:80]}" if "failure" in row else f"{row['verdict']}, {row['psnr']:.1f} dB"
+    what = (
+        f"{NO_RESULT}: {row['failure'][:80]}"
+        if "failure" in row
+        else f"{row['verdict']}, {row['psnr']:.1f} dB"
+    )
     line, changes = progress.said(what), sys.stderr.isatty()
     end = "" if changes and progress.done < progress.total else "\n"
     print(f"\r\x1b[K{line}" if changes else line, end=end, file=sys.stderr, flush=True)
 
 
 def _counted(counts: Counter) -> str:
-    return f"{counts.total()} jobs: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+    return f"{counts.total()} jobs: " + ", ".join(
+        f"{count} {verdict}" for verdict, count in counts.most_common()
+    )
 
 
 def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
     """A Markdown table with a line for each job, its reason cut to `longest` characters."""
-    lines = ["| job | verdict | input views [dB] | Gaussians | why |", "| --- | --- | --: | --: | --- |"]
+    lines = [
+        "| job | verdict | input views [dB] | Gaussians | why |",
+        "| --- | --- | --: | --: | --- |",
+    ]
     for row in rows:
-        figures = f"{row['psnr']:.1f} | {row['gaussians']:,}" if "psnr" in row else " | "
+        figures = (
+            f"{row['psnr']:.1f} | {row['gaussians']:,}" if "psnr" in row else " | "
+        )
         reason = row["reason"][:longest].replace("|", "\\|")
         lines.append(f"| {row['id']} | {row['verdict']} | {figures} | {reason} |")
     return "\n".join(lines)
@@ -143,8 +248,15 @@ def _write_summary(out: Path, rows: list[dict[str, Any]], counts: Counter) -> No
     """Write `summary.json` and `summary.md`, the same whoever did the jobs."""
     from edit3r.io.atomic import atomic_write
 
-    content = {"jobs": len(rows), "verdicts": dict(sorted(counts.items())), "rows": rows}
-    texts = {"json": json.dumps(content, indent=1, ensure_ascii=False), "md": f"# {_counted(counts)}\n\n{_table(rows)}"}
+    content = {
+        "jobs": len(rows),
+        "verdicts": dict(sorted(counts.items())),
+        "rows": rows,
+    }
+    texts = {
+        "json": json.dumps(content, indent=1, ensure_ascii=False),
+        "md": f"# {_counted(counts)}\n\n{_table(rows)}",
+    }
     for suffix, text in texts.items():
         with atomic_write(out / f"summary.{suffix}") as partial:
             partial.write_text(text + "\n", encoding="utf-8")

@@ -15,23 +15,40 @@ from edit3r.errors import Edit3rError, InputError, SettingsError, suggest
 from edit3r.io.coverage import USUAL_FRAMES, VIDEO_SUFFIXES
 from edit3r.io.images import find_photos, unique_names
 from edit3r.io.run_folder import recorded
-from edit3r.registry import Registry
-from edit3r.run_config import PART_KEYS, RunConfig, make_run_config
+from edit3r.pipeline.config import PART_KEYS, RunConfig, make_run_config
+from edit3r.plugins.registry import Registry
 
 MOST_BYTES = 1_000_000  # of a line
-RESERVED = ("results.jsonl", "summary.json", "summary.md")  # files beside the jobs' folders
+RESERVED = (
+    "results.jsonl",
+    "summary.json",
+    "summary.md",
+)  # files beside the jobs' folders
 
 
 class Wish(Settings):
-    """What a line says beside the settings of the run. Files are named from the folder of the jobs file."""
+    """What a line says beside the settings of the run. Files are named from the folder of the jobs
+    file.
+    """
 
-    id: str = Field("", description="name of the job's folder; default: by the number of the line")
-    photos: tuple[str, ...] = Field(min_length=1, description="photos, folders or videos")
+    id: str = Field(
+        "", description="name of the job's folder; default: by the number of the line"
+    )
+    photos: tuple[str, ...] = Field(
+        min_length=1, description="photos, folders or videos"
+    )
     cameras: str | None = Field(None, description="file with the photos' cameras")
-    refine_poses: bool = Field(False, description="let the poses of `cameras` move to where the photos want them")
-    mask: tuple[str, ...] = Field((), description="masks, one for each photo or for one")
+    refine_poses: bool = Field(
+        False,
+        description="let the poses of `cameras` move to where the photos want them",
+    )
+    mask: tuple[str, ...] = Field(
+        (), description="masks, one for each photo or for one"
+    )
     point: tuple[str, ...] = Field((), description="points on the object, [N:]X,Y")
-    not_point: tuple[str, ...] = Field((), description="points on what is not the object")
+    not_point: tuple[str, ...] = Field(
+        (), description="points on what is not the object"
+    )
     box: tuple[str, ...] = Field((), description="boxes around the object, [N:]X,Y,W,H")
 
     @field_validator("photos", "mask", "point", "not_point", "box", mode="before")
@@ -56,12 +73,19 @@ class Job:
     @property
     def record(self) -> dict[str, Any]:
         """All that the results depend on, as JSON data without secrets; equal for equal jobs."""
-        said = {key: value for key, value in self.wish.model_dump(exclude={"id"}).items() if value}
+        said = {
+            key: value
+            for key, value in self.wish.model_dump(exclude={"id"}).items()
+            if value
+        }
         return recorded({**self.settings, **said})
 
 
-def read_jobs(file: Path, defaults: Mapping[str, Any], registry: Registry) -> dict[str, Job]:
-    """Return the jobs by id, in their order; `defaults` are settings of jobs that do not say otherwise.
+def read_jobs(
+    file: Path, defaults: Mapping[str, Any], registry: Registry
+) -> dict[str, Job]:
+    """Return the jobs by id, in their order; `defaults` are settings of jobs that do not say
+    otherwise.
 
     Raises InputError, with the number of the line, for the first job that could not run.
     """
@@ -72,15 +96,20 @@ def read_jobs(file: Path, defaults: Mapping[str, Any], registry: Registry) -> di
         try:
             job = _job(line, number, file.resolve().parent, defaults)
             _check(job, registry, checked)
-            first = same.setdefault(unicodedata.normalize("NFC", job.id).casefold(), number)
+            first = same.setdefault(
+                unicodedata.normalize("NFC", job.id).casefold(), number
+            )
             if first != number:
-                raise InputError(f"the id {job.id!r} is that of line {first} too; each job needs its own.")
+                raise InputError(
+                    f"the id {job.id!r} is that of line {first} too; each job needs its own."
+                )
         except Edit3rError as error:
             raise InputError(f"{file}, line {number}: {error}") from None
         found[job.id] = job
     if not found:
         raise InputError(
-            f'{file}: no jobs in it; expected lines such as {{"photos": ["a.jpg", "b.jpg"], "prompt": ""}}.'
+            f'{file}: no jobs in it; expected lines such as {{"photos": ["a.jpg", "b.jpg"], '
+            '"prompt": ""}.'
         )
     return found
 
@@ -90,9 +119,14 @@ def _lines(file: Path) -> Iterator[tuple[int, bytes]]:
     if not file.is_file():
         raise InputError(f"{file}: no such file of jobs.")
     with file.open("rb") as stream:
-        for number, line in enumerate(iter(lambda: stream.readline(MOST_BYTES + 1), b""), start=1):
+        for number, line in enumerate(
+            iter(lambda: stream.readline(MOST_BYTES + 1), b""), start=1
+        ):
             if len(line) > MOST_BYTES:
-                raise InputError(f"{file}, line {number}: longer than {MOST_BYTES:,} bytes; expected one job a line.")
+                raise InputError(
+                    f"{file}, line {number}: longer than {MOST_BYTES:,} bytes; expected one job "
+                    "a line."
+                )
             if line.strip():
                 yield number, line
 
@@ -107,19 +141,31 @@ def _job(line: bytes, number: int, folder: Path, defaults: Mapping[str, Any]) ->
     known = [*Wish.model_fields, *RunConfig.model_fields]
     for key in content:
         if key not in known:
-            raise SettingsError(f"{key[:60]!r} is no key of a job.{suggest(key, known)} Keys: {', '.join(known)}.")
-    wish = make_settings(Wish, {key: value for key, value in content.items() if key in Wish.model_fields}, "job")
+            raise SettingsError(
+                f"{key[:60]!r} is no key of a job.{suggest(key, known)} Keys: {', '.join(known)}."
+            )
+    wish = make_settings(
+        Wish,
+        {key: value for key, value in content.items() if key in Wish.model_fields},
+        "job",
+    )
     name = wish.id or f"job-{number:06d}"
     safe = unique_names([name])[0]
     if name != safe or name in RESERVED:
         other = f"; {safe!r} would do" if name != safe else ""
-        raise InputError(f"the id {name[:120]!r} cannot be the name of a folder here{other}.")
-    settings = {key: value for key, value in content.items() if key not in Wish.model_fields}
+        raise InputError(
+            f"the id {name[:120]!r} cannot be the name of a folder here{other}."
+        )
+    settings = {
+        key: value for key, value in content.items() if key not in Wish.model_fields
+    }
     return Job(name, number, folder, wish, merge(defaults, settings))
 
 
 def _check(job: Job, registry: Registry, checked: set[str]) -> None:
-    """Raise what is wrong with the job's settings and files; `checked` are choices of components that were right."""
+    """Raise what is wrong with the job's settings and files; `checked` are choices of components
+    that were right.
+    """
     count = 0
     for path in map(Path, map(job.path, job.wish.photos)):
         try:
@@ -131,7 +177,9 @@ def _check(job: Job, registry: Registry, checked: set[str]) -> None:
         except OSError as error:
             raise InputError(f"{str(path)[:200]}: {error.strerror}.") from None
     config = make_run_config(job.settings, photos=count)
-    choices = repr((*(getattr(config, kind) for kind in PART_KEYS), *config.all_refiners()))
+    choices = repr(
+        (*(getattr(config, kind) for kind in PART_KEYS), *config.all_refiners())
+    )
     if choices not in checked:
         check_names(registry, config)
         checked.add(choices)

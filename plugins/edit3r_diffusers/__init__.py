@@ -1,7 +1,9 @@
-"""2D editors through Hugging Face diffusers: the paper's, and any other editing pipeline by the name of its class."""
+"""2D editors through Hugging Face diffusers: the paper's, and any other editing pipeline by the
+name of its class.
+"""
 
 from edit3r import Component, hookimpl
-from edit3r.weights import Weights
+from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
@@ -59,12 +61,27 @@ def _editor(name: str, target: str, summary: str, **more) -> Component:
 
 
 def _preset(
-    name: str, target: str, summary: str, citation: str, size: int, hub: str, revision: str, **terms
+    name: str,
+    target: str,
+    summary: str,
+    citation: str,
+    size: int,
+    hub: str,
+    revision: str,
+    **terms,
 ) -> Component:
     """An editor of `pipeline_editor` with its weights, Apache-2.0 unless `terms` say otherwise."""
     terms = {"licence": "Apache-2.0", "commercial": "yes", **terms}
     files = (("model_index.json", ""), ("*/*", ""))
-    weights = Weights(name, f"editor {name}", size, source=f"hub:{hub}", revision=revision, files=files, **terms)
+    weights = Weights(
+        name,
+        f"editor {name}",
+        size,
+        source=f"hub:{hub}",
+        revision=revision,
+        files=files,
+        **terms,
+    )
     licence = f"Apache-2.0; default weights {weights.licence}"
     more = {"licence": licence, "citation": citation, "weights": (weights,)}
     return _editor(name, f"pipeline_editor:{target}", summary, **more)
@@ -95,7 +112,8 @@ _PRESETS = (
     _preset(
         "flux2-klein",
         "Flux2KleinEditor",
-        "FLUX.2 klein 4B in four steps, several pictures at once, masks through its inpaint form (16 GB)",
+        "FLUX.2 klein 4B in four steps, several pictures at once, masks through its inpaint form "
+        "(16 GB)",
         "Black Forest Labs, FLUX.2 [klein], 2026",
         15_980_141_329,
         "black-forest-labs/FLUX.2-klein-4B",
@@ -118,7 +136,8 @@ def register_editors():
     any_pipeline = _editor(
         "diffusers",
         "pipeline_editor:PipelineEditor",
-        "any editing pipeline of diffusers: editor.pipeline=ClassName, editor.model=OWNER/NAME or FOLDER",
+        "any editing pipeline of diffusers: editor.pipeline=ClassName, editor.model=OWNER/NAME "
+        "or FOLDER",
         licence="Apache-2.0; the weights have their own",
     )
     instruct_pix2pix = _editor(
@@ -126,7 +145,8 @@ def register_editors():
         "instruct_pix2pix:InstructPix2PixEditor",
         "InstructPix2Pix, the paper's default editor (4 GB)",
         licence="Apache-2.0; default weights MIT",
-        citation="Brooks et al., InstructPix2Pix: Learning to Follow Image Editing Instructions, CVPR 2023",
+        citation="Brooks et al., InstructPix2Pix: Learning to Follow Image Editing Instructions, "
+        "CVPR 2023",
         weights=(_INSTRUCT_PIX2PIX,),
     )
     controlnet_depth = _editor(
@@ -136,7 +156,8 @@ def register_editors():
         parts=("matcher",),
         licence="Apache-2.0; default weights CreativeML Open RAIL-M",
         min_views=2,  # to measure depth
-        citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting Editing, ECCV 2024",
+        citation="Wu et al., GaussCtrl: Multi-View Consistent Text-Driven 3D Gaussian Splatting "
+        "Editing, ECCV 2024",
         weights=(_STABLE_DIFFUSION, _CONTROLNET),
     )
     return (any_pipeline, instruct_pix2pix, *_PRESETS, controlnet_depth)

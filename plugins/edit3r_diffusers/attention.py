@@ -1,4 +1,6 @@
-"""Attention processors for a denoising network: across views, and listening to where an edit's words look."""
+"""Attention processors for a denoising network: across views, and listening to where an edit's
+words look.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,25 +13,36 @@ from torch import Tensor
 
 
 class CrossViewAttention:
-    """A diffusers attention processor for self-attention over a batch ordered (guidance half, view).
+    """A diffusers attention processor for self-attention over a batch ordered (guidance half,
+    view).
 
     As in GaussCtrl (section "attention-based latent code alignment"), over the reference views j:
 
         attention_i = (1 - w) softmax(Q_i K_i^T) V_i + w mean_j softmax(Q_i K_j^T) V_j
 
-    Queries of every view also look at keys and values of a few reference views, so that all views settle on one look.
+    Queries of every view also look at keys and values of a few reference views, so that all views
+    settle on one look.
     """
 
     def __init__(self, views: int, references: int, weight: float) -> None:
         self.views, self.references, self.weight = views, min(references, views), weight
 
     def __call__(
-        self, attn: Any, hidden_states: Float[Tensor, "batch token channel"], *_: Any, **__: Any
+        self,
+        attn: Any,
+        hidden_states: Float[Tensor, "batch token channel"],
+        *_: Any,
+        **__: Any,
     ) -> Float[Tensor, "batch token channel"]:
-        query, key, value = (_heads(to(hidden_states), attn.heads) for to in (attn.to_q, attn.to_k, attn.to_v))
+        query, key, value = (
+            _heads(to(hidden_states), attn.heads)
+            for to in (attn.to_q, attn.to_k, attn.to_v)
+        )
         own = F.scaled_dot_product_attention(query, key, value)
         others = [
-            F.scaled_dot_product_attention(query, self._of_view(key, view), self._of_view(value, view))
+            F.scaled_dot_product_attention(
+                query, self._of_view(key, view), self._of_view(value, view)
+            )
             for view in range(self.references)
         ]
         mixed = torch.lerp(own, torch.stack(others).mean(0), self.weight)
@@ -40,7 +53,9 @@ class CrossViewAttention:
         self, tensor: Float[Tensor, "batch head token dim"], view: int
     ) -> Float[Tensor, "batch head token dim"]:
         """Replace every view's entry by `view`'s of the same guidance half."""
-        return tensor.unflatten(0, (-1, self.views))[:, view].repeat_interleave(self.views, dim=0)
+        return tensor.unflatten(0, (-1, self.views))[:, view].repeat_interleave(
+            self.views, dim=0
+        )
 
 
 def look_across_views(unet: Any, views: int, references: int, weight: float) -> None:
@@ -54,21 +69,27 @@ def look_across_views(unet: Any, views: int, references: int, weight: float) -> 
     )
 
 
-def _heads(tensor: Float[Tensor, "batch token channel"], heads: int) -> Float[Tensor, "batch head token dim"]:
+def _heads(
+    tensor: Float[Tensor, "batch token channel"], heads: int
+) -> Float[Tensor, "batch head token dim"]:
     return tensor.unflatten(-1, (heads, -1)).transpose(1, 2)
 
 
 class WordAttention:
     """A diffusers attention processor that also adds up how much each place looks at the words.
 
-    EditSplat (Lee et al. 2025, section 3.3) takes these maps from InstructPix2Pix to find the Gaussians that an edit is
-    about.
+    EditSplat (Lee et al. 2025, section 3.3) takes these maps from InstructPix2Pix to find the
+    Gaussians that an edit is about.
     """
 
     def __init__(self, words: int, halves: int) -> None:
-        """`words` follow the start token; `halves`: guidance copies in a batch, the first of them reads the words."""
+        """`words` follow the start token; `halves`: guidance copies in a batch, the first of them
+        reads the words.
+        """
         self.words, self.halves = words, halves
-        self.maps: dict[int, Float[Tensor, "token"]] = {}  # by number of places in the grid
+        self.maps: dict[
+            int, Float[Tensor, "token"]
+        ] = {}  # by number of places in the grid
 
     def __call__(
         self,
@@ -79,21 +100,36 @@ class WordAttention:
         **__: Any,
     ) -> Float[Tensor, "batch token channel"]:
         query = _heads(attn.to_q(hidden_states), attn.heads)
-        key, value = (_heads(to(encoder_hidden_states), attn.heads) for to in (attn.to_k, attn.to_v))
-        shares = (query.float() @ key.float().transpose(-1, -2) * attn.scale).softmax(-1)
+        key, value = (
+            _heads(to(encoder_hidden_states), attn.heads)
+            for to in (attn.to_k, attn.to_v)
+        )
+        shares = (query.float() @ key.float().transpose(-1, -2) * attn.scale).softmax(
+            -1
+        )
         self._add(shares)
-        projected = attn.to_out[0]((shares.to(value) @ value).transpose(1, 2).flatten(2))
+        projected = attn.to_out[0](
+            (shares.to(value) @ value).transpose(1, 2).flatten(2)
+        )
         return attn.to_out[1](projected)
 
     def image(self, size: tuple[int, int]) -> Float[Tensor, "height width"]:
-        """Average the network's grids, each at most 1, at `size`; zeros before anything was seen."""
+        """Average the network's grids, each at most 1, at `size`; zeros before anything was
+        seen.
+        """
         grids = []
         for places, total in self.maps.items():
             rows = max(1, round((places * size[0] / size[1]) ** 0.5))
-            while places % rows:  # the grid's own rows divide its places; rounding may miss them by one
+            while (
+                places % rows
+            ):  # the grid's own rows divide its places; rounding may miss them by one
                 rows -= 1
-            grid = (total / total.amax().clamp(min=1e-12)).view(1, 1, rows, places // rows)
-            grids.append(F.interpolate(grid, size, mode="bilinear", align_corners=False)[0, 0])
+            grid = (total / total.amax().clamp(min=1e-12)).view(
+                1, 1, rows, places // rows
+            )
+            grids.append(
+                F.interpolate(grid, size, mode="bilinear", align_corners=False)[0, 0]
+            )
         return torch.stack(grids).mean(0) if grids else torch.zeros(size)
 
     def _add(self, shares: Float[Tensor, "batch head token word"]) -> None:
@@ -105,10 +141,15 @@ class WordAttention:
 
 @contextmanager
 def listening(unet: Any, words: int, halves: int) -> Iterator[WordAttention]:
-    """Let every cross-attention of `unet` add to the result inside the block; it computes what it did."""
+    """Let every cross-attention of `unet` add to the result inside the block; it computes what it
+    did.
+    """
     own = unet.attn_processors
     listener = WordAttention(words, halves)
-    replaced = {name: listener if name.endswith("attn2.processor") else one for name, one in own.items()}
+    replaced = {
+        name: listener if name.endswith("attn2.processor") else one
+        for name, one in own.items()
+    }
     unet.set_attn_processor(replaced)
     try:
         yield listener
@@ -118,5 +159,7 @@ def listening(unet: Any, words: int, halves: int) -> Iterator[WordAttention]:
 
 def word_count(tokenizer: Any, prompt: str) -> int:
     """Count the tokens of a prompt between start and end, as far as the model reads."""
-    ids = tokenizer(prompt, truncation=True, max_length=tokenizer.model_max_length).input_ids
+    ids = tokenizer(
+        prompt, truncation=True, max_length=tokenizer.model_max_length
+    ).input_ids
     return max(1, len(ids) - 2)

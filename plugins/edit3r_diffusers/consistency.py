@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import SettingsError
 from edit3r.io.images import to_bytes
 from edit3r.reporting import note
-from edit3r.types import EditRequest, Views
 
 Consistency = Literal["independent", "reference-first", "grid"]
 References = tuple[Float[Tensor, "3 height width"], ...]
@@ -22,51 +22,79 @@ Edit = Callable[[Views, EditRequest, References], Views]
 """Edits every view by itself, beside pictures that it may look at."""
 
 FOLLOW = (
-    "{prompt}. The second picture shows the same scene from elsewhere and the third is the second after this edit: "
+    "{prompt}. The second picture shows the same scene from elsewhere and the third is the "
+    "second after this edit: "
     "edit the first picture in the same way."
 )
 FEWEST_MATCHES = 12
 PATCH = 5  # pixels that colours are averaged over, so that a match may be off by one
 
 
-def edit_consistently(mode: Consistency, several: bool, edit: Edit, views: Views, request: EditRequest) -> Views:
+def edit_consistently(
+    mode: Consistency, several: bool, edit: Edit, views: Views, request: EditRequest
+) -> Views:
     """Edit views by `edit` in one of the ways; notes in the run how much the edits disagree.
 
-    `several`: whether the model looks at further pictures, which reference-first needs (SettingsError).
+    `several`: whether the model looks at further pictures, which reference-first needs
+    (SettingsError).
     """
     if mode == "reference-first" and not several:
         raise SettingsError(
-            "editor.consistency: this pipeline takes one picture, and reference-first needs one that takes several "
+            "editor.consistency: this pipeline takes one picture, and reference-first needs one "
+            "that takes several "
             "(flux2-klein, qwen-image-edit); use grid, which works with any."
         )
     ways = {"reference-first": _reference_first, "grid": _grid}
     if mode == "independent" or views.count < 2:
         edited = edit(views, request, ())
     else:
-        scenes = [ways[mode](edit, views.scene(at), request.of_scene(at)) for at in range(len(views.images))]
+        scenes = [
+            ways[mode](edit, views.scene(at), request.of_scene(at))
+            for at in range(len(views.images))
+        ]
         edited = replace(views, images=torch.cat(scenes))
     found = [disagreement(*pair) for pair in zip(views.images, edited.images)]
     measured = [value for value in found if value is not None]
-    told = round(float(np.mean(measured)), 4) if measured else f"not measured: fewer than {FEWEST_MATCHES} matches"
+    told = (
+        round(float(np.mean(measured)), 4)
+        if measured
+        else f"not measured: fewer than {FEWEST_MATCHES} matches"
+    )
     note("editor.consistency", {"mode": mode, "disagreement": told})
     return edited
 
 
-def _reference_first(edit: Edit, views: Views, request: EditRequest) -> Float[Tensor, "1 view 3 height width"]:
+def _reference_first(
+    edit: Edit, views: Views, request: EditRequest
+) -> Float[Tensor, "1 view 3 height width"]:
     """Edit view 0, then each other one given [its photo, photo 0, edited 0]."""
     first = edit(views.select([0]), request.of_views([0]), ()).images
     rest = range(1, views.count)
-    follow = replace(request.of_views(rest), prompt=FOLLOW.format(prompt=request.prompt.rstrip(". ")))
-    return torch.cat((first, edit(views.select(rest), follow, (views.images[0, 0], first[0, 0])).images), dim=1)
+    follow = replace(
+        request.of_views(rest), prompt=FOLLOW.format(prompt=request.prompt.rstrip(". "))
+    )
+    return torch.cat(
+        (
+            first,
+            edit(views.select(rest), follow, (views.images[0, 0], first[0, 0])).images,
+        ),
+        dim=1,
+    )
 
 
-def _grid(edit: Edit, views: Views, request: EditRequest) -> Float[Tensor, "1 view 3 height width"]:
-    """Edit all views as one picture (as RL3DEdit does) and cut it apart again; empty cells repeat the last view."""
+def _grid(
+    edit: Edit, views: Views, request: EditRequest
+) -> Float[Tensor, "1 view 3 height width"]:
+    """Edit all views as one picture (as RL3DEdit does) and cut it apart again; empty cells repeat
+    the last view.
+    """
     columns = math.ceil(math.sqrt(views.count))
     rows = math.ceil(views.count / columns)
     cells = [min(cell, views.count - 1) for cell in range(rows * columns)]
 
-    def laid(images: Float[Tensor, "view c height width"]) -> Float[Tensor, "1 1 c H W"]:
+    def laid(
+        images: Float[Tensor, "view c height width"],
+    ) -> Float[Tensor, "1 1 c H W"]:
         grid = images[cells].unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4)
         return grid.flatten(3, 4).flatten(1, 2)[None, None]
 
@@ -74,18 +102,25 @@ def _grid(edit: Edit, views: Views, request: EditRequest) -> Float[Tensor, "1 vi
     masks = None if request.masks is None else laid(request.masks[0][:, None])[:, :, 0]
     edited = edit(canvas, replace(request, masks=masks), ()).images[0, 0]
     height, width = views.image_size
-    apart = edited.unflatten(1, (rows, height)).unflatten(3, (columns, width)).permute(1, 3, 0, 2, 4).flatten(0, 1)
+    apart = (
+        edited.unflatten(1, (rows, height))
+        .unflatten(3, (columns, width))
+        .permute(1, 3, 0, 2, 4)
+        .flatten(0, 1)
+    )
     return apart[None, : views.count]
 
 
 def disagreement(
-    photos: Float[Tensor, "view 3 height width"], edited: Float[Tensor, "view 3 height width"]
+    photos: Float[Tensor, "view 3 height width"],
+    edited: Float[Tensor, "view 3 height width"],
 ) -> float | None:
     """How differently the edits changed what view 0 and another view both show [sRGB]; 0: alike.
 
-    The same spots are found by SIFT matches between the unedited photos that agree with one epipolar geometry
-    (MAGSAC), so a wrong edit cannot hide in them; there, the two changes of colour are compared (mean absolute
-    difference over matches, channels and views). None where too few spots are found.
+    The same spots are found by SIFT matches between the unedited photos that agree with one
+    epipolar geometry (MAGSAC), so a wrong edit cannot hide in them; there, the two changes of
+    colour are compared (mean absolute difference over matches, channels and views). None where too
+    few spots are found.
     """
     change = (edited - photos).detach().float().cpu().permute(0, 2, 3, 1).numpy()
     grey = [cv2.cvtColor(to_bytes(photo), cv2.COLOR_RGB2GRAY) for photo in photos]
@@ -96,19 +131,33 @@ def disagreement(
     for other in range(1, len(photos)):
         spots = _matched(points[0], described[0], points[other], described[other])
         if len(spots) >= FEWEST_MATCHES:
-            here, there = spots[:, 0].round().astype(int), spots[:, 1].round().astype(int)
-            colours = smooth[0][here[:, 1], here[:, 0]] - smooth[other][there[:, 1], there[:, 0]]
+            here, there = (
+                spots[:, 0].round().astype(int),
+                spots[:, 1].round().astype(int),
+            )
+            colours = (
+                smooth[0][here[:, 1], here[:, 0]]
+                - smooth[other][there[:, 1], there[:, 0]]
+            )
             differences.append(np.abs(colours).mean())
     return float(np.mean(differences)) if differences else None
 
 
-def _matched(points0, described0, points1, described1) -> Float[np.ndarray, "match 2 2"]:
-    """Pixels of mutual nearest descriptors that agree with one fundamental matrix; empty where there are few."""
+def _matched(
+    points0, described0, points1, described1
+) -> Float[np.ndarray, "match 2 2"]:
+    """Pixels of mutual nearest descriptors that agree with one fundamental matrix; empty where
+    there are few.
+    """
     if described0 is None or described1 is None:
         return np.zeros((0, 2, 2))
     matches = cv2.BFMatcher(crossCheck=True).match(described0, described1)
-    spots = np.array([(points0[m.queryIdx].pt, points1[m.trainIdx].pt) for m in matches]).reshape(-1, 2, 2)
+    spots = np.array(
+        [(points0[m.queryIdx].pt, points1[m.trainIdx].pt) for m in matches]
+    ).reshape(-1, 2, 2)
     if len(spots) < FEWEST_MATCHES:
         return spots
-    _, kept = cv2.findFundamentalMat(spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000)
+    _, kept = cv2.findFundamentalMat(
+        spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000
+    )
     return spots[kept.ravel().astype(bool)] if kept is not None else spots[:0]

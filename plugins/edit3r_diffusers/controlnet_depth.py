@@ -15,11 +15,11 @@ from torch import Tensor
 
 from edit3r.cache import remembered
 from edit3r.config import PartChoice
+from edit3r.contract.interfaces import Editor, Matcher
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, PromptError
-from edit3r.interfaces import Editor, Matcher
 from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained, pick_device
 from edit3r.reporting import warn
-from edit3r.types import EditRequest, Views
 from edit3r_diffusers import images, latents, loading
 from edit3r_diffusers.attention import look_across_views
 from edit3r_diffusers.loading import DiffusionSettings
@@ -28,22 +28,61 @@ FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
 
 
 class ControlNetDepthEditor(Editor):
-    """Redraws the photos towards a description (not an instruction), geometry held by depth, views by attention."""
+    """Redraws the photos towards a description (not an instruction), geometry held by depth, views
+    by attention.
+    """
 
     takes_depth = True
 
     class Settings(DiffusionSettings):
-        model: str = Field("stable-diffusion-v1-5/stable-diffusion-v1-5", description="model id, or a saved folder")
-        controlnet: str = Field("lllyasviel/control_v11f1p_sd15_depth", description="depth ControlNet for that model")
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="measures depth from the photos")
-        source_prompt: str = Field("", description="what the photos show; guides the inversion")
-        guidance: float = Field(7.5, ge=1, le=50, description="how strongly the description is followed")
-        control_scale: float = Field(1.0, ge=0, le=2, description="how strongly depth holds the geometry; 0: not")
-        strength: float = Field(1.0, gt=0, le=1, description="share of the steps that are redrawn; lower keeps more")
-        invert: bool = Field(True, description="start from the photos' own noise (DDIM inversion) instead of random")
-        eta: float = Field(0.1, ge=0, le=1, description="fresh noise per step; at 0 an inverted edit ignores the seed")
-        cross_view: float = Field(0.4, ge=0, le=1, description="weight of the reference views in self-attention")
-        references: int = Field(4, ge=1, le=64, description="how many views, from the first, the others look at")
+        model: str = Field(
+            "stable-diffusion-v1-5/stable-diffusion-v1-5",
+            description="model id, or a saved folder",
+        )
+        controlnet: str = Field(
+            "lllyasviel/control_v11f1p_sd15_depth",
+            description="depth ControlNet for that model",
+        )
+        matcher: PartChoice = Field(
+            PartChoice(name="classical"), description="measures depth from the photos"
+        )
+        source_prompt: str = Field(
+            "", description="what the photos show; guides the inversion"
+        )
+        guidance: float = Field(
+            7.5, ge=1, le=50, description="how strongly the description is followed"
+        )
+        control_scale: float = Field(
+            1.0, ge=0, le=2, description="how strongly depth holds the geometry; 0: not"
+        )
+        strength: float = Field(
+            1.0,
+            gt=0,
+            le=1,
+            description="share of the steps that are redrawn; lower keeps more",
+        )
+        invert: bool = Field(
+            True,
+            description="start from the photos' own noise (DDIM inversion) instead of random",
+        )
+        eta: float = Field(
+            0.1,
+            ge=0,
+            le=1,
+            description="fresh noise per step; at 0 an inverted edit ignores the seed",
+        )
+        cross_view: float = Field(
+            0.4,
+            ge=0,
+            le=1,
+            description="weight of the reference views in self-attention",
+        )
+        references: int = Field(
+            4,
+            ge=1,
+            le=64,
+            description="how many views, from the first, the others look at",
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -53,23 +92,48 @@ class ControlNetDepthEditor(Editor):
     @remembered
     def edit(self, views: Views, request: EditRequest) -> Views:
         if not request.prompt.strip():
-            raise PromptError("controlnet-depth needs a description of the edited scene; give one with --prompt.")
+            raise PromptError(
+                "controlnet-depth needs a description of the edited scene; give one with --prompt."
+            )
         pipeline = self._loaded(views.images.device)
-        scenes = [self._edit_scene(pipeline, views, request, scene) for scene in range(len(views.images))]
+        scenes = [
+            self._edit_scene(pipeline, views, request, scene)
+            for scene in range(len(views.images))
+        ]
         return replace(views, images=torch.stack(scenes))
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
             chosen = self.settings
             half = torch.float16
-            dtype = loading.pick_dtype(chosen.dtype, pick_device(chosen.device, photos_on, "editor.device"), half)
-            weights = ChosenWeights(chosen.controlnet, "editor.controlnet", local_files_only=chosen.local_files_only)
-            controlnet = load_pretrained(foreign("diffusers", "ControlNetModel"), weights, dtype=dtype)
+            dtype = loading.pick_dtype(
+                chosen.dtype,
+                pick_device(chosen.device, photos_on, "editor.device"),
+                half,
+            )
+            weights = ChosenWeights(
+                chosen.controlnet,
+                "editor.controlnet",
+                local_files_only=chosen.local_files_only,
+            )
+            controlnet = load_pretrained(
+                foreign("diffusers", "ControlNetModel"), weights, dtype=dtype
+            )
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
-            pipeline = loading.load("StableDiffusionControlNetImg2ImgPipeline", chosen, photos_on, half, **parts)
-            # Inversion and denoising must step over the same noise levels, whatever sampler the weights came with.
+            pipeline = loading.load(
+                "StableDiffusionControlNetImg2ImgPipeline",
+                chosen,
+                photos_on,
+                half,
+                **parts,
+            )
+            # Inversion and denoising must step over the same noise levels, whatever sampler the
+            # weights came with.
             pipeline.scheduler = foreign("diffusers", "DDIMScheduler").from_config(
-                pipeline.scheduler.config, clip_sample=False, set_alpha_to_one=False, timestep_spacing="leading"
+                pipeline.scheduler.config,
+                clip_sample=False,
+                set_alpha_to_one=False,
+                timestep_spacing="leading",
             )
             self._pipeline = pipeline
         return self._pipeline
@@ -78,14 +142,20 @@ class ControlNetDepthEditor(Editor):
         self, pipeline: Any, views: Views, request: EditRequest, scene: int
     ) -> Float[Tensor, "view 3 height width"]:
         photos = views.images[scene]
-        size = images.working_size(*photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor)
-        control = control_images(matched_disparity(self.matcher, views.scene(scene)), size)
+        size = images.working_size(
+            *photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor
+        )
+        control = control_images(
+            matched_disparity(self.matcher, views.scene(scene)), size
+        )
         mask = request.masks[scene][:, None] if request.masks is not None else None
         doing = f"editing {len(photos)} views together at {size[1]}x{size[0]}"
         with torch.no_grad(), loading.out_of_memory_told(doing):
             device, dtype = pipeline._execution_device, pipeline.dtype
             resized = images.resize(photos.float(), size).to(device, dtype)
-            edited = self._denoise(pipeline, resized, control.to(device, dtype), mask, request, doing)
+            edited = self._denoise(
+                pipeline, resized, control.to(device, dtype), mask, request, doing
+            )
         return images.checked(edited, photos, "the views")
 
     def _denoise(
@@ -99,17 +169,23 @@ class ControlNetDepthEditor(Editor):
     ) -> Float[Tensor, "view 3 height width"]:
         """Redraw all views of a scene together at the working size; `text` names the progress."""
         chosen, count = self.settings, len(photos)
-        generators = [torch.Generator("cpu").manual_seed(request.seed) for _ in range(count)]
+        generators = [
+            torch.Generator("cpu").manual_seed(request.seed) for _ in range(count)
+        ]
         clean = latents.encode(pipeline.vae, photos)
         noise = latents.noise_like_latents(pipeline, photos, generators)
         photo_at = latents.noised(clean, noise)
         if chosen.invert:
             steps, prompt = chosen.steps, chosen.source_prompt
-            trajectory = latents.invert(pipeline, clean, control, prompt, steps, chosen.control_scale)
+            trajectory = latents.invert(
+                pipeline, clean, control, prompt, steps, chosen.control_scale
+            )
             photo_at = latents.along(trajectory, clean)
         redrawn = max(1, int(chosen.steps * chosen.strength))
         pipeline.scheduler.set_timesteps(chosen.steps)
-        start = photo_at(pipeline.scheduler, pipeline.scheduler.timesteps[chosen.steps - redrawn])
+        start = photo_at(
+            pipeline.scheduler, pipeline.scheduler.timesteps[chosen.steps - redrawn]
+        )
         own_attention = pipeline.unet.attn_processors
         look_across_views(pipeline.unet, count, chosen.references, chosen.cross_view)
         try:
@@ -119,7 +195,9 @@ class ControlNetDepthEditor(Editor):
                 image=photos,
                 control_image=control,
                 latents=start,
-                strength=min(1.0, (redrawn + 0.5) / chosen.steps),  # the pipeline rounds down
+                strength=min(
+                    1.0, (redrawn + 0.5) / chosen.steps
+                ),  # the pipeline rounds down
                 num_inference_steps=chosen.steps,
                 guidance_scale=chosen.guidance,
                 controlnet_conditioning_scale=chosen.control_scale,
@@ -129,25 +207,49 @@ class ControlNetDepthEditor(Editor):
                 callback_on_step_end=latents.StepEnd(text, redrawn, mask, photo_at),
             ).images
         finally:
-            pipeline.unet.set_attn_processor(own_attention)  # the inversion of the next scene looks at each view alone
+            pipeline.unet.set_attn_processor(
+                own_attention
+            )  # the inversion of the next scene looks at each view alone
 
 
-def matched_disparity(matcher: Matcher, views: Views) -> Float[Tensor, "view height width"]:
-    """Take 1 / depth [1 / scene units] of one scene's views from the matcher: one geometry, so views agree."""
+def matched_disparity(
+    matcher: Matcher, views: Views
+) -> Float[Tensor, "view height width"]:
+    """Take 1 / depth [1 / scene units] of one scene's views from the matcher: one geometry, so
+    views agree.
+    """
     if views.count < 2:
         raise InputError(
-            "controlnet-depth measures depth from two or more photos but is to edit one; leave out --edit-views first."
+            "controlnet-depth measures depth from two or more photos but is to edit one; leave "
+            "out --edit-views first."
         )
     geometry = matcher.match(views)
-    lost = [view for view, found in enumerate(geometry.registered[0].tolist()) if not found]
+    lost = [
+        view for view, found in enumerate(geometry.registered[0].tolist()) if not found
+    ]
     if lost:
-        warn(f"controlnet-depth: views {lost} could not be placed; their depth is filled in, not measured.")
+        warn(
+            f"controlnet-depth: views {lost} could not be placed; their depth is filled in, not "
+            "measured."
+        )
     return 1 / geometry.depths[0]
 
 
-def control_images(disparity: Float[Tensor, "view h w"], size: tuple[int, int]) -> Float[Tensor, "view 3 height width"]:
-    """Draw grey images in [0, 1] of `size`, near white: disparity stretched between two quantiles of the scene."""
+def control_images(
+    disparity: Float[Tensor, "view h w"], size: tuple[int, int]
+) -> Float[Tensor, "view 3 height width"]:
+    """Draw grey images in [0, 1] of `size`, near white: disparity stretched between two quantiles
+    of the scene.
+    """
     values = disparity.double().flatten()
-    far, near = torch.quantile(values[:: max(1, len(values) // 1_000_000)], values.new_tensor([FAR, NEAR]))
-    grey = ((disparity - far) / (near - far).clamp(min=1e-12)).clamp(0, 1).to(disparity.dtype)
-    return F.interpolate(grey[:, None], size, mode="bilinear", antialias=True).expand(-1, 3, -1, -1)
+    far, near = torch.quantile(
+        values[:: max(1, len(values) // 1_000_000)], values.new_tensor([FAR, NEAR])
+    )
+    grey = (
+        ((disparity - far) / (near - far).clamp(min=1e-12))
+        .clamp(0, 1)
+        .to(disparity.dtype)
+    )
+    return F.interpolate(grey[:, None], size, mode="bilinear", antialias=True).expand(
+        -1, 3, -1, -1
+    )

@@ -1,4 +1,6 @@
-"""Between photos of any size and the sizes a diffusion model works at, and the edit of one view after the other."""
+"""Between photos of any size and the sizes a diffusion model works at, and the edit of one view
+after the other.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,8 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import RunError
-from edit3r.types import EditRequest, Views
 from edit3r_diffusers import loading
 
 
@@ -23,12 +25,15 @@ class ViewJob:
     prompt: str
     seed: int
     text: str  # for progress and messages
-    start: Float[Tensor, "1 3 height width"] | None = None  # image to begin from; None: from noise
+    start: Float[Tensor, "1 3 height width"] | None = (
+        None  # image to begin from; None: from noise
+    )
 
     def generator(self) -> torch.Generator:
         """Make a fresh generator, on the CPU so that every device draws the same noise.
 
-        One generator shared by the views would give each view other noise, and the edits would not match.
+        One generator shared by the views would give each view other noise, and the edits would not
+        match.
         """
         return torch.Generator("cpu").manual_seed(self.seed)
 
@@ -42,48 +47,87 @@ def edit_one_by_one(
     denoise: Callable[[ViewJob], Float[Tensor, "1 3 height width"]],
     starts: Float[Tensor, "batch view 3 height width"] | None = None,
 ) -> Views:
-    """Edit every view by `denoise`, from its image of `starts` if given; one whose mask is empty stays as it is."""
+    """Edit every view by `denoise`, from its image of `starts` if given; one whose mask is empty
+    stays as it is.
+    """
 
     def edit_view(scene: int, view: int) -> Float[Tensor, "3 height width"]:
         photo = views.images[scene, view]
-        mask = request.masks[scene, view][None, None] if request.masks is not None else None
+        mask = (
+            request.masks[scene, view][None, None]
+            if request.masks is not None
+            else None
+        )
         if mask is not None and not mask.any():
             return photo
         name = view_name(views, view)
         size = working_size(*photo.shape[-2:], longer_side, multiple)
-        with torch.no_grad(), loading.out_of_memory_told(f"editing {name} at {size[1]}x{size[0]}"):
-            chosen = photo if starts is None else torch.stack((photo, starts[scene, view].clamp(0, 1).to(photo)))
+        with (
+            torch.no_grad(),
+            loading.out_of_memory_told(f"editing {name} at {size[1]}x{size[0]}"),
+        ):
+            chosen = (
+                photo
+                if starts is None
+                else torch.stack((photo, starts[scene, view].clamp(0, 1).to(photo)))
+            )
             sized = resize(chosen.reshape(-1, *photo.shape).float(), size)
-            image, *start = sized.to(pipeline._execution_device, pipeline.dtype).split(1)
-            edited = denoise(ViewJob(image, mask, request.prompt, request.seed, f"editing {name}", *start))
+            image, *start = sized.to(pipeline._execution_device, pipeline.dtype).split(
+                1
+            )
+            edited = denoise(
+                ViewJob(
+                    image, mask, request.prompt, request.seed, f"editing {name}", *start
+                )
+            )
         return checked(edited, photo, name)[0]
 
     scenes, count = views.images.shape[:2]
-    edited = [torch.stack([edit_view(scene, view) for view in range(count)]) for scene in range(scenes)]
+    edited = [
+        torch.stack([edit_view(scene, view) for view in range(count)])
+        for scene in range(scenes)
+    ]
     return replace(views, images=torch.stack(edited))
 
 
-def working_size(height: int, width: int, longer_side: int, multiple: int) -> tuple[int, int]:
-    """Find (height, width) of the photo's shape and the given longer side (0: its own), multiples of `multiple`."""
+def working_size(
+    height: int, width: int, longer_side: int, multiple: int
+) -> tuple[int, int]:
+    """Find (height, width) of the photo's shape and the given longer side (0: its own), multiples
+    of `multiple`.
+    """
     scale = longer_side / max(height, width) if longer_side else 1.0
-    fit = [max(multiple, round(side * scale / multiple) * multiple) for side in (height, width)]
+    fit = [
+        max(multiple, round(side * scale / multiple) * multiple)
+        for side in (height, width)
+    ]
     return fit[0], fit[1]
 
 
-def resize(images: Float[Tensor, "n c h w"], size: tuple[int, int]) -> Float[Tensor, "n c H W"]:
-    """Resize bicubically with antialiasing, clipped to [0, 1]; images that have the size stay as they are."""
+def resize(
+    images: Float[Tensor, "n c h w"], size: tuple[int, int]
+) -> Float[Tensor, "n c H W"]:
+    """Resize bicubically with antialiasing, clipped to [0, 1]; images that have the size stay as
+    they are.
+    """
     if images.shape[-2:] == size:
         return images
-    return F.interpolate(images, size, mode="bicubic", antialias=True, align_corners=False).clamp(0, 1)
+    return F.interpolate(
+        images, size, mode="bicubic", antialias=True, align_corners=False
+    ).clamp(0, 1)
 
 
-def mask_on_grid(mask: Float[Tensor, "n 1 h w"], size: tuple[int, int], cell: int) -> Float[Tensor, "n 1 H W"]:
+def mask_on_grid(
+    mask: Float[Tensor, "n 1 h w"], size: tuple[int, int], cell: int
+) -> Float[Tensor, "n 1 H W"]:
     """Make a 0/1 mask of `size` out of square cells of `cell` pixels, the grid of the latents."""
     cells = resize_mask(mask, (size[0] // cell, size[1] // cell))
     return F.interpolate((cells > 0).to(mask), size, mode="nearest")
 
 
-def resize_mask(mask: Float[Tensor, "n 1 h w"], size: tuple[int, int]) -> Float[Tensor, "n 1 H W"]:
+def resize_mask(
+    mask: Float[Tensor, "n 1 h w"], size: tuple[int, int]
+) -> Float[Tensor, "n 1 H W"]:
     """Resize a mask so that every cell that touches a pixel that may change may change too."""
     return F.interpolate(F.adaptive_max_pool2d(mask, size), size, mode="nearest")
 
@@ -91,10 +135,13 @@ def resize_mask(mask: Float[Tensor, "n 1 h w"], size: tuple[int, int]) -> Float[
 def checked(
     image: Float[Tensor, "n 3 h w"], like: Float[Tensor, "*n 3 height width"], view: str
 ) -> Float[Tensor, "n 3 height width"]:
-    """Give a pipeline's images the photos' size, dtype and device; raises RunError where half precision overflowed."""
+    """Give a pipeline's images the photos' size, dtype and device; raises RunError where half
+    precision overflowed.
+    """
     if not torch.isfinite(image).all():
         raise RunError(
-            f"the edit of {view} came out with values that are not finite, which happens when half precision "
+            f"the edit of {view} came out with values that are not finite, which happens when "
+            "half precision "
             f"overflows; use --set editor.dtype=float32."
         )
     image = image.to(like.device, torch.float32).clamp(0, 1)

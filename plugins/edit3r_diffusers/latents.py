@@ -1,4 +1,6 @@
-"""Latents of photos: encoded, noised, inverted, put back outside a mask, and as a late start of the denoising."""
+"""Latents of photos: encoded, noised, inverted, put back outside a mask, and as a late start of the
+denoising.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,35 +15,50 @@ from edit3r_diffusers.images import resize_mask
 from edit3r_diffusers.loading import NO_SAFETY_CHECKER
 
 LatentsAt = Callable[[Any, Tensor | None], Tensor]
-"""The photo's latents at the noise of a timestep (None: clean): `(scheduler, timestep) -> latents`."""
+"""The photo's latents at the noise of a timestep (None: clean): `(scheduler, timestep) -> latents`.
+"""
 
 Trajectory = dict[int, Tensor]
 """The photos' latents by the timestep whose noise level they have."""
 
 
 class StepEnd:
-    """A pipeline's `callback_on_step_end`: tells the progress and, with a mask, blends the photo back in.
+    """A pipeline's `callback_on_step_end`: tells the progress and, with a mask, blends the photo
+    back in.
 
-    Diffusion inpainting by replacement (RePaint's known region): the area outside the mask follows the photo's own
-    noised latents, so what is drawn inside grows to fit what stays outside. A soft edge counts as inside here: mixed in
-    at every step it would count many times, and the pipeline mixes the finished image by it once.
+    Diffusion inpainting by replacement (RePaint's known region): the area outside the mask follows
+    the photo's own noised latents, so what is drawn inside grows to fit what stays outside. A soft
+    edge counts as inside here: mixed in at every step it would count many times, and the pipeline
+    mixes the finished image by it once.
     """
 
     def __init__(
-        self, text: str, steps: int, mask: Float[Tensor, "n 1 h w"] | None = None, photo_at: LatentsAt | None = None
+        self,
+        text: str,
+        steps: int,
+        mask: Float[Tensor, "n 1 h w"] | None = None,
+        photo_at: LatentsAt | None = None,
     ) -> None:
         self.text, self.steps, self.mask, self.photo_at = text, steps, mask, photo_at
 
     def __call__(
-        self, pipeline: Any, step: int, timestep: Num[Tensor, ""], tensors: dict[str, Tensor]
+        self,
+        pipeline: Any,
+        step: int,
+        timestep: Num[Tensor, ""],
+        tensors: dict[str, Tensor],
     ) -> dict[str, Tensor]:
-        """Replace the `latents` `[n, c, h, w]` among `tensors`, as pipelines ask after every step."""
+        """Replace the `latents` `[n, c, h, w]` among `tensors`, as pipelines ask after every
+        step.
+        """
         progress(self.text, step + 1, self.steps)
         if self.mask is None or self.photo_at is None:
             return tensors
         latents = tensors["latents"]
         inside = resize_mask(self.mask.to(latents), latents.shape[-2:]) > 0
-        photo = self.photo_at(pipeline.scheduler, next_timestep(pipeline.scheduler, timestep)).to(latents)
+        photo = self.photo_at(
+            pipeline.scheduler, next_timestep(pipeline.scheduler, timestep)
+        ).to(latents)
         return {**tensors, "latents": torch.where(inside, latents, photo)}
 
 
@@ -49,13 +66,21 @@ def next_timestep(scheduler: Any, timestep: Num[Tensor, ""]) -> Num[Tensor, ""] 
     """Find the timestep after `timestep` in the scheduler's order; None after the last."""
     positions = (scheduler.timesteps == timestep).nonzero().flatten()
     following = int(positions[-1]) + 1
-    return scheduler.timesteps[following] if following < len(scheduler.timesteps) else None
+    return (
+        scheduler.timesteps[following] if following < len(scheduler.timesteps) else None
+    )
 
 
-def noised(clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"]) -> LatentsAt:
-    """Give the photo's latents under one fixed noise, the edit's own, at the strength of any timestep."""
+def noised(
+    clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"]
+) -> LatentsAt:
+    """Give the photo's latents under one fixed noise, the edit's own, at the strength of any
+    timestep.
+    """
 
-    def at(scheduler: Any, timestep: Num[Tensor, ""] | None) -> Float[Tensor, "n c h w"]:
+    def at(
+        scheduler: Any, timestep: Num[Tensor, ""] | None
+    ) -> Float[Tensor, "n c h w"]:
         if timestep is None:
             return clean
         return scheduler.add_noise(clean, noise, timestep.expand(len(clean)))
@@ -63,41 +88,66 @@ def noised(clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"]) -> 
     return at
 
 
-def encode(vae: Any, images: Float[Tensor, "n 3 height width"]) -> Float[Tensor, "n c h w"]:
+def encode(
+    vae: Any, images: Float[Tensor, "n 3 height width"]
+) -> Float[Tensor, "n c h w"]:
     """Encode images in [0, 1] to latents: the distribution's mode, scaled."""
     with torch.no_grad():
         shift = vae.config.shift_factor or 0.0
-        return (vae.encode(2 * images - 1).latent_dist.mode() - shift) * vae.config.scaling_factor
+        return (
+            vae.encode(2 * images - 1).latent_dist.mode() - shift
+        ) * vae.config.scaling_factor
 
 
 def noise_like_latents(
-    pipeline: Any, images: Float[Tensor, "n 3 height width"], generators: list[torch.Generator]
+    pipeline: Any,
+    images: Float[Tensor, "n 3 height width"],
+    generators: list[torch.Generator],
 ) -> Float[Tensor, "n c h w"]:
     """Draw noise for each image's latents, each from its own generator."""
     factor = pipeline.vae_scale_factor
-    size = (pipeline.vae.config.latent_channels, images.shape[-2] // factor, images.shape[-1] // factor)
-    return torch.stack([torch.randn(size, generator=generator) for generator in generators]).to(images)
+    size = (
+        pipeline.vae.config.latent_channels,
+        images.shape[-2] // factor,
+        images.shape[-1] // factor,
+    )
+    return torch.stack(
+        [torch.randn(size, generator=generator) for generator in generators]
+    ).to(images)
 
 
 def steps_left(steps: int, strength: float) -> int:
-    """Count the steps that put about `strength` in [0, 1] of the noise in and out; at least 1 of `steps`."""
+    """Count the steps that put about `strength` in [0, 1] of the noise in and out; at least 1 of
+    `steps`.
+    """
     return max(1, min(steps, round(steps * strength)))
 
 
 def noisy_start(
-    scheduler: Any, clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"], steps: int, skipped: int
+    scheduler: Any,
+    clean: Float[Tensor, "n c h w"],
+    noise: Float[Tensor, "n c h w"],
+    steps: int,
+    skipped: int,
 ) -> Float[Tensor, "n c h w"]:
-    """Add to `clean` the noise of step `skipped` of `steps`, in the scale that pipelines expect of their `latents`."""
+    """Add to `clean` the noise of step `skipped` of `steps`, in the scale that pipelines expect of
+    their `latents`.
+    """
     scheduler.set_timesteps(steps, device=clean.device)
-    noisy = scheduler.add_noise(clean, noise, scheduler.timesteps[skipped].expand(len(clean)))
-    return noisy / scheduler.init_noise_sigma  # pipelines multiply by it, as if it were pure noise
+    noisy = scheduler.add_noise(
+        clean, noise, scheduler.timesteps[skipped].expand(len(clean))
+    )
+    return (
+        noisy / scheduler.init_noise_sigma
+    )  # pipelines multiply by it, as if it were pure noise
 
 
 @contextmanager
 def skipping(scheduler: Any, skipped: int) -> Iterator[None]:
     """Make `scheduler.set_timesteps` leave out the first `skipped` steps inside the block.
 
-    For pipelines without a strength of their own (InstructPix2Pix): they take whatever timesteps they then find.
+    For pipelines without a strength of their own (InstructPix2Pix): they take whatever timesteps
+    they then find.
     """
     whole = scheduler.set_timesteps
 
@@ -122,10 +172,11 @@ def invert(
     steps: int,
     control_scale: float,
 ) -> Trajectory:
-    """Run the denoising ODE backwards from the photos, without guidance, as far as the last of `steps` timesteps.
+    """Run the denoising ODE backwards from the photos, without guidance, as far as the last of
+    `steps` timesteps.
 
-    This is DDIM inversion by diffusers' own inverse scheduler: it finds the noise from which the model would redraw
-    the photos, whose images of depth are `control`.
+    This is DDIM inversion by diffusers' own inverse scheduler: it finds the noise from which the
+    model would redraw the photos, whose images of depth are `control`.
     """
     from diffusers import DDIMInverseScheduler, StableDiffusionControlNetPipeline
 
@@ -135,7 +186,9 @@ def invert(
     inverse.set_progress_bar_config(disable=True)
     trajectory: Trajectory = {}
 
-    def keep(_: Any, step: int, timestep: Num[Tensor, ""], tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    def keep(
+        _: Any, step: int, timestep: Num[Tensor, ""], tensors: dict[str, Tensor]
+    ) -> dict[str, Tensor]:
         trajectory[int(timestep)] = tensors["latents"]
         progress("inverting the photos", step + 1, steps)
         return tensors
@@ -155,4 +208,6 @@ def invert(
 
 def along(trajectory: Trajectory, clean: Float[Tensor, "view c h w"]) -> LatentsAt:
     """Give the photos' latents at any timestep of their inversion."""
-    return lambda scheduler, timestep: clean if timestep is None else trajectory[int(timestep)]
+    return lambda scheduler, timestep: (
+        clean if timestep is None else trajectory[int(timestep)]
+    )

@@ -1,4 +1,6 @@
-"""The settings that every diffusion editor shares, and how a diffusers pipeline is loaded by them."""
+"""The settings that every diffusion editor shares, and how a diffusers pipeline is loaded by
+them.
+"""
 
 import importlib.util
 import inspect
@@ -15,29 +17,58 @@ from edit3r.io.pretrained import ChosenWeights
 from edit3r.reporting import note
 
 NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
-"""For Stable Diffusion 1.x pipelines: theirs turns a photo black on a false alarm, and a black view ruins the scene."""
+"""For Stable Diffusion 1.x pipelines: theirs turns a photo black on a false alarm, and a black view
+ruins the scene.
+"""
 
 
 class DiffusionSettings(Settings):
     """Which weights, where they run, and how much memory they may take."""
 
-    model: str = Field(description="model id on the Hugging Face hub, or a folder written by save_pretrained")
-    revision: str = Field("", description="branch, tag or commit of the model; empty: the newest")
-    variant: str = Field("", description="weight file variant such as fp16; empty: the full-precision files")
-    local_files_only: bool = Field(False, description="never download: use the folder or what is already in the cache")
-    steps: int = Field(20, ge=1, le=1000, description="denoising steps; more is slower and sometimes cleaner")
+    model: str = Field(
+        description="model id on the Hugging Face hub, or a folder written by save_pretrained"
+    )
+    revision: str = Field(
+        "", description="branch, tag or commit of the model; empty: the newest"
+    )
+    variant: str = Field(
+        "",
+        description="weight file variant such as fp16; empty: the full-precision files",
+    )
+    local_files_only: bool = Field(
+        False,
+        description="never download: use the folder or what is already in the cache",
+    )
+    steps: int = Field(
+        20,
+        ge=1,
+        le=1000,
+        description="denoising steps; more is slower and sometimes cleaner",
+    )
     resolution: int = Field(
-        512, ge=0, le=4096, description="longer side the model works at [pixels]; the result is resized back; 0: as is"
+        512,
+        ge=0,
+        le=4096,
+        description="longer side the model works at [pixels]; the result is resized back; 0: as is",
     )
     negative_prompt: str = Field("", description="what the edit should not look like")
-    device: str = Field("auto", description="cpu, cuda, cuda:1, mps, ...; auto: where the photos are (--device)")
+    device: str = Field(
+        "auto",
+        description="cpu, cuda, cuda:1, mps, ...; auto: where the photos are (--device)",
+    )
     dtype: Literal["auto", "float32", "float16", "bfloat16"] = Field(
-        "auto", description="precision of the weights; auto: float32 on a CPU, half precision elsewhere"
+        "auto",
+        description="precision of the weights; auto: float32 on a CPU, half precision elsewhere",
     )
     offload: Literal["none", "model", "sequential"] = Field(
-        "none", description="keep parts in main memory while they are idle: model (a little slower), sequential (much)"
+        "none",
+        description="keep parts in main memory while they are idle: model (a little slower), "
+        "sequential (much)",
     )
-    low_memory: bool = Field(False, description="encode and decode one picture and tile at a time: a smaller peak")
+    low_memory: bool = Field(
+        False,
+        description="encode and decode one picture and tile at a time: a smaller peak",
+    )
 
 
 def pick_dtype(name: str, device: torch.device, half: torch.dtype) -> torch.dtype:
@@ -47,12 +78,22 @@ def pick_dtype(name: str, device: torch.device, half: torch.dtype) -> torch.dtyp
     return getattr(torch, name)
 
 
-def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, half: torch.dtype, **parts: Any) -> Any:
-    """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its own."""
+def load(
+    pipeline: str,
+    settings: DiffusionSettings,
+    photos_on: torch.device,
+    half: torch.dtype,
+    **parts: Any,
+) -> Any:
+    """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its
+    own.
+    """
     device = pretrained.pick_device(settings.device, photos_on, "editor.device")
     dtype = pick_dtype(settings.dtype, device, half)
     weights = main_weights(settings)
-    loaded = pretrained.load_pretrained(pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts)
+    loaded = pretrained.load_pretrained(
+        pretrained.foreign("diffusers", pipeline), weights, dtype=dtype, **parts
+    )
     loaded.set_progress_bar_config(disable=True)
     _place(loaded, settings, device)
     note("editor.weights", {**pretrained.identity(weights), "dtype": str(dtype)})
@@ -60,25 +101,39 @@ def load(pipeline: str, settings: DiffusionSettings, photos_on: torch.device, ha
 
 
 def picture_processors(pipeline: type, settings: DiffusionSettings) -> dict[str, Any]:
-    """The parts of class Qwen2VLProcessor for pictures alone: its own loading demands torchvision, for videos.
+    """The parts of class Qwen2VLProcessor for pictures alone: its own loading demands torchvision,
+    for videos.
 
     Empty for pipelines without such a part, and where torchvision is installed.
     """
     annotations = inspect.get_annotations(pipeline.__init__)
-    names = [name for name, cls in annotations.items() if getattr(cls, "__name__", "") == "Qwen2VLProcessor"]
+    names = [
+        name
+        for name, cls in annotations.items()
+        if getattr(cls, "__name__", "") == "Qwen2VLProcessor"
+    ]
     if not names or importlib.util.find_spec("torchvision"):
         return {}
 
     class PictureProcessor(pretrained.foreign("transformers", "Qwen2VLProcessor")):
         def check_argument_for_proper_class(self, name: str, given: Any) -> Any:
-            return None if given is None else super().check_argument_for_proper_class(name, given)
+            return (
+                None
+                if given is None
+                else super().check_argument_for_proper_class(name, given)
+            )
 
     def made(name: str) -> PictureProcessor:
         parts = [
             pretrained.load_pretrained(
-                pretrained.foreign("transformers", cls), main_weights(settings), subfolder=folder
+                pretrained.foreign("transformers", cls),
+                main_weights(settings),
+                subfolder=folder,
             )
-            for cls, folder in (("Qwen2VLImageProcessor", name), ("Qwen2Tokenizer", "tokenizer"))
+            for cls, folder in (
+                ("Qwen2VLImageProcessor", name),
+                ("Qwen2Tokenizer", "tokenizer"),
+            )
         ]
         return PictureProcessor(*parts, None)
 
@@ -86,9 +141,19 @@ def picture_processors(pipeline: type, settings: DiffusionSettings) -> dict[str,
 
 
 def same_parts(pipeline: type, of: Any) -> Any:
-    """Make another class of diffusers of the parts and flags of a loaded pipeline, without a second copy."""
-    names = [name for name in inspect.signature(pipeline.__init__).parameters if name != "self"]
-    parts = {name: vars(of).get(name, of.config.get(name)) for name in names if name in (*vars(of), *of.config)}
+    """Make another class of diffusers of the parts and flags of a loaded pipeline, without a second
+    copy.
+    """
+    names = [
+        name
+        for name in inspect.signature(pipeline.__init__).parameters
+        if name != "self"
+    ]
+    parts = {
+        name: vars(of).get(name, of.config.get(name))
+        for name in names
+        if name in (*vars(of), *of.config)
+    }
     made = pipeline(**parts)
     made.set_progress_bar_config(disable=True)
     return made
@@ -96,14 +161,21 @@ def same_parts(pipeline: type, of: Any) -> Any:
 
 def main_weights(settings: DiffusionSettings) -> ChosenWeights:
     """Name the weights that the settings ask for."""
-    return ChosenWeights(settings.model, "editor.model", settings.revision, settings.variant, settings.local_files_only)
+    return ChosenWeights(
+        settings.model,
+        "editor.model",
+        settings.revision,
+        settings.variant,
+        settings.local_files_only,
+    )
 
 
 def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> None:
     """Move a pipeline to the device, or leave the moving to accelerate."""
     if settings.offload != "none" and device.type == "cpu":
         raise SettingsError(
-            f"editor.offload: {settings.offload!r} moves parts between main memory and a GPU, but the editor runs on "
+            f"editor.offload: {settings.offload!r} moves parts between main memory and a GPU, "
+            "but the editor runs on "
             f"the CPU; use --set editor.offload=none, or --device cuda."
         )
     with out_of_memory_told("loading the weights"):
@@ -121,7 +193,8 @@ def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> 
 def out_of_memory_told(doing: str) -> AbstractContextManager[None]:
     """Turn running out of memory into a sentence with the settings that help."""
     advice = (
-        "try --set editor.offload=model, then editor.low_memory=true, a smaller editor.resolution, and last "
+        "try --set editor.offload=model, then editor.low_memory=true, a smaller "
+        "editor.resolution, and last "
         "editor.offload=sequential"
     )
     return pretrained.out_of_memory_told(doing, advice)

@@ -1,4 +1,6 @@
-"""Any editing pipeline of diffusers: its call's signature says what it takes, and the settings are mapped onto that."""
+"""Any editing pipeline of diffusers: its call's signature says what it takes, and the settings are
+mapped onto that.
+"""
 
 import inspect
 from functools import partial
@@ -12,20 +14,27 @@ from pydantic.fields import FieldInfo
 from torch import Tensor
 
 from edit3r.cache import remembered
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import PromptError, RunError, SettingsError
-from edit3r.interfaces import Editor
 from edit3r.io.images import to_bytes
 from edit3r.io.pretrained import foreign
 from edit3r.reporting import note
-from edit3r.types import EditRequest, Views
 from edit3r_diffusers import loading
 from edit3r_diffusers.consistency import Consistency, References, edit_consistently
 from edit3r_diffusers.images import ViewJob, edit_one_by_one, mask_on_grid
 from edit3r_diffusers.latents import StepEnd
 from edit3r_diffusers.loading import DiffusionSettings
 
-TAKES_SEVERAL = {"QwenImageEditPlusPipeline", "Flux2Pipeline", "Flux2KleinPipeline", "Flux2KleinKVPipeline"}
-"""Classes that read a list of pictures as one job; for others, whose annotations look alike, a list is a batch."""
+TAKES_SEVERAL = {
+    "QwenImageEditPlusPipeline",
+    "Flux2Pipeline",
+    "Flux2KleinPipeline",
+    "Flux2KleinKVPipeline",
+}
+"""Classes that read a list of pictures as one job; for others, whose annotations look alike, a list
+is a batch.
+"""
 
 ARGUMENT_OF = {
     "guidance": "guidance_scale",
@@ -39,30 +48,50 @@ ARGUMENT_OF = {
 class PipelineEditor(Editor):
     """Edits each view with the same instruction from the same noise by one class of diffusers.
 
-    With masks, or a strength below 1, the job goes to `masked_pipeline`, made of the same parts. Where there is none,
-    the whole picture is edited and edit3r cuts the edit out afterwards.
+    With masks, or a strength below 1, the job goes to `masked_pipeline`, made of the same parts.
+    Where there is none, the whole picture is edited and edit3r cuts the edit out afterwards.
     """
 
     class Settings(DiffusionSettings):
         model: str = Field("", description="model id on the hub, or a saved folder")
-        pipeline: str = Field("", description="class of diffusers, such as FluxKontextPipeline")
-        masked_pipeline: str = Field("", description="class for edits with a mask, of the same parts; empty: none")
-        guidance: float | None = Field(None, ge=0, le=50, description="guidance_scale; default: the class's own")
-        true_guidance: float | None = Field(
-            None, ge=1, le=50, description="true_cfg_scale, away from negative_prompt; 1: off, faster"
+        pipeline: str = Field(
+            "", description="class of diffusers, such as FluxKontextPipeline"
         )
-        strength: float = Field(1.0, gt=0, le=1, description="below 1 starts from the noised photo: keeps more of it")
-        arguments: dict[str, Any] = Field({}, description="further arguments of the class's call, by name")
+        masked_pipeline: str = Field(
+            "",
+            description="class for edits with a mask, of the same parts; empty: none",
+        )
+        guidance: float | None = Field(
+            None, ge=0, le=50, description="guidance_scale; default: the class's own"
+        )
+        true_guidance: float | None = Field(
+            None,
+            ge=1,
+            le=50,
+            description="true_cfg_scale, away from negative_prompt; 1: off, faster",
+        )
+        strength: float = Field(
+            1.0,
+            gt=0,
+            le=1,
+            description="below 1 starts from the noised photo: keeps more of it",
+        )
+        arguments: dict[str, Any] = Field(
+            {}, description="further arguments of the class's call, by name"
+        )
         consistency: Consistency = Field(
             "independent",
-            description="independent: each view alone; reference-first: view 0, then each other view beside photo and "
+            description="independent: each view alone; reference-first: view 0, then each other "
+            "view beside photo and "
             "edit of view 0; grid: all views as one picture",
         )
 
         @model_validator(mode="after")
         def _negative_prompt_needs_guidance(self):
             if self.negative_prompt and self.true_guidance == 1:
-                raise ValueError("negative_prompt has an effect only with true_guidance above 1")
+                raise ValueError(
+                    "negative_prompt has an effect only with true_guidance above 1"
+                )
             return self
 
     def __init__(self, settings: Settings) -> None:
@@ -75,50 +104,90 @@ class PipelineEditor(Editor):
         name = self.offer.component.name
         if not request.prompt.strip():
             raise PromptError(f"{name} needs an instruction; give one with --prompt.")
-        for key, example in (("pipeline", "ClassName"), ("model", "OWNER/NAME or =FOLDER")):
+        for key, example in (
+            ("pipeline", "ClassName"),
+            ("model", "OWNER/NAME or =FOLDER"),
+        ):
             if not getattr(self.settings, key):
-                raise SettingsError(f"{name} needs a {key}; give one with --set editor.{key}={example}.")
+                raise SettingsError(
+                    f"{name} needs a {key}; give one with --set editor.{key}={example}."
+                )
         self._load(views.images.device)
         several = self.settings.pipeline in TAKES_SEVERAL
-        return edit_consistently(self.settings.consistency, several, self._edit, views, request)
+        return edit_consistently(
+            self.settings.consistency, several, self._edit, views, request
+        )
 
-    def _edit(self, views: Views, request: EditRequest, references: References) -> Views:
+    def _edit(
+        self, views: Views, request: EditRequest, references: References
+    ) -> Views:
         wants_mask = request.masks is not None or self.settings.strength < 1
-        pipeline = self._masked if wants_mask and self._masked is not None and not references else self._plain
+        pipeline = (
+            self._masked
+            if wants_mask and self._masked is not None and not references
+            else self._plain
+        )
         if request.masks is not None:
             obeyed = "mask_image" in _arguments(type(pipeline))
-            note("editor.mask", "obeyed by the model" if obeyed else "the whole picture is edited, then cut out")
-        multiple = pipeline.vae_scale_factor * (2 if hasattr(pipeline, "transformer") else 1)  # packed in 2x2 cells
-        denoise = partial(self._denoise, pipeline, multiple, [_pil(image) for image in references])
-        return edit_one_by_one(views, request, pipeline, self.settings.resolution, multiple, denoise)
+            note(
+                "editor.mask",
+                "obeyed by the model"
+                if obeyed
+                else "the whole picture is edited, then cut out",
+            )
+        multiple = pipeline.vae_scale_factor * (
+            2 if hasattr(pipeline, "transformer") else 1
+        )  # packed in 2x2 cells
+        denoise = partial(
+            self._denoise, pipeline, multiple, [_pil(image) for image in references]
+        )
+        return edit_one_by_one(
+            views, request, pipeline, self.settings.resolution, multiple, denoise
+        )
 
     def _load(self, photos_on: torch.device) -> None:
         """Load the weights when they are first needed, after the classes were checked."""
         chosen = self.settings
         if self._plain is None:
             plain = foreign("diffusers", chosen.pipeline)
-            masked = foreign("diffusers", chosen.masked_pipeline) if chosen.masked_pipeline else None
+            masked = (
+                foreign("diffusers", chosen.masked_pipeline)
+                if chosen.masked_pipeline
+                else None
+            )
             self._check(plain, masked)
             made_of = inspect.signature(plain.__init__).parameters
             half = torch.bfloat16 if "transformer" in made_of else torch.float16
             parts = loading.NO_SAFETY_CHECKER if "safety_checker" in made_of else {}
             parts = {**parts, **loading.picture_processors(plain, chosen)}
-            self._plain = loading.load(chosen.pipeline, chosen, photos_on, half, **parts)
+            self._plain = loading.load(
+                chosen.pipeline, chosen, photos_on, half, **parts
+            )
             self._masked = masked and loading.same_parts(masked, self._plain)
 
     def _check(self, plain: type, masked: type | None) -> None:
-        """Raise SettingsError for a class that does not edit, and for settings that it has no argument for."""
+        """Raise SettingsError for a class that does not edit, and for settings that it has no
+        argument for.
+        """
         taken = _arguments(plain) | (_arguments(masked) if masked else set())
         if not {"image", "prompt"} <= _arguments(plain):
-            raise SettingsError(f"editor.pipeline: {plain.__name__} takes no image and prompt, so it edits no photos.")
+            raise SettingsError(
+                f"editor.pipeline: {plain.__name__} takes no image and prompt, so it edits no "
+                "photos."
+            )
         asked = {name for name in ARGUMENT_OF if name in self.settings.model_fields_set}
-        asked = {name for name in asked if getattr(self.settings, name) not in (None, "", 1.0)}
+        asked = {
+            name
+            for name in asked
+            if getattr(self.settings, name) not in (None, "", 1.0)
+        }
         lacking = sorted(name for name in asked if ARGUMENT_OF[name] not in taken)
         unknown = sorted(set(self.settings.arguments) - taken)
         if lacking or unknown:
             key = lacking[0] if lacking else f"arguments.{unknown[0]}"
             raise SettingsError(
-                f"editor.{key}: {plain.__name__} has no argument {ARGUMENT_OF.get(key, unknown and unknown[0])}; leave "
+                f"editor.{key}: {plain.__name__} has no argument "
+                f"{ARGUMENT_OF.get(key, unknown and unknown[0])}; leave "
                 f"the setting out. It takes: {', '.join(sorted(taken))}."
             )
 
@@ -126,9 +195,15 @@ class PipelineEditor(Editor):
         self, pipeline: Any, multiple: int, references: list[Image.Image], job: ViewJob
     ) -> Float[Tensor, "1 3 height width"]:
         """Draw one view; what the class has no argument for is left out, see `_check`."""
-        chosen, size, taken = self.settings, job.image.shape[-2:], _arguments(type(pipeline))
+        chosen, size, taken = (
+            self.settings,
+            job.image.shape[-2:],
+            _arguments(type(pipeline)),
+        )
         whole = torch.ones(1, 1, *size)
-        mask = whole if job.mask is None else mask_on_grid(job.mask.cpu(), size, multiple)
+        mask = (
+            whole if job.mask is None else mask_on_grid(job.mask.cpu(), size, multiple)
+        )
         photo = _pil(job.image[0])
         guided = chosen.true_guidance is not None and chosen.true_guidance > 1
         wanted = {
@@ -146,14 +221,22 @@ class PipelineEditor(Editor):
             "_auto_resize": False,  # else FluxKontextPipeline blows small photos up to a megapixel
             "generator": job.generator(),
             "output_type": "pt",
-            "callback_on_step_end": StepEnd(job.text, max(1, int(chosen.steps * chosen.strength))),
+            "callback_on_step_end": StepEnd(
+                job.text, max(1, int(chosen.steps * chosen.strength))
+            ),
             **chosen.arguments,
         }
-        given = {name: wanted[name] for name in wanted if name in taken and wanted[name] is not None}
+        given = {
+            name: wanted[name]
+            for name in wanted
+            if name in taken and wanted[name] is not None
+        }
         try:
             return pipeline(**given).images
         except (ValueError, TypeError) as error:
-            raise RunError(f"{job.text}: {type(pipeline).__name__} refused: {' '.join(str(error).split())}") from error
+            raise RunError(
+                f"{job.text}: {type(pipeline).__name__} refused: {' '.join(str(error).split())}"
+            ) from error
 
 
 def preset(model: str, pipeline: str, **defaults: Any) -> type[PipelineEditor]:
@@ -161,11 +244,20 @@ def preset(model: str, pipeline: str, **defaults: Any) -> type[PipelineEditor]:
     defaults |= {"model": model, "pipeline": pipeline, "resolution": 1024}
     fields = PipelineEditor.Settings.model_fields
     changed = {
-        name: (fields[name].annotation, FieldInfo.merge_field_infos(fields[name], default=value))
+        name: (
+            fields[name].annotation,
+            FieldInfo.merge_field_infos(fields[name], default=value),
+        )
         for name, value in defaults.items()
     }
-    settings = create_model("Settings", __base__=PipelineEditor.Settings, __module__=__name__, **changed)
-    return type("PresetEditor", (PipelineEditor,), {"Settings": settings, "__doc__": PipelineEditor.__doc__})
+    settings = create_model(
+        "Settings", __base__=PipelineEditor.Settings, __module__=__name__, **changed
+    )
+    return type(
+        "PresetEditor",
+        (PipelineEditor,),
+        {"Settings": settings, "__doc__": PipelineEditor.__doc__},
+    )
 
 
 def _arguments(pipeline: type) -> set[str]:
@@ -186,7 +278,12 @@ FluxKontextEditor = preset(
     guidance=2.5,
     true_guidance=1.0,
 )
-QwenImageEditEditor = preset("Qwen/Qwen-Image-Edit-2511", "QwenImageEditPlusPipeline", steps=40, true_guidance=4.0)
+QwenImageEditEditor = preset(
+    "Qwen/Qwen-Image-Edit-2511",
+    "QwenImageEditPlusPipeline",
+    steps=40,
+    true_guidance=4.0,
+)
 Flux2KleinEditor = preset(
     "black-forest-labs/FLUX.2-klein-4B",
     "Flux2KleinPipeline",
@@ -195,5 +292,8 @@ Flux2KleinEditor = preset(
     guidance=1.0,
 )
 LongCatImageEditEditor = preset(
-    "meituan-longcat/LongCat-Image-Edit", "LongCatImageEditPipeline", steps=50, guidance=4.5
+    "meituan-longcat/LongCat-Image-Edit",
+    "LongCatImageEditPipeline",
+    steps=50,
+    guidance=4.5,
 )

@@ -1,4 +1,6 @@
-"""Editors that need no learned weights: none at all, looks, retouching, a stand-in, images from elsewhere, programs."""
+"""Editors that need no learned weights: none at all, looks, retouching, a stand-in, images from
+elsewhere, programs.
+"""
 
 from edit3r import Component, hookimpl
 
@@ -8,11 +10,16 @@ EDIT3R_API = 1
 @hookimpl
 def register_editors():
     return (
-        Component("none", "edit3r_editors.none:NoneEditor", "returns the photos as they are: reconstruction only"),
+        Component(
+            "none",
+            "edit3r_editors.none:NoneEditor",
+            "returns the photos as they are: reconstruction only",
+        ),
         Component(
             "mock-diffusion",
             "edit3r_editors.mock_diffusion:MockDiffusionEditor",
-            "stand-in for a diffusion editor: seeded colour and texture changes, understands no prompt",
+            "stand-in for a diffusion editor: seeded colour and texture changes, understands no "
+            "prompt",
         ),
         Component(
             "folder",
@@ -29,13 +36,15 @@ def register_editors():
         Component(
             "retouch",
             "edit3r_editors.retouch:RetouchEditor",
-            "removes what is masked and shows what the other photos see behind it; the rest is inpainted",
+            "removes what is masked and shows what the other photos see behind it; the rest is "
+            "inpainted",
             parts=("matcher",),
             min_views=2,
         ),
         Component(
             "looks",
             "edit3r_editors.looks:LooksEditor",
-            "a named look for the picture or what is masked (autumn, sketch, marble ...): filters, nothing generative",
+            "a named look for the picture or what is masked (autumn, sketch, marble ...): "
+            "filters, nothing generative",
         ),
     )

@@ -1,7 +1,7 @@
 """Any program as an editor: it is given image files and told where to write the result.
 
-The command is split into arguments once and never goes through a shell, so a prompt with quotes or semicolons stays
-one argument. Placeholders:
+The command is split into arguments once and never goes through a shell, so a prompt with quotes or
+semicolons stays one argument. Placeholders:
 
 | placeholder                   | becomes                                                                     |
 |-------------------------------|-----------------------------------------------------------------------------|
@@ -25,13 +25,16 @@ from torch import Tensor
 
 from edit3r import reporting
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import RunError, SettingsError
-from edit3r.interfaces import Editor
 from edit3r.io.images import save_image
-from edit3r.types import EditRequest, Views
 from edit3r_editors.folder import read_edit, view_names
 
-PER_VIEW, TOGETHER = ("input", "mask", "output"), ("input_dir", "mask_dir", "output_dir")
+PER_VIEW, TOGETHER = (
+    ("input", "mask", "output"),
+    ("input_dir", "mask_dir", "output_dir"),
+)
 PLACEHOLDERS = (*PER_VIEW, *TOGETHER, "prompt", "seed")
 EXAMPLE = '--set editor.command="mytool --in {input} --out {output} --prompt {prompt}"'
 
@@ -41,13 +44,23 @@ class CommandEditor(Editor):
 
     class Settings(Settings):
         command: str = Field(
-            "", description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir"
+            "",
+            description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir",
         )
-        timeout: float = Field(600, gt=0, description="time limit of one call [seconds]")
+        timeout: float = Field(
+            600, gt=0, description="time limit of one call [seconds]"
+        )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        masks = torch.ones_like(views.images[:, :, 0]) if request.masks is None else request.masks
-        edited = [self._edit_scene(*scene, view_names(views), request) for scene in zip(views.images, masks)]
+        masks = (
+            torch.ones_like(views.images[:, :, 0])
+            if request.masks is None
+            else request.masks
+        )
+        edited = [
+            self._edit_scene(*scene, view_names(views), request)
+            for scene in zip(views.images, masks)
+        ]
         return replace(views, images=torch.stack(edited))
 
     def _edit_scene(
@@ -57,7 +70,9 @@ class CommandEditor(Editor):
         names: list[str],
         request: EditRequest,
     ) -> Float[Tensor, "view 3 height width"]:
-        """Run the program on the views of one scene. Raises RunError where it fails or does not write a view."""
+        """Run the program on the views of one scene. Raises RunError where it fails or does not
+        write a view.
+        """
         arguments, together = parse_command(self.settings.command)
         with tempfile.TemporaryDirectory(prefix="edit3r-command-") as folder:
             folders = {kind: Path(folder, kind) for kind in PER_VIEW}
@@ -69,16 +84,26 @@ class CommandEditor(Editor):
             if together:
                 calls = [{f"{kind}_dir": made for kind, made in folders.items()}]
             else:
-                calls = [{kind: made / f"{name}.png" for kind, made in folders.items()} for name in names]
+                calls = [
+                    {kind: made / f"{name}.png" for kind, made in folders.items()}
+                    for name in names
+                ]
             for files in reporting.track(calls, "external program"):
-                filled = [a.format(**files, prompt=request.prompt, seed=request.seed) for a in arguments]
+                filled = [
+                    a.format(**files, prompt=request.prompt, seed=request.seed)
+                    for a in arguments
+                ]
                 self._call(filled, Path(folder) / "log.txt")
             outputs = [folders["output"] / f"{name}.png" for name in names]
             missing = next((file.name for file in outputs if not file.is_file()), None)
             if missing is not None:
-                written = ", ".join(sorted(file.name for file in folders["output"].iterdir())) or "nothing"
+                written = (
+                    ", ".join(sorted(file.name for file in folders["output"].iterdir()))
+                    or "nothing"
+                )
                 raise RunError(
-                    f"editor.command: {arguments[0]!r} ended without an error but did not write {missing}; it wrote "
+                    f"editor.command: {arguments[0]!r} ended without an error but did not write "
+                    f"{missing}; it wrote "
                     f"{written}. Write PNG files to the path it is given."
                 )
             return torch.stack([read_edit(*one) for one in zip(outputs, images, names)])
@@ -86,45 +111,76 @@ class CommandEditor(Editor):
     def _call(self, command: list[str], log: Path) -> None:
         program, limit = command[0], self.settings.timeout
         try:
-            # Into a file: with a pipe, a grandchild that outlives the time limit would keep us waiting for its end.
+            # Into a file: with a pipe, a grandchild that outlives the time limit would keep us
+            # waiting for its end.
             with log.open("wb") as said:
                 done = subprocess.run(
-                    command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, timeout=limit
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=subprocess.STDOUT,
+                    timeout=limit,
                 )
         except FileNotFoundError:
-            raise RunError(f"editor.command: no program {program!r} found; give its full path.") from None
+            raise RunError(
+                f"editor.command: no program {program!r} found; give its full path."
+            ) from None
         except PermissionError:
-            raise RunError(f"editor.command: {program!r} may not be executed.") from None
+            raise RunError(
+                f"editor.command: {program!r} may not be executed."
+            ) from None
         except subprocess.TimeoutExpired:
             raise RunError(
-                f"editor.command: {program!r} ran longer than {limit:g} s and was ended; raise editor.timeout if it "
+                f"editor.command: {program!r} ran longer than {limit:g} s and was ended; raise "
+                "editor.timeout if it "
                 "needs more."
             ) from None
         if done.returncode != 0:
-            text = " ".join(log.read_text(encoding="utf-8", errors="replace").split())[-400:]
+            text = " ".join(log.read_text(encoding="utf-8", errors="replace").split())[
+                -400:
+            ]
             reason = text or "it printed nothing"
-            raise RunError(f"editor.command: {program!r} failed with exit code {done.returncode}: {reason}")
+            raise RunError(
+                f"editor.command: {program!r} failed with exit code {done.returncode}: {reason}"
+            )
 
 
 def parse_command(command: str) -> tuple[list[str], bool]:
-    """Split a command into arguments with placeholders; True: one call edits all views. Raises SettingsError."""
+    """Split a command into arguments with placeholders; True: one call edits all views. Raises
+    SettingsError.
+    """
     try:
         arguments = shlex.split(command)
-        parsed = [part for argument in arguments for part in string.Formatter().parse(argument)]
+        parsed = [
+            part
+            for argument in arguments
+            for part in string.Formatter().parse(argument)
+        ]
     except ValueError as error:
-        raise SettingsError(f"editor.command: cannot be split into arguments ({error}), got {command!r}.") from None
+        raise SettingsError(
+            f"editor.command: cannot be split into arguments ({error}), got {command!r}."
+        ) from None
     if not arguments:
-        raise SettingsError(f"editor.command: the editor 'command' needs a program, for example {EXAMPLE}.")
-    used = [name for _, name, _, _ in parsed if name is not None]  # a literal brace is written twice
+        raise SettingsError(
+            f"editor.command: the editor 'command' needs a program, for example {EXAMPLE}."
+        )
+    used = [
+        name for _, name, _, _ in parsed if name is not None
+    ]  # a literal brace is written twice
     unknown = [name for name in used if name not in PLACEHOLDERS]
     if unknown:
         listed = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)
-        raise SettingsError(f"editor.command: unknown placeholder {{{unknown[0]}}}; known are {listed}.")
+        raise SettingsError(
+            f"editor.command: unknown placeholder {{{unknown[0]}}}; known are {listed}."
+        )
     together = not set(used).isdisjoint(TOGETHER)
     if together and not set(used).isdisjoint(PER_VIEW):
         raise SettingsError(
-            "editor.command: {input}, {output} and {mask} do not go with their _dir forms; use one kind."
+            "editor.command: {input}, {output} and {mask} do not go with their _dir forms; use "
+            "one kind."
         )
     if ("output_dir" if together else "output") not in used:
-        raise SettingsError(f"editor.command: it must say where to write, for example {EXAMPLE}.")
+        raise SettingsError(
+            f"editor.command: it must say where to write, for example {EXAMPLE}."
+        )
     return arguments, together

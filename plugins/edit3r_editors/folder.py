@@ -1,4 +1,6 @@
-"""The editor `folder`: images that were edited elsewhere, and how image files become views again."""
+"""The editor `folder`: images that were edited elsewhere, and how image files become views
+again.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,33 +13,48 @@ from torch import Tensor
 
 from edit3r import reporting
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, SettingsError
-from edit3r.interfaces import Editor
 from edit3r.io.framing import frame_for
 from edit3r.io.images import find_photos, read_image
-from edit3r.types import EditRequest, Views
 
 
 class FolderEditor(Editor):
-    """Replaces each view by the image of its name in a folder, or by natural order when no name fits."""
+    """Replaces each view by the image of its name in a folder, or by natural order when no name
+    fits.
+    """
 
     class Settings(Settings):
-        path: str = Field("", description="folder with one edited picture per view, named as the photos are")
+        path: str = Field(
+            "",
+            description="folder with one edited picture per view, named as the photos are",
+        )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if len(views.images) != 1:
-            raise InputError(f"editor 'folder' holds the pictures of one scene, got a batch of {len(views.images)}.")
+            raise InputError(
+                "editor 'folder' holds the pictures of one scene, got a batch of "
+                f"{len(views.images)}."
+            )
         if request.prompt.strip():
-            reporting.warn("editor 'folder' does not read the prompt: the pictures in the folder are the edit.")
+            reporting.warn(
+                "editor 'folder' does not read the prompt: the pictures in the folder are the edit."
+            )
         names = view_names(views)
         files = match_files(_images_in(self.settings.path), names)
         reporting.note("editor.files", [str(file) for file in files])
-        images = [read_edit(file, image, name) for file, image, name in zip(files, views.images[0], names)]
+        images = [
+            read_edit(file, image, name)
+            for file, image, name in zip(files, views.images[0], names)
+        ]
         return replace(views, images=torch.stack(images)[None])
 
 
 def match_files(files: list[Path], names: list[str]) -> list[Path]:
-    """Choose one of `files` (in natural order) per view: by stem if any stem fits, else in order if as many."""
+    """Choose one of `files` (in natural order) per view: by stem if any stem fits, else in order if
+    as many.
+    """
     by_stem: dict[str, list[Path]] = {}
     for file in files:
         by_stem.setdefault(file.stem.lower(), []).append(file)
@@ -47,16 +64,20 @@ def match_files(files: list[Path], names: list[str]) -> list[Path]:
     found = ", ".join(file.name for file in files)
     if len(missing) < len(names):
         raise InputError(
-            f"editor.path: no picture for {', '.join(repr(name) for name in missing)}; found {found}. "
+            f"editor.path: no picture for {', '.join(repr(name) for name in missing)}; found "
+            f"{found}. "
             f"Each view needs a picture of its name, or none of them, for matching in order."
         )
     if len(files) != len(names):
         raise InputError(
-            f"editor.path: no file is named like a view ({', '.join(names)}) and {len(files)} pictures cannot be "
+            f"editor.path: no file is named like a view ({', '.join(names)}) and {len(files)} "
+            "pictures cannot be "
             f"matched to {len(names)} views in order; found {found}."
         )
     pairs = ", ".join(f"{name} <- {file.name}" for name, file in zip(names, files))
-    reporting.warn(f"editor.path: no file is named like a view, so they are matched in order: {pairs}.")
+    reporting.warn(
+        f"editor.path: no file is named like a view, so they are matched in order: {pairs}."
+    )
     return files
 
 
@@ -69,7 +90,10 @@ def _only(files: list[Path]) -> Path:
 
 def _images_in(path: str) -> list[Path]:
     if not path:
-        raise SettingsError("editor.path: the editor 'folder' needs a folder, for example --set editor.path=edited/.")
+        raise SettingsError(
+            "editor.path: the editor 'folder' needs a folder, for example --set "
+            "editor.path=edited/."
+        )
     folder = Path(path).expanduser()
     if not folder.is_dir():
         raise InputError(f"editor.path: {path!r} is not a folder.")
@@ -77,26 +101,36 @@ def _images_in(path: str) -> list[Path]:
 
 
 def view_names(views: Views) -> list[str]:
-    """Give every view a distinct file stem: its name where it has one, else `view_1`, `view_2`, ..."""
+    """Give every view a distinct file stem: its name where it has one, else `view_1`, `view_2`,
+    ...
+    """
     if not views.names:
         return [f"view_{index + 1}" for index in range(views.count)]
     stems = [Path(name).stem for name in views.names]
-    return stems if len(set(stems)) == len(stems) else [f"{stem}_{index + 1}" for index, stem in enumerate(stems)]
+    return (
+        stems
+        if len(set(stems)) == len(stems)
+        else [f"{stem}_{index + 1}" for index, stem in enumerate(stems)]
+    )
 
 
-def read_edit(path: Path, like: Float[Tensor, "3 height width"], name: str) -> Float[Tensor, "3 height width"]:
+def read_edit(
+    path: Path, like: Float[Tensor, "3 height width"], name: str
+) -> Float[Tensor, "3 height width"]:
     """Read the edit of view `name` from an image file, at the size, dtype and device of `like`.
 
-    Another size is framed as photos are when they are loaded: scaled to cover, cropped around the middle. So an edit
-    of the original photo lands where the photo did.
+    Another size is framed as photos are when they are loaded: scaled to cover, cropped around the
+    middle. So an edit of the original photo lands where the photo did.
     """
     image = read_image(path)
     height, width = like.shape[-2:]
     frame = frame_for((image.height, image.width), (height, width))
     if frame.cropped > 0.01:
         reporting.warn(
-            f"{path.name} is {image.width}x{image.height} but view {name!r} is {width}x{height}: of it "
-            f"{frame.cropped:.0%} is cropped away. Right for an edit of the whole photo if that was cropped too."
+            f"{path.name} is {image.width}x{image.height} but view {name!r} is {width}x{height}: "
+            "of it "
+            f"{frame.cropped:.0%} is cropped away. Right for an edit of the whole photo if that "
+            "was cropped too."
         )
     pixels = np.array(frame.cut(image), dtype=np.float32) / 255
     return torch.from_numpy(pixels).permute(2, 0, 1).to(like)

@@ -1,8 +1,10 @@
-"""The editor `looks`: a named look for the picture or for what is masked, by colour grading and classical filters.
+"""The editor `looks`: a named look for the picture or for what is masked, by colour grading and
+classical filters.
 
-Nothing here is generative: autumn turns green into orange, but no leaf falls; marble gets veins along the photo's own
-shades. A look changes each pixel by its own colour, or by a small neighbourhood, so that a surface looks alike in all
-views; no pattern depends on places in the picture, where it would swim over the surfaces.
+Nothing here is generative: autumn turns green into orange, but no leaf falls; marble gets veins
+along the photo's own shades. A look changes each pixel by its own colour, or by a small
+neighbourhood, so that a surface looks alike in all views; no pattern depends on places in the
+picture, where it would swim over the surfaces.
 """
 
 import re
@@ -20,36 +22,62 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import PromptError, suggest
-from edit3r.interfaces import Editor
 from edit3r.reporting import say
-from edit3r.types import EditRequest, Views
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
 grey = kornia.color.rgb_to_grayscale
 
-BANDS = ((0, 0.2, 0.34, 0.48, 0.62, 0.74, 0.88, 1), (0.02, 0.2, 0.42, 0.36, 0.55, 0.82, 0.74, 1))
-"""Polished metal: what light becomes which light; the dips are what makes it look like reflections."""
+BANDS = (
+    (0, 0.2, 0.34, 0.48, 0.62, 0.74, 0.88, 1),
+    (0.02, 0.2, 0.42, 0.36, 0.55, 0.82, 0.74, 1),
+)
+"""Polished metal: what light becomes which light; the dips are what makes it look like reflections.
+"""
 
 
-def graded(images: Images, gamma=1.0, saturation=1.0, contrast=1.0, gain=(1.0, 1.0, 1.0), lift=0.0) -> Images:
-    """Grade each pixel by itself: gamma, saturation, contrast around mid-grey, gains of RGB, lifted blacks."""
+def graded(
+    images: Images,
+    gamma=1.0,
+    saturation=1.0,
+    contrast=1.0,
+    gain=(1.0, 1.0, 1.0),
+    lift=0.0,
+) -> Images:
+    """Grade each pixel by itself: gamma, saturation, contrast around mid-grey, gains of RGB, lifted
+    blacks.
+    """
     images = images.clamp(min=1e-4) ** gamma
     light = grey(images)
     images = 0.5 + contrast * (light + saturation * (images - light) - 0.5)
-    return (lift + (1 - lift) * images * images.new_tensor(gain)[:, None, None]).clamp(0, 1)
+    return (lift + (1 - lift) * images * images.new_tensor(gain)[:, None, None]).clamp(
+        0, 1
+    )
 
 
 def autumn(images: Images) -> Images:
     hsv, weight = _foliage(images)
-    hue = torch.deg2rad(44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1))  # yellow-green to red
-    leaves = torch.cat((hue, (1.7 * hsv[:, 1:2]).clamp(max=0.9), (1.1 * hsv[:, 2:]).clamp(max=1)), 1)
-    return graded(torch.lerp(images, kornia.color.hsv_to_rgb(leaves), weight), saturation=1.1, gain=(1.06, 1, 0.88))
+    hue = torch.deg2rad(
+        44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1)
+    )  # yellow-green to red
+    leaves = torch.cat(
+        (hue, (1.7 * hsv[:, 1:2]).clamp(max=0.9), (1.1 * hsv[:, 2:]).clamp(max=1)), 1
+    )
+    return graded(
+        torch.lerp(images, kornia.color.hsv_to_rgb(leaves), weight),
+        saturation=1.1,
+        gain=(1.06, 1, 0.88),
+    )
 
 
 def winter(images: Images) -> Images:
-    frost = grey(images).clamp(min=1e-4) ** 0.55 * images.new_tensor((0.95, 0.98, 1.03))[:, None, None]
+    frost = (
+        grey(images).clamp(min=1e-4) ** 0.55
+        * images.new_tensor((0.95, 0.98, 1.03))[:, None, None]
+    )
     frosted = torch.lerp(images, frost.clamp(0, 1), 0.85 * _foliage(images)[1])
     return graded(frosted, gamma=0.85, saturation=0.45, gain=(0.93, 1, 1.1))
 
@@ -62,7 +90,9 @@ def sketch(images: Images) -> Images:
 
 def cartoon(images: Images) -> Images:
     ink = _step(_lines(grey(_flattened(images, 15, 0.15)), 0.004), 0.55, 0.85)
-    return ink * graded(_flattened(images, 60, 0.4), gamma=0.75, saturation=1.6, contrast=1.1)
+    return ink * graded(
+        _flattened(images, 60, 0.4), gamma=0.75, saturation=1.6, contrast=1.1
+    )
 
 
 def watercolour(images: Images) -> Images:
@@ -73,23 +103,39 @@ def watercolour(images: Images) -> Images:
 
 
 def marble(images: Images) -> Images:
-    """White stone in the photo's shades; veins run along lines of equal light, thin in a wider shadow."""
+    """White stone in the photo's shades; veins run along lines of equal light, thin in a wider
+    shadow.
+    """
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
     phase = 8 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.008)
     slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
-    distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)  # to the line [pixels]
-    veins = (0.8 * torch.exp(-((distance / 1.3) ** 2))).maximum(0.35 * torch.exp(-((distance / 4.5) ** 2)))
-    veins = veins * _step(slope, 0.004, 0.02) * images.new_tensor((0.45, 0.44, 0.4))[:, None, None]
+    distance = (phase - phase.round()).abs() / slope.clamp(
+        min=0.005
+    )  # to the line [pixels]
+    veins = (0.8 * torch.exp(-((distance / 1.3) ** 2))).maximum(
+        0.35 * torch.exp(-((distance / 4.5) ** 2))
+    )
+    veins = (
+        veins
+        * _step(slope, 0.004, 0.02)
+        * images.new_tensor((0.45, 0.44, 0.4))[:, None, None]
+    )
     light = 0.42 + 0.57 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
     return light * images.new_tensor((1, 0.985, 0.96))[:, None, None] * (1 - veins)
 
 
 def metal(images: Images, colours: tuple) -> Images:
-    """Turn light into the banded light of polished metal, in colours (sRGB) of its shades, middle and highlights."""
+    """Turn light into the banded light of polished metal, in colours (sRGB) of its shades, middle
+    and highlights.
+    """
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=5))
-    shade = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)[:, 0].numpy(force=True)
+    shade = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)[:, 0].numpy(
+        force=True
+    )
     shine = 0.7 * np.interp(shade, *BANDS) + 0.3 * grey(smooth)[:, 0].numpy(force=True)
-    channels = [np.interp(shine, (0, 0.3, 0.65, 1), (0, *stops)) for stops in zip(*colours)]
+    channels = [
+        np.interp(shine, (0, 0.3, 0.65, 1), (0, *stops)) for stops in zip(*colours)
+    ]
     return torch.from_numpy(np.stack(channels, 1)).to(images)
 
 
@@ -97,7 +143,9 @@ def _foliage(images: Images) -> tuple[Images, Grey]:
     """HSV of each pixel, and how much it is as green as plants, in [0, 1]."""
     hsv = kornia.color.rgb_to_hsv(images)
     hue = torch.rad2deg(hsv[:, :1])
-    return hsv, _step(hue, 40, 65) * (1 - _step(hue, 165, 195)) * _step(hsv[:, 1:2], 0.06, 0.2)
+    return hsv, _step(hue, 40, 65) * (1 - _step(hue, 165, 195)) * _step(
+        hsv[:, 1:2], 0.06, 0.2
+    )
 
 
 def _step(values: Grey, low: float, high: float) -> Grey:
@@ -115,17 +163,29 @@ def _blurred(images: Grey, sigma: float) -> Grey:
     """Blur by `sigma` [longer sides]."""
     sigma = sigma * max(images.shape[-2:])
     size = 2 * int(3 * sigma) + 1
-    return kornia.filters.gaussian_blur2d(images, (size, size), (sigma, sigma), border_type="replicate")
+    return kornia.filters.gaussian_blur2d(
+        images, (size, size), (sigma, sigma), border_type="replicate"
+    )
 
 
 def _flattened(images: Images, reach: float, range_: float) -> Images:
-    """Smooth within edges (Gastal and Oliveira 2011); `reach` in pixels, `range_` of colours in [0, 1]."""
-    return _by_opencv(images, partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_))
+    """Smooth within edges (Gastal and Oliveira 2011); `reach` in pixels, `range_` of colours in [0,
+    1].
+    """
+    return _by_opencv(
+        images,
+        partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_),
+    )
 
 
 def _by_opencv(images: Images, draw: Callable[[np.ndarray], np.ndarray]) -> Images:
     """Apply a filter of OpenCV, which takes bytes in BGR."""
-    pixels = (images.permute(0, 2, 3, 1).flip(-1) * 255).round().to(torch.uint8).numpy(force=True)
+    pixels = (
+        (images.permute(0, 2, 3, 1).flip(-1) * 255)
+        .round()
+        .to(torch.uint8)
+        .numpy(force=True)
+    )
     drawn = np.stack([draw(np.ascontiguousarray(image)) for image in pixels])
     return torch.from_numpy(drawn).flip(-1).permute(0, 3, 1, 2).to(images) / 255
 
@@ -148,7 +208,8 @@ LOOKS = {
                   partial(graded, gamma=1.7, saturation=0.4, gain=_BLUE, lift=0.01)),
     "sunset": Look("sunset dusk", "warm light", partial(graded, saturation=1.25, contrast=1.08, gain=_WARM)),
     "autumn": Look("autumn autumnal fall", "green turns orange and red; no leaf falls", autumn),
-    "winter": Look("winter wintry frost frosty", "green turns to frost, the rest pale and cold; no snow falls", winter),
+    "winter": Look("winter wintry frost frosty", "green turns to frost, the rest pale and cold; "
+                                                 "no snow falls", winter),
     "vintage": Look("vintage retro", "a faded print",
                     partial(graded, saturation=0.55, contrast=0.85, gain=_FADED, lift=0.07)),
     "sepia": Look("sepia", "brown tones", partial(graded, saturation=0, gain=(1.08, 0.94, 0.74))),
@@ -156,9 +217,11 @@ LOOKS = {
     "noir": Look("noir", "no colour, hard contrast", partial(graded, saturation=0, contrast=1.5)),
     "sketch": Look("sketch sketched pencil", "pencil lines on paper", sketch),
     "cartoon": Look("cartoon comic comics", "flat strong colours and ink lines", cartoon),
-    "watercolour": Look("watercolour watercolor aquarelle", "pale washes with darker rims", watercolour),
+    "watercolour": Look("watercolour watercolor aquarelle", "pale washes with darker "
+                                                            "rims", watercolour),
     "marble": Look("marble", "like marble: white stone, veins along lines of equal light", marble),
-    "steel": Look("steel metal metallic chrome silver", "like polished steel", partial(metal, colours=_STEEL)),
+    "steel": Look("steel metal metallic chrome "
+                  "silver", "like polished steel", partial(metal, colours=_STEEL)),
     "gold": Look("gold golden gilded", "like polished gold", partial(metal, colours=_GOLD)),
     "bronze": Look("bronze copper", "like polished bronze", partial(metal, colours=_BRONZE)),
 }  # fmt: skip
@@ -174,38 +237,70 @@ NEGATIONS = "not no don't dont never without except but neither nor isn't instea
 
 
 class LooksEditor(Editor):
-    """Gives photos one named look; colour grading and classical filters, not a generative editor."""
+    """Gives photos one named look; colour grading and classical filters, not a generative
+    editor.
+    """
 
     class Settings(Settings):
-        look: Literal[("", *LOOKS)] = Field("", description="the look; empty: the one that the prompt names")
-        strength: float = Field(1.0, ge=0, le=1, description="share of the look; 0 returns the photo")
+        look: Literal[("", *LOOKS)] = Field(
+            "", description="the look; empty: the one that the prompt names"
+        )
+        strength: float = Field(
+            1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
+        )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        name = self.settings.look or read_look(request.prompt, request.masks is not None)
+        name = self.settings.look or read_look(
+            request.prompt, request.masks is not None
+        )
         place = "the whole picture" if request.masks is None else "what is masked"
         say("edit.understood", f"look {name} on {place}: {LOOKS[name].does}")
         photos = views.images.flatten(0, 1)
-        drawn = torch.lerp(photos, LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1), self.settings.strength)
+        drawn = torch.lerp(
+            photos,
+            LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1),
+            self.settings.strength,
+        )
         return replace(views, images=drawn.view_as(views.images))
 
 
 def read_look(prompt: str, masked: bool) -> str:
-    """The one look that a prompt names; other words may only say what is `masked`. Raises PromptError."""
-    text = re.sub(r"\bblack\s*(?:and|&|-and-)\s*white\b", "greyscale", prompt.lower().replace("’", "'"))
+    """The one look that a prompt names; other words may only say what is `masked`. Raises
+    PromptError.
+    """
+    text = re.sub(
+        r"\bblack\s*(?:and|&|-and-)\s*white\b",
+        "greyscale",
+        prompt.lower().replace("’", "'"),
+    )
     tokens = re.findall(r"[^\W_]+(?:'[a-z]+)?", text)
     named = tuple(dict.fromkeys(BY_WORD[token] for token in tokens if token in BY_WORD))
-    others = [token for token in tokens if token not in BY_WORD and token not in FILLERS.split()]
+    others = [
+        token
+        for token in tokens
+        if token not in BY_WORD and token not in FILLERS.split()
+    ]
     listed = f"Looks are {', '.join(LOOKS)}."
-    if negation := next((token for token in tokens if token in NEGATIONS.split()), None):
-        raise PromptError(f"{negation!r} in {prompt!r}: negations are not understood; name one look. {listed}")
+    if negation := next(
+        (token for token in tokens if token in NEGATIONS.split()), None
+    ):
+        raise PromptError(
+            f"{negation!r} in {prompt!r}: negations are not understood; name one look. {listed}"
+        )
     if not named:
         hint = next((hint for token in others if (hint := suggest(token, BY_WORD))), "")
-        raise PromptError(f"{prompt!r} names no look that the editor looks knows.{hint} {listed}")
+        raise PromptError(
+            f"{prompt!r} names no look that the editor looks knows.{hint} {listed}"
+        )
     if len(named) > 1:
-        raise PromptError(f"{prompt!r} names {' and '.join(named)}; ask for one, then for the next with --from.")
+        raise PromptError(
+            f"{prompt!r} names {' and '.join(named)}; ask for one, then for the next with --from."
+        )
     if others and not masked:
         raise PromptError(
-            f"cannot carry out {' '.join(others)!r} in {prompt!r}. If it is the thing that gets the look, say where it "
-            f"is by --point X,Y, --mask FILE or --segmenter NAME; without, the whole picture does. {listed}"
+            f"cannot carry out {' '.join(others)!r} in {prompt!r}. If it is the thing that gets "
+            "the look, say where it "
+            "is by --point X,Y, --mask FILE or --segmenter NAME; without, the whole picture "
+            f"does. {listed}"
         )
     return named[0]

@@ -1,9 +1,11 @@
-"""A stand-in with steps, strength and the faults of a diffusion editor, but no model and no idea what a prompt means.
+"""A stand-in with steps, strength and the faults of a diffusion editor, but no model and no idea
+what a prompt means.
 
-Tests, demonstrations and robustness measurements use it where a real editor would need weights. Prompt and seed are
-hashed into one global change of colour and tone; `disagreement` adds what real 2D editors do wrong between views:
-other colours, other textures, slightly moved structure. The loop below imitates a sampler (noise in, one step after
-the other towards the result), so that step counts and progress bars mean something.
+Tests, demonstrations and robustness measurements use it where a real editor would need weights.
+Prompt and seed are hashed into one global change of colour and tone; `disagreement` adds what real
+2D editors do wrong between views: other colours, other textures, slightly moved structure. The loop
+below imitates a sampler (noise in, one step after the other towards the result), so that step
+counts and progress bars mean something.
 """
 
 import hashlib
@@ -18,38 +20,64 @@ from torch import Tensor
 
 from edit3r import reporting
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Editor
-from edit3r.types import EditRequest, Views
 
-SHOWN = 7.5 / 10.5  # share of a look that is seen at full strength: the photo holds the rest back
-STEP_RATE = 0.35  # share of the remaining way a step goes: 10 steps leave 1 % of the noise
+SHOWN = (
+    7.5 / 10.5
+)  # share of a look that is seen at full strength: the photo holds the rest back
+STEP_RATE = (
+    0.35  # share of the remaining way a step goes: 10 steps leave 1 % of the noise
+)
 TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the image
-TEXTURE, WARP = 0.12, 0.02  # at full disagreement: deviation of the colour texture, displacement [image widths]
+TEXTURE, WARP = (
+    0.12,
+    0.02,
+)  # at full disagreement: deviation of the colour texture, displacement [image widths]
 
 
 class MockDiffusionEditor(Editor):
     """Deterministic stand-in for a diffusion editor; says so on every run."""
 
     class Settings(Settings):
-        steps: int = Field(20, ge=1, le=1000, description="sampler steps; fewer than about 10 leave noise")
-        strength: float = Field(0.8, ge=0, le=1, description="share of the change that is applied; 0 returns the photo")
+        steps: int = Field(
+            20,
+            ge=1,
+            le=1000,
+            description="sampler steps; fewer than about 10 leave noise",
+        )
+        strength: float = Field(
+            0.8,
+            ge=0,
+            le=1,
+            description="share of the change that is applied; 0 returns the photo",
+        )
         disagreement: float = Field(
-            0.3, ge=0, le=1, description="how much the views differ in colour, texture and structure; 0: not at all"
+            0.3,
+            ge=0,
+            le=1,
+            description="how much the views differ in colour, texture and structure; 0: not at all",
         )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         reporting.warn(
-            "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash of the prompt and "
+            "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash "
+            "of the prompt and "
             "does not understand it. Use a real editor for real results."
         )
         shared = torch.rand(6, generator=_generator(request.prompt, request.seed))
         apart, results = self.settings.disagreement, []
         for view in range(views.count):
-            generator, images = _generator(request.prompt, request.seed, view), views.images[:, view]
+            generator, images = (
+                _generator(request.prompt, request.seed, view),
+                views.images[:, view],
+            )
             target = with_look(images, shared, generator, apart)
-            results.append(self._sample(images, target, request.seed, f"view {view + 1}"))
+            results.append(
+                self._sample(images, target, request.seed, f"view {view + 1}")
+            )
         return replace(views, images=torch.stack(results, 1))
 
     def _sample(
@@ -61,9 +89,13 @@ class MockDiffusionEditor(Editor):
     ) -> Float[Tensor, "batch 3 height width"]:
         """Walk from a noisy photo to the guided result, as a sampler would."""
         target = images + self.settings.strength * SHOWN * (look - images)
-        noise = torch.randn(images.shape[1:], generator=torch.Generator().manual_seed(seed)).to(images)
+        noise = torch.randn(
+            images.shape[1:], generator=torch.Generator().manual_seed(seed)
+        ).to(images)
         current = images + self.settings.strength * noise
-        for _ in reporting.track(range(self.settings.steps), f"mock diffusion, {label}"):
+        for _ in reporting.track(
+            range(self.settings.steps), f"mock diffusion, {label}"
+        ):
             current = current + STEP_RATE * (target - current)
         return images if self.settings.strength == 0 else current.clamp(0, 1)
 
@@ -74,7 +106,9 @@ def with_look(
     generator: torch.Generator,
     apart: float,
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Edit one view by a look `apart` of the way from the `shared` one, numbers in [0, 1], to one of its own."""
+    """Edit one view by a look `apart` of the way from the `shared` one, numbers in [0, 1], to one
+    of its own.
+    """
     look = torch.lerp(shared, torch.rand(6, generator=generator), apart)
     return coloured(disturbed(images, generator, apart), 2 * look - 1)
 
@@ -82,24 +116,40 @@ def with_look(
 def coloured(
     images: Float[Tensor, "batch 3 height width"], look: Float[Tensor, "6"]
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Change hue, saturation, gamma and tint of all colours by numbers in [-1, 1]; the result is in [0, 1]."""
+    """Change hue, saturation, gamma and tint of all colours by numbers in [-1, 1]; the result is in
+    [0, 1].
+    """
     hue, saturation, gamma, *tint = look.tolist()
     result = kornia.enhance.adjust_hue(images, torch.pi * hue)
-    result = kornia.enhance.adjust_saturation_with_gray_subtraction(result, 1.1 + 0.5 * saturation)
+    result = kornia.enhance.adjust_saturation_with_gray_subtraction(
+        result, 1.1 + 0.5 * saturation
+    )
     result = kornia.enhance.adjust_gamma(result, 2 ** (0.7 * gamma))
     return (result + 0.15 * images.new_tensor(tint)[:, None, None]).clamp(0, 1)
 
 
 def disturbed(
-    images: Float[Tensor, "batch 3 height width"], generator: torch.Generator, amount: float
+    images: Float[Tensor, "batch 3 height width"],
+    generator: torch.Generator,
+    amount: float,
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Move points and add smooth texture, the same at any image size up to resampling; the result is in [0, 1]."""
+    """Move points and add smooth texture, the same at any image size up to resampling; the result
+    is in [0, 1].
+    """
     if amount == 0:
         return images
-    coarse = torch.randn(1, 5, TEXTURE_CELLS, TEXTURE_CELLS, generator=generator).to(images)
-    fields = F.interpolate(coarse, size=images.shape[-2:], mode="bicubic", align_corners=False)[0]
-    fields = fields / 0.8  # interpolation between cells lowers the deviation of white noise
-    places = pixel_grid(images.shape[-2:], images) + amount * WARP * fields[:2].clamp(-1, 1).permute(1, 2, 0)
+    coarse = torch.randn(1, 5, TEXTURE_CELLS, TEXTURE_CELLS, generator=generator).to(
+        images
+    )
+    fields = F.interpolate(
+        coarse, size=images.shape[-2:], mode="bicubic", align_corners=False
+    )[0]
+    fields = (
+        fields / 0.8
+    )  # interpolation between cells lowers the deviation of white noise
+    places = pixel_grid(images.shape[-2:], images) + amount * WARP * fields[:2].clamp(
+        -1, 1
+    ).permute(1, 2, 0)
     moved = warp(images, places.expand(len(images), -1, -1, -1), padding="reflection")
     return (moved + amount * TEXTURE * fields[2:]).clamp(0, 1)
 

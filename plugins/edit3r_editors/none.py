@@ -1,14 +1,19 @@
 """The editor that changes nothing."""
 
 from edit3r import reporting
-from edit3r.interfaces import Editor
-from edit3r.types import EditRequest, Views
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 
 
 class NoneEditor(Editor):
-    """Returns its input: for reconstructing photos without an edit, and as the zero of comparisons."""
+    """Returns its input: for reconstructing photos without an edit, and as the zero of
+    comparisons.
+    """
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.prompt.strip():
-            reporting.warn(f"editor 'none' leaves the photos as they are; the prompt {request.prompt!r} is not used.")
+            reporting.warn(
+                f"editor 'none' leaves the photos as they are; the prompt {request.prompt!r} is "
+                "not used."
+            )
         return views

@@ -1,7 +1,7 @@
 """The editor `retouch`: takes away what is masked and shows what the other photos see behind it.
 
-What another photo sees is carried over by the matched geometry, which no editor of single pictures can do; only what
-no photo sees is invented, from what surrounds it, by OpenCV's inpainting.
+What another photo sees is carried over by the matched geometry, which no editor of single pictures
+can do; only what no photo sees is invented, from what surrounds it, by OpenCV's inpainting.
 """
 
 from dataclasses import replace
@@ -14,16 +14,19 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import PartChoice, Settings
+from edit3r.contract.interfaces import Editor, MatchedGeometry, Matcher
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.maps import dilate
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Editor, MatchedGeometry, Matcher
 from edit3r.reporting import note, warn
-from edit3r.types import EditRequest, Views
 
-NEAR = 0.1  # relative difference in depth within which a surface is taken to be the one that is looked for
-SURE = 0.5  # confidence above which a depth was measured; filled-in depths bleed over the edges of what is removed
+# relative difference in depth within which a surface is taken to be the one that is looked for
+NEAR = 0.1
+# confidence above which a depth was measured; filled-in depths bleed over the edges of what is
+# removed
+SURE = 0.5
 
 
 class RetouchEditor(Editor):
@@ -33,72 +36,142 @@ class RetouchEditor(Editor):
     changes_shape = True
 
     class Settings(Settings):
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="measures poses and depth of the photos")
-        margin: int = Field(2, ge=0, le=20, description="pixels around the mask that are not trusted as background")
-        radius: float = Field(5, gt=0, le=50, description="inpainting: how far known pixels reach [pixels]")
+        matcher: PartChoice = Field(
+            PartChoice(name="classical"),
+            description="measures poses and depth of the photos",
+        )
+        margin: int = Field(
+            2,
+            ge=0,
+            le=20,
+            description="pixels around the mask that are not trusted as background",
+        )
+        radius: float = Field(
+            5,
+            gt=0,
+            le=50,
+            description="inpainting: how far known pixels reach [pixels]",
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         geometry = self._geometry(views)
-        scenes = [self._scene(views, request.masks > 0, geometry, scene) for scene in range(len(views.images))]
+        scenes = [
+            self._scene(views, request.masks > 0, geometry, scene)
+            for scene in range(len(views.images))
+        ]
         return replace(views, images=torch.stack(scenes))
 
     def _scene(
-        self, views: Views, holes: Bool[Tensor, "b view height width"], geometry: MatchedGeometry | None, scene: int
+        self,
+        views: Views,
+        holes: Bool[Tensor, "b view height width"],
+        geometry: MatchedGeometry | None,
+        scene: int,
     ) -> Float[Tensor, "view 3 height width"]:
         """The images of one scene of the batch, with its holes filled."""
         images, hole = views.images[scene], holes[scene]
         seen = torch.zeros_like(hole)
         if geometry is not None:
-            images, seen = behind(geometry.calibrated(views), hole, geometry, scene, self.settings.margin)
-        shares = [round(float(s[h].float().mean()), 3) if h.any() else None for s, h in zip(seen, hole)]
+            images, seen = behind(
+                geometry.calibrated(views), hole, geometry, scene, self.settings.margin
+            )
+        shares = [
+            round(float(s[h].float().mean()), 3) if h.any() else None
+            for s, h in zip(seen, hole)
+        ]
         note("retouch.seen_by_other_photos", shares)
         if max((share for share in shares if share is not None), default=1) < 0.5:
-            warn("most of what is taken away hides what no other photo shows; what is behind it is invented.")
-        return torch.stack([_inpainted(*one, self.settings.radius) for one in zip(images, hole & ~seen)])
+            warn(
+                "most of what is taken away hides what no other photo shows; what is behind it "
+                "is invented."
+            )
+        return torch.stack(
+            [
+                _inpainted(*one, self.settings.radius)
+                for one in zip(images, hole & ~seen)
+            ]
+        )
 
     def _geometry(self, views: Views) -> MatchedGeometry | None:
         """Geometry of the photos; None where they cannot be placed."""
         try:
             return self.matcher.match(views)
         except MatchingError as error:
-            warn(f"retouch: what is behind the object is invented, since the photos could not be matched: {error}")
+            warn(
+                "retouch: what is behind the object is invented, since the photos could not be "
+                f"matched: {error}"
+            )
             return None
 
 
 def behind(
-    views: Views, holes: Bool[Tensor, "view height width"], geometry: MatchedGeometry, scene: int, margin: int
+    views: Views,
+    holes: Bool[Tensor, "view height width"],
+    geometry: MatchedGeometry,
+    scene: int,
+    margin: int,
 ) -> tuple[Float[Tensor, "view 3 height width"], Bool[Tensor, "view height width"]]:
-    """Images of one scene of the batch whose holes show what its other views see there, and where that was so.
+    """Images of one scene of the batch whose holes show what its other views see there, and where
+    that was so.
 
-    The surface behind a hole is spanned between the depths measured around it and those that other views measured and
-    carry into it. A view lends no pixels within `margin` of its own hole.
+    The surface behind a hole is spanned between the depths measured around it and those that other
+    views measured and carry into it. A view lends no pixels within `margin` of its own hole.
     """
-    images, intrinsics, c2w = views.images[scene], views.intrinsics[scene], geometry.c2w[scene]
+    images, intrinsics, c2w = (
+        views.images[scene],
+        views.intrinsics[scene],
+        geometry.c2w[scene],
+    )
     depths, placed = geometry.depths[scene], geometry.registered[scene]
     lent = dilate(holes.to(images), margin) == 0
     sure = lent & (geometry.confidence[scene] > SURE)
     points = unproject(depths, intrinsics, c2w)
     filled, seen = images.clone(), torch.zeros_like(holes)
     for view in range(len(images)):
-        others = [o for o in range(len(images)) if o != view and bool(placed[o] & placed[view])]
+        others = [
+            o
+            for o in range(len(images))
+            if o != view and bool(placed[o] & placed[view])
+        ]
         others.sort(key=lambda o: float((c2w[o, :3, 3] - c2w[view, :3, 3]).norm()))
         if not others or not holes[view].any():
             continue
-        known = torch.where(sure[view], 1 / depths[view], torch.zeros_like(depths[view]))
-        carried = _carried(torch.cat([points[o][sure[o]] for o in others]), intrinsics[view], c2w[view], holes[view])
-        inverse = torch.from_numpy(_spanned(torch.where(holes[view], carried, known).cpu().numpy())).to(depths)
-        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)  # never before what is removed
+        known = torch.where(
+            sure[view], 1 / depths[view], torch.zeros_like(depths[view])
+        )
+        carried = _carried(
+            torch.cat([points[o][sure[o]] for o in others]),
+            intrinsics[view],
+            c2w[view],
+            holes[view],
+        )
+        inverse = torch.from_numpy(
+            _spanned(torch.where(holes[view], carried, known).cpu().numpy())
+        ).to(depths)
+        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(
+            min=1e-9
+        )  # never before what is removed
         hidden = unproject(background, intrinsics[view], c2w[view])
-        lenders = (_lent(hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])) for o in others)
+        lenders = (
+            _lent(
+                hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])
+            )
+            for o in others
+        )
         pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
-        # What one of several photos alone shows, against its own depth, is more often wrong than what is inpainted.
+        # What one of several photos alone shows, against its own depth, is more often wrong than
+        # what is inpainted.
         trusted = agrees.any(0) | (shown.sum(0) >= min(2, len(others)))
-        first = torch.where(agrees.any(0), agrees.int().argmax(0), shown.int().argmax(0))
+        first = torch.where(
+            agrees.any(0), agrees.int().argmax(0), shown.int().argmax(0)
+        )
         seen[view] = holes[view] & trusted
-        filled[view] = torch.where(seen[view], pixels.gather(0, first.expand(1, 3, -1, -1))[0], images[view])
+        filled[view] = torch.where(
+            seen[view], pixels.gather(0, first.expand(1, 3, -1, -1))[0], images[view]
+        )
     return filled, seen
 
 
@@ -109,12 +182,24 @@ def _lent(
     sure: Bool[Tensor, "height width"],
     lent: Bool[Tensor, "height width"],
     camera: tuple[Float[Tensor, "3 3"], Float[Tensor, "4 4"]],
-) -> tuple[Float[Tensor, "3 height width"], Bool[Tensor, "height width"], Bool[Tensor, "height width"]]:
-    """What a view shows at points, where nothing measured hides them there, and where its depth says so too."""
+) -> tuple[
+    Float[Tensor, "3 height width"],
+    Bool[Tensor, "height width"],
+    Bool[Tensor, "height width"],
+]:
+    """What a view shows at points, where nothing measured hides them there, and where its depth
+    says so too.
+    """
     grid, z = project(points.flatten(0, 1), *camera)
     grid, z = grid.view(*depth.shape, 2), z.view_as(depth)
-    surface, measured = warp(torch.stack((depth, torch.where(sure, depth, torch.inf))), grid, mode="nearest")
-    shown = (warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99) & (z > 0) & (z < (1 + NEAR) * measured)
+    surface, measured = warp(
+        torch.stack((depth, torch.where(sure, depth, torch.inf))), grid, mode="nearest"
+    )
+    shown = (
+        (warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99)
+        & (z > 0)
+        & (z < (1 + NEAR) * measured)
+    )
     return warp(image, grid), shown, shown & ((z / surface - 1).abs() < NEAR)
 
 
@@ -124,28 +209,46 @@ def _carried(
     c2w: Float[Tensor, "4 4"],
     hole: Bool[Tensor, "height width"],
 ) -> Float[Tensor, "height width"]:
-    """Inverse camera z of the nearest of the points in each pixel of the hole; 0 where there is none."""
+    """Inverse camera z of the nearest of the points in each pixel of the hole; 0 where there is
+    none.
+    """
     height, width = hole.shape
     places, z = project(points, intrinsics, c2w)
-    column, row = (places * places.new_tensor([width, height])).floor().long().unbind(-1)
+    column, row = (
+        (places * places.new_tensor([width, height])).floor().long().unbind(-1)
+    )
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest = z.new_zeros(height * width)
-    nearest = nearest.scatter_reduce(0, (row * width + column)[inside], 1 / z[inside], "amax").view(height, width)
-    # Points of a farther surface show through the gaps of a nearer one: they do not count beside it.
-    return torch.where(hole & (nearest >= 0.9 * dilate(nearest[None], 1)[0]), nearest, torch.zeros_like(nearest))
+    nearest = nearest.scatter_reduce(
+        0, (row * width + column)[inside], 1 / z[inside], "amax"
+    ).view(height, width)
+    # Points of a farther surface show through the gaps of a nearer one: they do not count beside
+    # it.
+    return torch.where(
+        hole & (nearest >= 0.9 * dilate(nearest[None], 1)[0]),
+        nearest,
+        torch.zeros_like(nearest),
+    )
 
 
-def _spanned(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
-    """The map with its zeros filled by a membrane between all other values, which continues planes as planes.
+def _spanned(
+    values: Float[np.ndarray, "height width"],
+) -> Float[np.ndarray, "height width"]:
+    """The map with its zeros filled by a membrane between all other values, which continues planes
+    as planes.
 
     Laplace's equation, solved on maps of half the sides first.
     """
     known, (height, width) = values > 0, values.shape
     if known.all() or min(height, width) < 4:
-        return np.where(known, values, values[known].mean() if known.any() else 0).astype(values.dtype)
+        return np.where(
+            known, values, values[known].mean() if known.any() else 0
+        ).astype(values.dtype)
     half = (width // 2, height // 2)
     weight = cv2.resize(known.astype(values.dtype), half, interpolation=cv2.INTER_AREA)
-    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA) / np.maximum(weight, 1e-6)
+    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA) / np.maximum(
+        weight, 1e-6
+    )
     smooth = cv2.resize(_spanned(low), (width, height))
     for _ in range(30):
         smooth = np.where(known, values, cv2.blur(smooth, (3, 3)))
@@ -153,12 +256,21 @@ def _spanned(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "he
 
 
 def _inpainted(
-    image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"], radius: float
+    image: Float[Tensor, "3 height width"],
+    hole: Bool[Tensor, "height width"],
+    radius: float,
 ) -> Float[Tensor, "3 height width"]:
     """The image with the hole filled from its surroundings (Telea 2004)."""
     if not hole.any():
         return image
-    pixels = (image.permute(1, 2, 0) * 255).round().clamp(0, 255).to(torch.uint8).cpu().numpy()
+    pixels = (
+        (image.permute(1, 2, 0) * 255)
+        .round()
+        .clamp(0, 255)
+        .to(torch.uint8)
+        .cpu()
+        .numpy()
+    )
     mask = hole.cpu().numpy().astype(np.uint8)
     filled = cv2.inpaint(np.ascontiguousarray(pixels), mask, radius, cv2.INPAINT_TELEA)
     filled = torch.from_numpy(filled).to(image).permute(2, 0, 1) / 255

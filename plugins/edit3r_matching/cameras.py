@@ -1,4 +1,6 @@
-"""Cameras of the matchers: NumPy, float64, intrinsics in pixels of the working image, pixel centres at +0.5."""
+"""Cameras of the matchers: NumPy, float64, intrinsics in pixels of the working image, pixel centres
+at +0.5.
+"""
 
 from dataclasses import dataclass
 
@@ -6,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from edit3r.contract.types import Views
 from edit3r.geometry.cameras import to_pixels
-from edit3r.types import Views
 
 __all__ = [
     "CalibratedImage",
@@ -47,29 +49,43 @@ class CalibratedImage:
             return self
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         stretch = np.array([[size[0] / width], [size[1] / height], [1.0]])
-        return CalibratedImage(cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA), self.intrinsics * stretch)
+        return CalibratedImage(
+            cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA),
+            self.intrinsics * stretch,
+        )
 
     @property
     def fov(self) -> float:
         """Field of view across the longer side [degrees]."""
-        return float(np.degrees(2 * np.arctan(0.5 * max(self.size) / self.intrinsics[0, 0])))
+        return float(
+            np.degrees(2 * np.arctan(0.5 * max(self.size) / self.intrinsics[0, 0]))
+        )
 
     def with_fov(self, fov: float) -> "CalibratedImage":
         """The image as if taken with a field of view of `fov` [degrees] across its longer side."""
         intrinsics = self.intrinsics.copy()
-        intrinsics[0, 0] = intrinsics[1, 1] = 0.5 * max(self.size) / np.tan(np.radians(fov) / 2)
+        intrinsics[0, 0] = intrinsics[1, 1] = (
+            0.5 * max(self.size) / np.tan(np.radians(fov) / 2)
+        )
         return CalibratedImage(self.pixels, intrinsics)
 
     def zoomed(self, factor: float) -> "CalibratedImage":
         """The image as if taken with focal lengths `factor` times as long."""
-        return CalibratedImage(self.pixels, self.intrinsics * np.array([[factor, factor, 1.0]]))
+        return CalibratedImage(
+            self.pixels, self.intrinsics * np.array([[factor, factor, 1.0]])
+        )
 
 
 def calibrated_images(views: Views, scene: int) -> list[CalibratedImage]:
     """The views of one scene of the batch."""
     images = views.images[scene].detach().permute(0, 2, 3, 1).cpu().float().numpy()
-    intrinsics = to_pixels(views.intrinsics[scene].detach().double().cpu(), views.image_size).numpy()
-    return [CalibratedImage(np.ascontiguousarray(image), matrix) for image, matrix in zip(images, intrinsics)]
+    intrinsics = to_pixels(
+        views.intrinsics[scene].detach().double().cpu(), views.image_size
+    ).numpy()
+    return [
+        CalibratedImage(np.ascontiguousarray(image), matrix)
+        for image, matrix in zip(images, intrinsics)
+    ]
 
 
 @dataclass(frozen=True)
@@ -102,9 +118,14 @@ class Pose:
 
     def after(self, first: "Pose") -> "Pose":
         """`first`, then this one."""
-        return Pose(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
+        return Pose(
+            self.rotation @ first.rotation,
+            self.rotation @ first.translation + self.translation,
+        )
 
-    def apply(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    def apply(
+        self, points: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 3"]:
         """Points of the first frame in the second."""
         return points @ self.rotation.T + self.translation
 
@@ -123,10 +144,16 @@ def rays_through(
     return homogeneous @ np.linalg.inv(intrinsics).T
 
 
-def pixel_rays(intrinsics: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> Float[np.ndarray, "height width 3"]:
-    """Camera-frame vectors with z = 1 through every pixel centre of an image of `size` (height, width)."""
+def pixel_rays(
+    intrinsics: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> Float[np.ndarray, "height width 3"]:
+    """Camera-frame vectors with z = 1 through every pixel centre of an image of `size` (height,
+    width).
+    """
     height, width = size
-    grid = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    grid = np.stack(
+        np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1
+    )
     return rays_through(grid, intrinsics)
 
 
@@ -140,21 +167,30 @@ def project(
 
 
 def triangulate(
-    rays_a: Float[np.ndarray, "point 3"], rays_b: Float[np.ndarray, "point 3"], pose: Pose
+    rays_a: Float[np.ndarray, "point 3"],
+    rays_b: Float[np.ndarray, "point 3"],
+    pose: Pose,
 ) -> tuple[Float[np.ndarray, "point"], Float[np.ndarray, "point"]]:
     """Camera z along both rays (z = 1) where they come closest; `pose` maps A's frame to B's.
 
-    Least squares of `depth_a R ray_a + t = depth_b ray_b`; nearly parallel rays give huge depths of either sign.
+    Least squares of `depth_a R ray_a + t = depth_b ray_b`; nearly parallel rays give huge depths of
+    either sign.
     """
     turned = rays_a @ pose.rotation.T
-    aa, bb, ab = (turned * turned).sum(1), (rays_b * rays_b).sum(1), (turned * rays_b).sum(1)
+    aa, bb, ab = (
+        (turned * turned).sum(1),
+        (rays_b * rays_b).sum(1),
+        (turned * rays_b).sum(1),
+    )
     at, bt = turned @ pose.translation, rays_b @ pose.translation
     determinant = np.maximum(aa * bb - ab * ab, 1e-12)
     return (ab * bt - at * bb) / determinant, (aa * bt - ab * at) / determinant
 
 
 def parallax_degrees(
-    rays_a: Float[np.ndarray, "point 3"], rays_b: Float[np.ndarray, "point 3"], pose: Pose
+    rays_a: Float[np.ndarray, "point 3"],
+    rays_b: Float[np.ndarray, "point 3"],
+    pose: Pose,
 ) -> Float[np.ndarray, "point"]:
     """Angle between the two rays of each point [degrees]; `pose` maps A's frame to B's."""
     turned = rays_a @ pose.rotation.T

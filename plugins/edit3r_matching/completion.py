@@ -1,10 +1,12 @@
-"""From raw depth to a complete map: keep what neighbours confirm, fill in the rest, clear what they saw through."""
+"""From raw depth to a complete map: keep what neighbours confirm, fill in the rest, clear what they
+saw through.
+"""
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from edit3r.compiling import compiled
+from edit3r.compute.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
 from edit3r_matching.plane_sweep import Neighbour, RawDepth
 
@@ -14,9 +16,15 @@ AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
 CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surface
 REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
 TOUCH = 15.0  # and for smoothing what was measured
-COLOUR, TOUCH_COLOUR = 6.0, 8.0  # 8-bit colour differences at which the smoothness falls to 1/e
-BESIDE = 1 / 16  # distance from the nearest measured pixel up to which its depth is taken [long sides]
-BEHIND = 0.05  # but not where spreading says that much farther: next to a depth edge the background goes on
+COLOUR, TOUCH_COLOUR = (
+    6.0,
+    8.0,
+)  # 8-bit colour differences at which the smoothness falls to 1/e
+BESIDE = (
+    1 / 16
+)  # distance from the nearest measured pixel up to which its depth is taken [long sides]
+# but not where spreading says that much farther: next to a depth edge the background goes on
+BEHIND = 0.05
 TRUST_IN_GUESSES = 1e-6  # of unconfirmed depths where confirmed ones are far away
 TRUST_NEARBY = 1e-4
 LEAST_FOR_A_PLANE = 50  # measured pixels
@@ -25,26 +33,54 @@ PLANE_ROUNDS = 15
 
 
 def confirmed(
-    inverse: Float[np.ndarray, "height width"], reference: CalibratedImage, neighbour: Neighbour, other: RawDepth
+    inverse: Float[np.ndarray, "height width"],
+    reference: CalibratedImage,
+    neighbour: Neighbour,
+    other: RawDepth,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of inverse depth `inverse` for which the neighbour, whose depth is `other`, measured the same surface."""
-    points = neighbour.pose.apply(pixel_rays(reference.intrinsics, reference.size) / inverse[..., None])
+    """Pixels of inverse depth `inverse` for which the neighbour, whose depth is `other`, measured
+    the same surface.
+    """
+    points = neighbour.pose.apply(
+        pixel_rays(reference.intrinsics, reference.size) / inverse[..., None]
+    )
     depth = points[..., 2]
-    pixels = project(points, neighbour.image.intrinsics).astype(np.float32) - np.float32(0.5)
+    pixels = project(points, neighbour.image.intrinsics).astype(
+        np.float32
+    ) - np.float32(0.5)
     # -1 is read outside the neighbour's image.
-    seen = cv2.remap(other.inverse, pixels, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
+    seen = cv2.remap(
+        other.inverse,
+        pixels,
+        None,
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=-1.0,
+    )
     inside = (depth > 0) & (seen > 0)
     difference = 1 / np.where(inside, depth, 1) - seen
     return inside & (np.abs(difference) < AGREEMENT * other.step)
 
 
-def without_speckles(agrees: Bool[np.ndarray, "height width"], raw: RawDepth) -> Bool[np.ndarray, "height width"]:
+def without_speckles(
+    agrees: Bool[np.ndarray, "height width"], raw: RawDepth
+) -> Bool[np.ndarray, "height width"]:
     """`agrees` without lone pixels and small islands of one depth, which agree by chance."""
     height, width = agrees.shape
-    square = np.ones((2, 2), np.uint8)  # the two anchors are opposite corners, or what is kept would move by a pixel
-    eroded = cv2.erode(agrees.astype(np.uint8), square, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    square = np.ones(
+        (2, 2), np.uint8
+    )  # the two anchors are opposite corners, or what is kept would move by a pixel
+    eroded = cv2.erode(
+        agrees.astype(np.uint8),
+        square,
+        anchor=(1, 1),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
     kept = cv2.dilate(eroded, square, anchor=(0, 0)) > 0
-    quarter_planes = np.clip((raw.inverse - raw.inverse.min()) / raw.step * 4 + 16, 1, 32000).astype(np.int16)
+    quarter_planes = np.clip(
+        (raw.inverse - raw.inverse.min()) / raw.step * 4 + 16, 1, 32000
+    ).astype(np.int16)
     quarter_planes[~kept] = 0
     cv2.filterSpeckles(quarter_planes, 0, max(12, height * width // 1200), 6)
     return kept & (quarter_planes > 0)
@@ -56,55 +92,77 @@ def fill(
     step: float,
     image: Float[np.ndarray, "height width 3"],
 ) -> Float[np.ndarray, "height width"]:
-    """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, continued from there elsewhere.
+    """Inverse depth everywhere: `inverse` lightly smoothed where `measured`, continued from there
+    elsewhere.
 
-    Close to something measured the nearest pixel's depth, farther away what fast global smoothing (Min et al. 2014)
-    spreads: flat colour carries depth, edges stop it. `step` is how far apart two hypotheses were: smoothing by more
-    would blur a depth edge.
+    Close to something measured the nearest pixel's depth, farther away what fast global smoothing
+    (Min et al. 2014) spreads: flat colour carries depth, edges stop it. `step` is how far apart two
+    hypotheses were: smoothing by more would blur a depth edge.
     """
     guide = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     median = cv2.medianBlur(inverse, 3)
     weight = measured.astype(np.float32)
     base, limits = main_plane(median, measured)
-    spread = base + _weighted_smooth(median - base, weight + np.float32(TRUST_IN_GUESSES), guide, REACH, COLOUR)
-    smooth = _weighted_smooth(median, weight + np.float32(TRUST_NEARBY), guide, TOUCH, TOUCH_COLOUR)
+    spread = base + _weighted_smooth(
+        median - base, weight + np.float32(TRUST_IN_GUESSES), guide, REACH, COLOUR
+    )
+    smooth = _weighted_smooth(
+        median, weight + np.float32(TRUST_NEARBY), guide, TOUCH, TOUCH_COLOUR
+    )
     touched = np.where(np.abs(smooth - median) < step, 0.5 * (smooth + median), median)
     spread = np.clip(spread, *limits)
     beside, distance = _nearest(median, measured)
     taken = (distance < BESIDE * max(measured.shape)) & (beside < (1 + BEHIND) * spread)
-    return np.where(measured, touched, np.where(taken, beside, spread)).astype(np.float32)
+    return np.where(measured, touched, np.where(taken, beside, spread)).astype(
+        np.float32
+    )
 
 
 def _nearest(
-    values: Float[np.ndarray, "height width"], measured: Bool[np.ndarray, "height width"]
+    values: Float[np.ndarray, "height width"],
+    measured: Bool[np.ndarray, "height width"],
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
-    """The value of the measured pixel nearest to each pixel, and the distance to it (large: none is measured)."""
+    """The value of the measured pixel nearest to each pixel, and the distance to it (large: none is
+    measured).
+    """
     gaps = (~measured).astype(np.uint8)
-    distance, labels = cv2.distanceTransformWithLabels(gaps, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    distance, labels = cv2.distanceTransformWithLabels(
+        gaps, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     of_label = np.zeros(labels.max() + 1, values.dtype)
     of_label[labels[measured]] = values[measured]
     return of_label[labels], distance
 
 
 def main_plane(
-    inverse: Float[np.ndarray, "height width"], measured: Bool[np.ndarray, "height width"]
+    inverse: Float[np.ndarray, "height width"],
+    measured: Bool[np.ndarray, "height width"],
 ) -> tuple[Float[np.ndarray, "height width"], tuple[float, float]]:
-    """The plane nearest to most of what was measured, as inverse depth everywhere, and the range that was measured.
+    """The plane nearest to most of what was measured, as inverse depth everywhere, and the range
+    that was measured.
 
-    Planes are linear in inverse depth. Far from anything measured the filling returns to this one: often the ground or
-    a wall that goes on outside the overlap of the photos. Iteratively reweighted least squares (Cauchy).
+    Planes are linear in inverse depth. Far from anything measured the filling returns to this one:
+    often the ground or a wall that goes on outside the overlap of the photos. Iteratively
+    reweighted least squares (Cauchy).
     """
     index = np.flatnonzero(measured)
     if len(index) < LEAST_FOR_A_PLANE:
-        return np.full_like(inverse, np.median(inverse)), (float(inverse.min()), float(inverse.max()))
+        return np.full_like(inverse, np.median(inverse)), (
+            float(inverse.min()),
+            float(inverse.max()),
+        )
     height, width = inverse.shape
     y, x = np.mgrid[:height, :width]
-    basis = np.stack([x.ravel() / width - 0.5, y.ravel() / height - 0.5, np.ones(x.size)], axis=1)
+    basis = np.stack(
+        [x.ravel() / width - 0.5, y.ravel() / height - 0.5, np.ones(x.size)], axis=1
+    )
     some = index[:: max(1, len(index) // PLANE_SAMPLES)]
     values, weights = inverse.ravel()[some].astype(float), np.ones(len(some))
     scale = 0.3 * values.std() + 1e-9
     for _ in range(PLANE_ROUNDS):
-        solution = np.linalg.lstsq(basis[some] * weights[:, None], values * weights, rcond=None)[0]
+        solution = np.linalg.lstsq(
+            basis[some] * weights[:, None], values * weights, rcond=None
+        )[0]
         weights = 1 / (1 + ((values - basis[some] @ solution) / scale) ** 2)
     low, high = np.percentile(values, [0.5, 99.5])
     return (basis @ solution).reshape(inverse.shape).astype(np.float32), (low, high)
@@ -132,16 +190,27 @@ def push_back(
     other: RawDepth,
     other_measured: Bool[np.ndarray, "height2 width2"],
 ) -> Float[np.ndarray, "height width"]:
-    """`inverse` with every guess moved away from the camera until it hides nothing that the neighbour measured.
+    """`inverse` with every guess moved away from the camera until it hides nothing that the
+    neighbour measured.
 
-    What a neighbour saw through must be empty. Next to a depth edge this is what occlusion means: a pixel that only
-    one view shows belongs to the background.
+    What a neighbour saw through must be empty. Next to a depth edge this is what occlusion means: a
+    pixel that only one view shows belongs to the background.
     """
     intrinsics, pose = neighbour.image.intrinsics, neighbour.pose
     matrix = intrinsics @ pose.rotation @ np.linalg.inv(reference.intrinsics)
     shift = intrinsics @ pose.translation
     limit = CLEARANCE * other.step
-    return _push_back(inverse, measured, own.farthest, own.step, matrix, shift, other.inverse, other_measured, limit)
+    return _push_back(
+        inverse,
+        measured,
+        own.farthest,
+        own.step,
+        matrix,
+        shift,
+        other.inverse,
+        other_measured,
+        limit,
+    )
 
 
 @compiled(nogil=True)
@@ -156,18 +225,23 @@ def _push_back(
                 continue
             ray = matrix @ np.array([x + 0.5, y + 0.5, 1.0])
             guess = inverse[y, x]
-            while guess > farthest and _hides(ray, guess, shift, other, other_measured, limit):
+            while guess > farthest and _hides(
+                ray, guess, shift, other, other_measured, limit
+            ):
                 guess -= step
             result[y, x] = max(guess, farthest)
     return result
 
 
 @compiled(nogil=True)
-def _hides(ray, inverse, shift, other, other_measured, limit):  # pragma: no cover - compiled
-    """Whether a point at `inverse` depth along a reference ray stands before the neighbour's measured surface.
+def _hides(
+    ray, inverse, shift, other, other_measured, limit
+):  # pragma: no cover - compiled
+    """Whether a point at `inverse` depth along a reference ray stands before the neighbour's
+    measured surface.
 
-    `ray` is the pixel at infinity in the neighbour's homogeneous pixels; the point appears at `ray + inverse * shift`,
-    its inverse depth there is `inverse / z`.
+    `ray` is the pixel at infinity in the neighbour's homogeneous pixels; the point appears at `ray
+    + inverse * shift`, its inverse depth there is `inverse / z`.
     """
     z = ray[2] + inverse * shift[2]
     if z <= 1e-9:

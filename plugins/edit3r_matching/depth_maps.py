@@ -1,4 +1,6 @@
-"""Depth of every pixel of every registered view: plane sweep, cross-check, completion, and back to the images' size."""
+"""Depth of every pixel of every registered view: plane sweep, cross-check, completion, and back to
+the images' size.
+"""
 
 from collections.abc import Sequence
 
@@ -11,7 +13,12 @@ from edit3r import config, reporting
 from edit3r.geometry.maps import upsample_depth
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.completion import confirmed, fill, push_back, without_speckles
-from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plane_inverse_depths
+from edit3r_matching.plane_sweep import (
+    Neighbour,
+    RawDepth,
+    matching_cost,
+    plane_inverse_depths,
+)
 from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import aggregate, best_plane
 
@@ -22,33 +29,63 @@ class DepthSettings(config.Settings):
     """How finely depth is measured."""
 
     working_size: int = Field(
-        320, ge=64, le=1024, description="long side at which depth is measured [pixels]; time grows with its cube"
+        320,
+        ge=64,
+        le=1024,
+        description="long side at which depth is measured [pixels]; time grows with its cube",
     )
-    planes: int = Field(128, ge=24, le=512, description="most depth hypotheses a pixel; fewer is quicker, coarser")
-    neighbours: int = Field(3, ge=1, le=8, description="most views that help to measure the depth of one")
+    planes: int = Field(
+        128,
+        ge=24,
+        le=512,
+        description="most depth hypotheses a pixel; fewer is quicker, coarser",
+    )
+    neighbours: int = Field(
+        3, ge=1, le=8, description="most views that help to measure the depth of one"
+    )
 
 
 def measure_depths(
     images: Sequence[CalibratedImage],
     registration: Registration,
     settings: DepthSettings,
-) -> tuple[Float[np.ndarray, "view height width"], Float[np.ndarray, "view height width"]]:
-    """Inverse depth (1 / camera z) and confidence of every pixel, measured at the settings' working size.
+) -> tuple[
+    Float[np.ndarray, "view height width"], Float[np.ndarray, "view height width"]
+]:
+    """Inverse depth (1 / camera z) and confidence of every pixel, measured at the settings' working
+    size.
 
-    Confidence is 1 where two views measured the same surface, 0 where the depth was filled in. Views that are not
-    registered get inverse depth 1 and confidence 0.
+    Confidence is 1 where two views measured the same surface, 0 where the depth was filled in.
+    Views that are not registered get inverse depth 1 and confidence 0.
     """
     small = [image.reduced(settings.working_size) for image in images]
-    around = [_neighbours(small, registration, view, settings.neighbours) for view in range(len(images))]
+    around = [
+        _neighbours(small, registration, view, settings.neighbours)
+        for view in range(len(images))
+    ]
     raw: dict[int, RawDepth] = {}
-    for view in reporting.track(np.flatnonzero(registration.registered).tolist(), "measuring depth"):
-        depths = np.concatenate([registration.shared_depths(view, other) for other in around[view]])
-        raw[view] = sweep_depth(small[view], list(around[view].values()), inverse_depth_range(depths), settings.planes)
+    for view in reporting.track(
+        np.flatnonzero(registration.registered).tolist(), "measuring depth"
+    ):
+        depths = np.concatenate(
+            [registration.shared_depths(view, other) for other in around[view]]
+        )
+        raw[view] = sweep_depth(
+            small[view],
+            list(around[view].values()),
+            inverse_depth_range(depths),
+            settings.planes,
+        )
     measured = {view: _measured(small[view], around[view], view, raw) for view in raw}
-    maps = [(np.ones(image.size, np.float32), np.zeros(image.size, np.float32)) for image in images]
+    maps = [
+        (np.ones(image.size, np.float32), np.zeros(image.size, np.float32))
+        for image in images
+    ]
     for view in raw:
         inverse = _completed(small[view], around[view], view, raw, measured)
-        maps[view] = upsample_depth(inverse, measured[view], small[view].pixels, images[view].pixels)
+        maps[view] = upsample_depth(
+            inverse, measured[view], small[view].pixels, images[view].pixels
+        )
     inverse, confidence = zip(*maps)
     return np.stack(inverse), np.stack(confidence)
 
@@ -58,17 +95,23 @@ def _neighbours(
 ) -> dict[int, Neighbour]:
     """The most useful other views for measuring the depth of `view`, by their number."""
     others = registration.neighbours_of(view)[:most]
-    return {other: Neighbour(images[other], registration.relative(view, other)) for other in others}
+    return {
+        other: Neighbour(images[other], registration.relative(view, other))
+        for other in others
+    }
 
 
 def inverse_depth_range(depths: Float[np.ndarray, "point"]) -> tuple[float, float]:
     """Least and greatest inverse depth to search, from the `depths` of triangulated points.
 
-    The outer 2 % may be wrong; beyond the rest there is room for what has no features, mostly in front of it.
+    The outer 2 % may be wrong; beyond the rest there is room for what has no features, mostly in
+    front of it.
     """
     least, greatest = np.percentile(1 / depths, [2, 98])
     room = 0.25 * (greatest - least)
-    return max(least - room - 0.1 * least, 0.35 * least), greatest + room + 0.15 * greatest
+    return max(
+        least - room - 0.1 * least, 0.35 * least
+    ), greatest + room + 0.15 * greatest
 
 
 def sweep_depth(
@@ -77,7 +120,9 @@ def sweep_depth(
     inverse_range: tuple[float, float],
     planes: int,
 ) -> RawDepth:
-    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes` hypotheses."""
+    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes`
+    hypotheses.
+    """
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
     cost = matching_cost(reference, neighbours, inverse_depths)
     position = best_plane(aggregate(cost, reference.grey))
@@ -86,10 +131,16 @@ def sweep_depth(
 
 
 def _measured(
-    image: CalibratedImage, around: dict[int, Neighbour], view: int, raw: dict[int, RawDepth]
+    image: CalibratedImage,
+    around: dict[int, Neighbour],
+    view: int,
+    raw: dict[int, RawDepth],
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels whose depth at least one neighbour confirms."""
-    agrees = [confirmed(raw[view].inverse, image, neighbour, raw[other]) for other, neighbour in around.items()]
+    agrees = [
+        confirmed(raw[view].inverse, image, neighbour, raw[other])
+        for other, neighbour in around.items()
+    ]
     return without_speckles(np.any(agrees, axis=0), raw[view])
 
 
@@ -100,9 +151,13 @@ def _completed(
     raw: dict[int, RawDepth],
     measured: dict[int, Bool[np.ndarray, "height width"]],
 ) -> Float[np.ndarray, "height width"]:
-    """Inverse depth everywhere: spread what was measured, then push back what would hide a neighbour's surface."""
+    """Inverse depth everywhere: spread what was measured, then push back what would hide a
+    neighbour's surface.
+    """
     own, sure = raw[view], measured[view]
     inverse = fill(own.inverse, sure, own.step, image.pixels)
     for other, neighbour in around.items():
-        inverse = push_back(inverse, sure, own, image, neighbour, raw[other], measured[other])
+        inverse = push_back(
+            inverse, sure, own, image, neighbour, raw[other], measured[other]
+        )
     return np.where(sure, inverse, cv2.medianBlur(inverse, 5))

@@ -15,13 +15,13 @@ from torch import Tensor
 from edit3r import config, reporting
 from edit3r.cache import fingerprint, identity, remembered
 from edit3r.config import PartChoice
+from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.types import Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import from_pixels, relative_to_first
-from edit3r.interfaces import MatchedGeometry, Matcher
 from edit3r.io.framing import Lens
-from edit3r.registry import build, default_registry
-from edit3r.stage_checks import component_name, require_matchable
-from edit3r.types import Views
+from edit3r.pipeline.checks import component_name, require_matchable
+from edit3r.plugins.registry import build, default_registry
 from edit3r_matching.calibration import calibrate, contradiction
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
@@ -39,26 +39,38 @@ __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03
-"""Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight photos too."""
+"""Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight
+photos too.
+"""
 LEAST_GAIN = 0.05
-"""Share of the points' distance from their pixels that a distortion must explain before it is believed."""
+"""Share of the points' distance from their pixels that a distortion must explain before it is
+believed.
+"""
 
 
 class ClassicalMatcher(Matcher):
-    """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and edge-aware filling.
+    """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and
+    edge-aware filling.
 
-    Confidence is 1 where two views measured the same surface and 0 where the depth was filled in, between the two only
-    along the border of such regions where depth was carried to a larger image.
+    Confidence is 1 where two views measured the same surface and 0 where the depth was filled in,
+    between the two only along the border of such regions where depth was carried to a larger image.
 
-    Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at 256².
+    Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at
+    256².
     """
 
     class Settings(FeatureSettings, DepthSettings):
         threshold: float = Field(
-            1.0, gt=0, le=10, description="distance from the epipolar line that agrees [pixels at a long side of 256]"
+            1.0,
+            gt=0,
+            le=10,
+            description="distance from the epipolar line that agrees [pixels at a long side of "
+            "256]",
         )
         calibrate: bool = Field(
-            True, description="read the field of view from the photos where neither EXIF nor the user tells it"
+            True,
+            description="read the field of view from the photos where neither EXIF nor the user "
+            "tells it",
         )
         seed: int = Field(0, ge=0, description="seed of the robust estimates")
 
@@ -68,12 +80,20 @@ class ClassicalMatcher(Matcher):
     @remembered
     def match(self, views: Views) -> MatchedGeometry:
         require_matchable(views, MIN_SIZE)
-        scenes = [self._match_scene(views, scene) for scene in range(views.images.shape[0])]
-        *measured, intrinsics = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
-        return MatchedGeometry(*measured, intrinsics if self._reads_fov(views) else None)
+        scenes = [
+            self._match_scene(views, scene) for scene in range(views.images.shape[0])
+        ]
+        *measured, intrinsics = (
+            torch.stack(field).to(views.images.device) for field in zip(*scenes)
+        )
+        return MatchedGeometry(
+            *measured, intrinsics if self._reads_fov(views) else None
+        )
 
     def _reads_fov(self, views: Views) -> bool:
-        """Whether the field of view is to be read from the photos: where none of them knows its own."""
+        """Whether the field of view is to be read from the photos: where none of them knows its
+        own.
+        """
         return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
 
     def lens(self, views: Views) -> Lens | None:
@@ -89,7 +109,9 @@ class ClassicalMatcher(Matcher):
         if len(views_placed) < 3:  # two see the same, whatever the lens
             return None
         poses = {view: found.registration.poses[view] for view in views_placed}
-        matches = {pair: view.indices for pair, view in found.registration.pairs.items()}
+        matches = {
+            pair: view.indices for pair, view in found.registration.pairs.items()
+        }
         points = [keypoints.points for keypoints in found.features.keypoints]
         threshold = 2 * self.settings.threshold * max(found.images[0].size) / 256
         radial, gain = fit_distortion(found.images, points, matches, poses, threshold)
@@ -98,36 +120,74 @@ class ClassicalMatcher(Matcher):
         (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
 
-    def _match_scene(self, views: Views, scene: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags and intrinsics."""
+    def _match_scene(
+        self, views: Views, scene: int
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags and
+        intrinsics.
+        """
         unknown = self._reads_fov(views)
-        found = _registered(_Asked.of(self, views, scene)) if unknown else self.register(views, scene)
+        found = (
+            _registered(_Asked.of(self, views, scene))
+            if unknown
+            else self.register(views, scene)
+        )
         registration = found.registration
         if unknown and (found.told is not None or registration.zoom != 1):
             reporting.note("matcher.fov", round(found.images[0].fov, 1))
         _report(registration, found.features, _names(views))
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         maps = (c2w, *measure_depths(found.images, registration, self.settings))
-        c2w, inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
+        c2w, inverse, confidence = (
+            torch.from_numpy(part).to(views.images.dtype) for part in maps
+        )
         intrinsics = found.normalised(views.image_size).to(c2w)
-        return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered), intrinsics
+        return (
+            c2w,
+            1 / inverse,
+            confidence,
+            torch.from_numpy(registration.registered),
+            intrinsics,
+        )
 
     def register(self, views: Views, scene: int) -> "_Registered":
-        """Where the photos of one scene were taken, and the field of view they tell, or contradict with a warning."""
-        chosen, images, unknown = self.settings, calibrated_images(views, scene), self._reads_fov(views)
+        """Where the photos of one scene were taken, and the field of view they tell, or contradict
+        with a warning.
+        """
+        chosen, images, unknown = (
+            self.settings,
+            calibrated_images(views, scene),
+            self._reads_fov(views),
+        )
         features = find_features(images, chosen)
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
-        told = (calibrate if unknown else contradiction)(images, pairs, chosen.threshold, chosen.seed)
+        told = (calibrate if unknown else contradiction)(
+            images, pairs, chosen.threshold, chosen.seed
+        )
         if unknown and told is not None:
             images = [image.with_fov(told) for image in images]
         elif told is not None:
             reporting.warn(
-                f"The photos tell a field of view of about {told:.0f} degrees across the longer side, not the "
-                f"{images[0].fov:.0f} that were given by --fov, EXIF or a camera file: with a wrong one the scene is "
+                f"The photos tell a field of view of about {told:.0f} degrees across the longer "
+                "side, not the "
+                f"{images[0].fov:.0f} that were given by --fov, EXIF or a camera file: with a "
+                "wrong one the scene is "
                 "bent. Leave --fov out, or give the right one."
             )
-        registration = register(images, _names(views), features, chosen.threshold, chosen.seed, free_focal=unknown)
-        return _Registered(tuple(i.zoomed(registration.zoom) for i in images), features, registration, told)
+        registration = register(
+            images,
+            _names(views),
+            features,
+            chosen.threshold,
+            chosen.seed,
+            free_focal=unknown,
+        )
+        return _Registered(
+            tuple(i.zoomed(registration.zoom) for i in images),
+            features,
+            registration,
+            told,
+        )
 
 
 @dataclass(frozen=True)
@@ -141,7 +201,10 @@ class _Registered:
 
     def normalised(self, size: tuple[int, int]) -> Float[Tensor, "view 3 3"]:
         """The intrinsics as shares of the photos' (height, width)."""
-        return from_pixels(torch.from_numpy(np.stack([image.intrinsics for image in self.images])), size)
+        return from_pixels(
+            torch.from_numpy(np.stack([image.intrinsics for image in self.images])),
+            size,
+        )
 
 
 @dataclass(frozen=True)
@@ -155,7 +218,9 @@ class _Asked:
 
     @staticmethod
     def of(matcher: ClassicalMatcher, views: Views, scene: int) -> "_Asked":
-        return _Asked(fingerprint(identity(matcher), views, scene), matcher, views, scene)
+        return _Asked(
+            fingerprint(identity(matcher), views, scene), matcher, views, scene
+        )
 
 
 @functools.lru_cache(maxsize=1)  # who reads the lens of photos matches them next
@@ -170,13 +235,25 @@ def _names(views: Views) -> tuple[str, ...]:
 class PosedMatcher(Matcher):
     """Trusts the views' own poses; views without any go to the matcher it was built with.
 
-    Features that agree with the known epipolar geometry tell the range of depths, plane sweep measures it.
+    Features that agree with the known epipolar geometry tell the range of depths, plane sweep
+    measures it.
     """
 
     class Settings(FeatureSettings, DepthSettings):
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches views without known poses")
-        threshold: float = Field(1.5, gt=0, le=20, description="distance from the known epipolar line [pixels]")
-        refine_poses: bool = Field(False, description="let the known poses move to where the photos' matches want them")
+        matcher: PartChoice = Field(
+            PartChoice(name="classical"),
+            description="what matches views without known poses",
+        )
+        threshold: float = Field(
+            1.5,
+            gt=0,
+            le=20,
+            description="distance from the known epipolar line [pixels]",
+        )
+        refine_poses: bool = Field(
+            False,
+            description="let the known poses move to where the photos' matches want them",
+        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -186,12 +263,17 @@ class PosedMatcher(Matcher):
         if views.c2w is None:
             return self.matcher.match(views)
         poses = relative_to_first(views.c2w.detach().double().cpu())
-        scenes = [self._match_scene(views, scene, poses[scene]) for scene in range(len(views.images))]
+        scenes = [
+            self._match_scene(views, scene, poses[scene])
+            for scene in range(len(views.images))
+        ]
         parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
         poses, depths, confidence, registered = parts
         return MatchedGeometry(poses.to(views.images), depths, confidence, registered)
 
-    def _match_scene(self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]) -> tuple[Tensor, ...]:
+    def _match_scene(
+        self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
+    ) -> tuple[Tensor, ...]:
         """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
         poses = tuple(Pose.from_matrix(matrix).inverse() for matrix in c2w.numpy())
@@ -199,41 +281,76 @@ class PosedMatcher(Matcher):
         if self.settings.refine_poses:
             poses = self._refined(images, features, poses)
             c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
-        limit = self.settings.threshold / np.sqrt(2)  # Sampson's error counts the distances in both photos
-        registration = Registration.on_poses(images, features, dict(enumerate(poses)), limit)
+        limit = self.settings.threshold / np.sqrt(
+            2
+        )  # Sampson's error counts the distances in both photos
+        registration = Registration.on_poses(
+            images, features, dict(enumerate(poses)), limit
+        )
         maps = measure_depths(images, registration, self.settings)
-        inverse, confidence = (torch.from_numpy(part).to(views.images.dtype) for part in maps)
+        inverse, confidence = (
+            torch.from_numpy(part).to(views.images.dtype) for part in maps
+        )
         return c2w, 1 / inverse, confidence, torch.from_numpy(registration.registered)
 
     def _refined(
-        self, images: Sequence[CalibratedImage], features: FoundFeatures, poses: Sequence[Pose]
+        self,
+        images: Sequence[CalibratedImage],
+        features: FoundFeatures,
+        poses: Sequence[Pose],
     ) -> tuple[Pose, ...]:
-        """The poses settled on what the photos have in common; the first, and the unit of length, stay."""
+        """The poses settled on what the photos have in common; the first, and the unit of length,
+        stay.
+        """
         from edit3r_matching.bundle_adjustment import adjust
 
-        points, limit = [keypoints.points for keypoints in features.keypoints], max(images[0].size) / 256
-        matches = {pair: view.indices for pair, view in agreeing_pairs(images, features, 1.0, 0)[0].items()}
+        points, limit = (
+            [keypoints.points for keypoints in features.keypoints],
+            max(images[0].size) / 256,
+        )
+        matches = {
+            pair: view.indices
+            for pair, view in agreeing_pairs(images, features, 1.0, 0)[0].items()
+        }
         moved, _ = adjust(images, points, matches, dict(enumerate(poses)), 2 * limit)
-        turns = [np.linalg.norm(cv2.Rodrigues(moved[v].rotation @ pose.rotation.T)[0]) for v, pose in enumerate(poses)]
-        places = np.stack([[pose.inverse().translation for pose in some] for some in (poses, moved.values())])
-        steps = np.linalg.norm(places[1] - places[0], axis=1) / max(np.linalg.norm(places[0], axis=1).max(), 1e-12)
+        turns = [
+            np.linalg.norm(cv2.Rodrigues(moved[v].rotation @ pose.rotation.T)[0])
+            for v, pose in enumerate(poses)
+        ]
+        places = np.stack(
+            [
+                [pose.inverse().translation for pose in some]
+                for some in (poses, moved.values())
+            ]
+        )
+        steps = np.linalg.norm(places[1] - places[0], axis=1) / max(
+            np.linalg.norm(places[0], axis=1).max(), 1e-12
+        )
         reporting.say(
             "poses.refined",
-            f"turned by up to {np.degrees(max(turns)):.2f} degrees, moved by up to {max(steps):.1%} of "
+            f"turned by up to {np.degrees(max(turns)):.2f} degrees, moved by up to "
+            f"{max(steps):.1%} of "
             "the distance between the cameras",
         )
         return tuple(moved[view] for view in range(len(poses)))
 
 
 class AutoMatcher(Matcher):
-    """Depth Anything 3 where its package is installed and its weights are at hand, base before small; else its part.
+    """Depth Anything 3 where its package is installed and its weights are at hand, base before
+    small; else its part.
 
-    What is picked becomes a setting, so that `run.json` tells it and answers of another pick are not reused.
+    What is picked becomes a setting, so that `run.json` tells it and answers of another pick are
+    not reused.
     """
 
     class Settings(config.Settings):
-        pick: Literal["best", "da3-base", "da3-small", "part"] = Field("best", description="'part': its matcher")
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="what matches where no network can")
+        pick: Literal["best", "da3-base", "da3-small", "part"] = Field(
+            "best", description="'part': its matcher"
+        )
+        matcher: PartChoice = Field(
+            PartChoice(name="classical"),
+            description="what matches where no network can",
+        )
 
         @model_validator(mode="before")
         @classmethod
@@ -243,7 +360,11 @@ class AutoMatcher(Matcher):
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
-        self.matcher = matcher if settings.pick == "part" else build("matcher", "da3", model=settings.pick)
+        self.matcher = (
+            matcher
+            if settings.pick == "part"
+            else build("matcher", "da3", model=settings.pick)
+        )
 
     def lens(self, views: Views) -> Lens | None:
         return self.matcher.lens(views)
@@ -255,21 +376,40 @@ class AutoMatcher(Matcher):
 
 
 def best_at_hand() -> str:
-    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part' without any."""
-    usable = (name for name in ("da3-base", "da3-small") if default_registry().ready("matcher", "da3", name))
+    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part'
+    without any.
+    """
+    usable = (
+        name
+        for name in ("da3-base", "da3-small")
+        if default_registry().ready("matcher", "da3", name)
+    )
     return next(usable, "part")
 
 
-def _report(registration: Registration, features: FoundFeatures, names: Sequence[str]) -> None:
-    """Note the inliers of every pair and where their matches come from, and warn of views that were left out."""
+def _report(
+    registration: Registration, features: FoundFeatures, names: Sequence[str]
+) -> None:
+    """Note the inliers of every pair and where their matches come from, and warn of views that were
+    left out.
+    """
     helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
-    learned = f" and, for {helped} of {len(features.indices)} pairs, {features.helper}" if helped else ""
+    learned = (
+        f" and, for {helped} of {len(features.indices)} pairs, {features.helper}"
+        if helped
+        else ""
+    )
     reporting.note("matcher.matches", f"SIFT{learned}")
     reporting.note(
-        "matcher.inliers", {f"{names[a]} {names[b]}": len(p.matches) for (a, b), p in registration.pairs.items()}
+        "matcher.inliers",
+        {
+            f"{names[a]} {names[b]}": len(p.matches)
+            for (a, b), p in registration.pairs.items()
+        },
     )
     lost = [name for name, placed in zip(names, registration.registered) if not placed]
     if lost:
         reporting.warn(
-            f"{', '.join(lost)}: shares too few points with the other photos to be placed, so it is left out."
+            f"{', '.join(lost)}: shares too few points with the other photos to be placed, so it "
+            "is left out."
         )

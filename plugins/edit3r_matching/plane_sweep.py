@@ -1,7 +1,9 @@
-"""Photo-consistency of depth hypotheses: neighbours are warped by the homography of each fronto-parallel plane.
+"""Photo-consistency of depth hypotheses: neighbours are warped by the homography of each
+fronto-parallel plane.
 
-The cost of a pixel at a plane mixes normalised cross-correlation in two windows (blind to brightness, sharp and robust)
-with the colour difference (tells flat regions apart), as a number of about [0, 1].
+The cost of a pixel at a plane mixes normalised cross-correlation in two windows (blind to
+brightness, sharp and robust) with the colour difference (tells flat regions apart), as a number of
+about [0, 1].
 """
 
 from collections.abc import Sequence
@@ -11,14 +13,16 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from edit3r.compiling import compiled
+from edit3r.compute.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
 
 __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
 
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
-COLOUR_LIMIT = 0.15  # colour differences above it cost no more: they are occlusions or highlights
+COLOUR_LIMIT = (
+    0.15  # colour differences above it cost no more: they are occlusions or highlights
+)
 UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
 BLOCK = 16  # planes written to the volume together: one cache line
 
@@ -41,7 +45,10 @@ class RawDepth:
 
 
 def plane_inverse_depths(
-    reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_range: tuple[float, float], limit: int
+    reference: CalibratedImage,
+    neighbours: Sequence[Neighbour],
+    inverse_range: tuple[float, float],
+    limit: int,
 ) -> Float[np.ndarray, "plane"]:
     """Inverse depths spread evenly over `inverse_range`, about one pixel of motion apart.
 
@@ -52,17 +59,24 @@ def plane_inverse_depths(
     motions = []
     for neighbour in neighbours:
         intrinsics = neighbour.image.intrinsics
-        start, end = (project(neighbour.pose.apply(rays / inverse), intrinsics) for inverse in (far, near))
+        start, end = (
+            project(neighbour.pose.apply(rays / inverse), intrinsics)
+            for inverse in (far, near)
+        )
         motions.append(np.median(np.linalg.norm(end - start, axis=1)))
     return np.linspace(far, near, int(np.clip(max(motions), 24, limit)))
 
 
 def matching_cost(
-    reference: CalibratedImage, neighbours: Sequence[Neighbour], inverse_depths: Float[np.ndarray, "plane"]
+    reference: CalibratedImage,
+    neighbours: Sequence[Neighbour],
+    inverse_depths: Float[np.ndarray, "plane"],
 ) -> Float[np.ndarray, "height width plane"]:
-    """Cost of every plane at every pixel, float32: the mean over `neighbours`, of three and more without the worst.
+    """Cost of every plane at every pixel, float32: the mean over `neighbours`, of three and more
+    without the worst.
 
-    What stands before a surface rarely hides it from all neighbours (Kang, Szeliski and Chai 2001, section 3.2).
+    What stands before a surface rarely hides it from all neighbours (Kang, Szeliski and Chai 2001,
+    section 3.2).
     """
     planes = -(-len(inverse_depths) // BLOCK) * BLOCK
     volume = np.zeros((*reference.size, planes), np.float32)
@@ -82,7 +96,9 @@ def _add_costs(
     neighbour: Neighbour,
     inverse_depths: Float[np.ndarray, "plane"],
 ) -> None:
-    """Add the neighbour's costs to the volume, whose planes are a multiple of BLOCK; `worst` may be empty."""
+    """Add the neighbour's costs to the volume, whose planes are a multiple of BLOCK; `worst` may be
+    empty.
+    """
     grey = np.ascontiguousarray(reference.grey)
     statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
     block = np.empty((BLOCK, *reference.size), np.float32)
@@ -91,41 +107,74 @@ def _add_costs(
             warped, seen = _warp(reference, neighbour, inverse_depth)
             moments, difference = _moments(reference.pixels, grey, warped)
             small, large = _box(moments, SMALL), _box(moments, LARGE)
-            _combine(small, *statistics[0], large, *statistics[1], _box(difference, 1), seen, block[slot])
+            _combine(
+                small,
+                *statistics[0],
+                large,
+                *statistics[1],
+                _box(difference, 1),
+                seen,
+                block[slot],
+            )
         _write_block(volume, worst, block, start)
 
 
 def _warp(
     reference: CalibratedImage, neighbour: Neighbour, inverse_depth: float
 ) -> tuple[Float[np.ndarray, "height width 3"], UInt8[np.ndarray, "height width"]]:
-    """The neighbour as the reference would see it if everything were at one depth, and where it has pixels."""
-    motion = neighbour.pose.rotation + np.outer(neighbour.pose.translation, (0, 0, inverse_depth))
-    homography = neighbour.image.intrinsics @ motion @ np.linalg.inv(reference.intrinsics)
-    centred = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])  # OpenCV counts from pixel centres
+    """The neighbour as the reference would see it if everything were at one depth, and where it has
+    pixels.
+    """
+    motion = neighbour.pose.rotation + np.outer(
+        neighbour.pose.translation, (0, 0, inverse_depth)
+    )
+    homography = (
+        neighbour.image.intrinsics @ motion @ np.linalg.inv(reference.intrinsics)
+    )
+    centred = np.array(
+        [[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]]
+    )  # OpenCV counts from pixel centres
     homography = np.linalg.inv(centred) @ homography @ centred
     size, inverse = reference.size[::-1], cv2.WARP_INVERSE_MAP
     image = neighbour.image.pixels
     warped = cv2.warpPerspective(
-        image, homography, size, flags=cv2.INTER_LINEAR | inverse, borderMode=cv2.BORDER_REPLICATE
+        image,
+        homography,
+        size,
+        flags=cv2.INTER_LINEAR | inverse,
+        borderMode=cv2.BORDER_REPLICATE,
     )
-    seen = cv2.warpPerspective(np.ones(image.shape[:2], np.uint8), homography, size, flags=cv2.INTER_NEAREST | inverse)
+    seen = cv2.warpPerspective(
+        np.ones(image.shape[:2], np.uint8),
+        homography,
+        size,
+        flags=cv2.INTER_NEAREST | inverse,
+    )
     return warped, seen
 
 
-def _statistics(grey: Float[np.ndarray, "h w"], radius: int) -> list[Float[np.ndarray, "h w"]]:
+def _statistics(
+    grey: Float[np.ndarray, "h w"], radius: int
+) -> list[Float[np.ndarray, "h w"]]:
     """Mean and variance over the window around each pixel."""
     mean = _box(grey, radius)
     return [mean, np.maximum(_box(grey * grey, radius) - mean * mean, 0)]
 
 
-def _box(image: Float[np.ndarray, "h w *channel"], radius: int) -> Float[np.ndarray, "h w *channel"]:
+def _box(
+    image: Float[np.ndarray, "h w *channel"], radius: int
+) -> Float[np.ndarray, "h w *channel"]:
     """Mean over the window around each pixel."""
-    return cv2.blur(image, (2 * radius + 1, 2 * radius + 1), borderType=cv2.BORDER_REFLECT)
+    return cv2.blur(
+        image, (2 * radius + 1, 2 * radius + 1), borderType=cv2.BORDER_REFLECT
+    )
 
 
 @compiled(fastmath=True, nogil=True)
 def _moments(image, grey, warped):  # pragma: no cover - compiled
-    """Warped grey, its square and its product with the reference, and the truncated colour difference in [0, 1]."""
+    """Warped grey, its square and its product with the reference, and the truncated colour
+    difference in [0, 1].
+    """
     height, width = grey.shape
     moments = np.empty((height, width, 3), np.float32)
     difference = np.empty((height, width), np.float32)
@@ -137,13 +186,19 @@ def _moments(image, grey, warped):  # pragma: no cover - compiled
             moments[y, x, 0] = value
             moments[y, x, 1] = value * value
             moments[y, x, 2] = value * grey[y, x]
-            distance = (abs(image[y, x, 0] - r) + abs(image[y, x, 1] - g) + abs(image[y, x, 2] - b)) * third
+            distance = (
+                abs(image[y, x, 0] - r)
+                + abs(image[y, x, 1] - g)
+                + abs(image[y, x, 2] - b)
+            ) * third
             difference[y, x] = min(distance, limit) / limit
     return moments, difference
 
 
 @compiled(fastmath=True, nogil=True, inline="always")
-def _correlation_cost(value, square, product, mean, variance):  # pragma: no cover - compiled
+def _correlation_cost(
+    value, square, product, mean, variance
+):  # pragma: no cover - compiled
     """1 - normalised cross-correlation, in [0, 1]; flat windows in both images agree weakly."""
     other = max(square - value * value, np.float32(0))
     norm = np.sqrt((variance + np.float32(4e-5)) * (other + np.float32(4e-5)))
@@ -152,14 +207,28 @@ def _correlation_cost(value, square, product, mean, variance):  # pragma: no cov
 
 
 @compiled(fastmath=True, nogil=True)
-def _combine(small, mean_s, variance_s, large, mean_l, variance_l, colour, seen, out):  # pragma: no cover - compiled
+def _combine(
+    small, mean_s, variance_s, large, mean_l, variance_l, colour, seen, out
+):  # pragma: no cover - compiled
     height, width = out.shape
     weight_s, weight_l = np.float32(SMALL_WEIGHT), np.float32(LARGE_WEIGHT)
     weight_c, unseen = np.float32(COLOUR_WEIGHT), np.float32(UNSEEN_COST)
     for y in range(height):
         for x in range(width):
-            near = _correlation_cost(small[y, x, 0], small[y, x, 1], small[y, x, 2], mean_s[y, x], variance_s[y, x])
-            wide = _correlation_cost(large[y, x, 0], large[y, x, 1], large[y, x, 2], mean_l[y, x], variance_l[y, x])
+            near = _correlation_cost(
+                small[y, x, 0],
+                small[y, x, 1],
+                small[y, x, 2],
+                mean_s[y, x],
+                variance_s[y, x],
+            )
+            wide = _correlation_cost(
+                large[y, x, 0],
+                large[y, x, 1],
+                large[y, x, 2],
+                mean_l[y, x],
+                variance_l[y, x],
+            )
             cost = weight_s * near + weight_l * wide + weight_c * colour[y, x]
             out[y, x] = cost if seen[y, x] else unseen
 

@@ -5,11 +5,11 @@ from pydantic import Field
 
 from edit3r import config
 from edit3r.config import PartChoice
+from edit3r.contract.interfaces import Matcher, Reconstructor
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.surroundings import apron, backdrop
 from edit3r.geometry.warping import contradicted, seen_by_others
-from edit3r.interfaces import Matcher, Reconstructor
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 
 __all__ = ["ClassicalReconstructor"]
 
@@ -17,44 +17,90 @@ __all__ = ["ClassicalReconstructor"]
 class ClassicalReconstructor(Reconstructor):
     """Geometry from the unedited photos, colours from the edited ones.
 
-    Pixels whose depth was guessed are less opaque, and left out where another view measured the same surface or sees
-    through them.
+    Pixels whose depth was guessed are less opaque, and left out where another view measured the
+    same surface or sees through them.
     """
 
     class Settings(config.Settings):
-        matcher: PartChoice = Field(PartChoice(name="classical"), description="what reads poses and depths")
-        footprint: float = Field(0.35, gt=0, le=4, description="standard deviation of a Gaussian [pixels of its view]")
-        opacity: float = Field(0.6, gt=0, le=1, description="opacity where two views measured the depth")
-        guessed_opacity: float = Field(0.45, ge=0, le=1, description="opacity where the depth was filled in")
+        matcher: PartChoice = Field(
+            PartChoice(name="classical"), description="what reads poses and depths"
+        )
+        footprint: float = Field(
+            0.35,
+            gt=0,
+            le=4,
+            description="standard deviation of a Gaussian [pixels of its view]",
+        )
+        opacity: float = Field(
+            0.6, gt=0, le=1, description="opacity where two views measured the depth"
+        )
+        guessed_opacity: float = Field(
+            0.45, ge=0, le=1, description="opacity where the depth was filled in"
+        )
         lone_opacity: float = Field(
-            0.8, ge=0, le=1, description="opacity of filled-in pixels whose place no other photo shows"
+            0.8,
+            ge=0,
+            le=1,
+            description="opacity of filled-in pixels whose place no other photo shows",
         )
         apron: float = Field(
-            0.12, ge=0, le=1, description="width of the blurred rim that continues each photo [long sides]; 0: none"
+            0.12,
+            ge=0,
+            le=1,
+            description="width of the blurred rim that continues each photo [long sides]; 0: none",
         )
 
         backdrop: float = Field(
-            0.9, ge=0, le=1, description="opacity of the blurred layer behind depth edges and guesses; 0: none"
+            0.9,
+            ge=0,
+            le=1,
+            description="opacity of the blurred layer behind depth edges and guesses; 0: none",
         )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings
         self.matcher = matcher
 
-    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
+    def __call__(
+        self,
+        views: Views,
+        source: Views | None = None,
+        request: EditRequest | None = None,
+    ) -> Reconstruction:
         geometry = self.matcher.match(views if source is None else source)
-        grid = views.image_size if request is None else request.grid_of(views.image_size)
-        measured, views, geometry = geometry.measured, geometry.calibrated(views).at(grid), geometry.at(grid)
+        grid = (
+            views.image_size if request is None else request.grid_of(views.image_size)
+        )
+        measured, views, geometry = (
+            geometry.measured,
+            geometry.calibrated(views).at(grid),
+            geometry.at(grid),
+        )
         chosen = self.settings
-        guessed = torch.where(seen_by_others(geometry, views.intrinsics), chosen.guessed_opacity, chosen.lone_opacity)
+        guessed = torch.where(
+            seen_by_others(geometry, views.intrinsics),
+            chosen.guessed_opacity,
+            chosen.lone_opacity,
+        )
         opacities = guessed + (chosen.opacity - guessed) * geometry.confidence
-        kept = geometry.registered[..., None, None] & ~contradicted(geometry, views.intrinsics)
+        kept = geometry.registered[..., None, None] & ~contradicted(
+            geometry, views.intrinsics
+        )
         cameras = Cameras(geometry.c2w, views.intrinsics, views.image_size)
         scales = pixel_scales(geometry.depths, views.intrinsics, chosen.footprint)
-        gaussians = pixels_to_gaussians(views.images, geometry.depths, cameras, scales, opacities * kept)
+        gaussians = pixels_to_gaussians(
+            views.images, geometry.depths, cameras, scales, opacities * kept
+        )
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
         if chosen.backdrop > 0:
-            gaussians = Gaussians.cat((gaussians, backdrop(views, geometry, chosen.backdrop)))
+            gaussians = Gaussians.cat(
+                (gaussians, backdrop(views, geometry, chosen.backdrop))
+            )
         if chosen.apron > 0:
-            gaussians = Gaussians.cat((gaussians, apron(views, geometry, chosen.apron, chosen.guessed_opacity)))
+            gaussians = Gaussians.cat(
+                (
+                    gaussians,
+                    apron(views, geometry, chosen.apron, chosen.guessed_opacity),
+                )
+            )
         return Reconstruction(gaussians, cameras, geometry.registered, measured)

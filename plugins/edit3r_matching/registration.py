@@ -1,7 +1,8 @@
 """Registration: where every image of a scene was taken, relative to view 0.
 
-Two images: one essential matrix. More: the best partner of view 0 sets the scale, points are triangulated, and each
-further view is placed on the points it shares with the views already there (PnP), the best connected first.
+Two images: one essential matrix. More: the best partner of view 0 sets the scale, points are
+triangulated, and each further view is placed on the points it shares with the views already there
+(PnP), the best connected first.
 """
 
 from collections import Counter
@@ -16,9 +17,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from edit3r import config, weights
+from edit3r import config
 from edit3r.errors import MatchingError
-from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, rays_through, triangulate
+from edit3r.plugins import weights
+from edit3r_matching.cameras import (
+    CalibratedImage,
+    Pose,
+    parallax_degrees,
+    rays_through,
+    triangulate,
+)
 from edit3r_matching.features import Keypoints, detect, match
 from edit3r_matching.relative_pose import (
     MIN_INLIERS,
@@ -45,7 +53,9 @@ LEARNED = {
     "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
     "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
 }
-"""Learned sources of matches: the name of their weights, see `edit3r.weights`, and what to call them."""
+"""Learned sources of matches: the name of their weights, see `edit3r.plugins.weights`, and what to
+call them.
+"""
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4
@@ -57,13 +67,20 @@ MOST_PARALLAX = 30.0
 LEARNED_INLIERS = 30
 """Agreeing matches below which a pose that SIFT alone does not show is not believed."""
 LEARNED_NOISE = 4.0
-"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined."""
+"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
+"""
 DEPTH_STEP = 0.05
-"""Median difference of log depth between neighbours in the picture; larger where matches are wrong together."""
+"""Median difference of log depth between neighbours in the picture; larger where matches are wrong
+together.
+"""
 SPREAD = 0.2
-"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of the picture."""
+"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of
+the picture.
+"""
 CORNER = 0.07
-"""Share of the area with matches, in one picture times that in the other, below which only a poster agrees."""
+"""Share of the area with matches, in one picture times that in the other, below which only a poster
+agrees.
+"""
 MOST_LOOP = 7.0
 """How far the turns from one view to a second, on to a third and back may miss [degrees]."""
 ENOUGH_MATCHES = 250
@@ -73,7 +90,9 @@ ADVICE = "Give photos of one still scene taken a step apart, with more than half
 
 @dataclass(frozen=True)
 class PairView:
-    """Matches of two views that agree on one epipolar geometry, with which feature of each view they are."""
+    """Matches of two views that agree on one epipolar geometry, with which feature of each view
+    they are.
+    """
 
     matches: Matches
     indices: Int[np.ndarray, "match 2"]  # keypoints of the first and second view
@@ -82,16 +101,31 @@ class PairView:
 
     @staticmethod
     def of(
-        matches: Matches, indices: Int[np.ndarray, "all 2"], kept: Bool[np.ndarray, "all"], pose: Pose
+        matches: Matches,
+        indices: Int[np.ndarray, "all 2"],
+        kept: Bool[np.ndarray, "all"],
+        pose: Pose,
     ) -> "PairView":
-        """What remains of all matches of two views when only those that agree with `pose` are `kept`."""
+        """What remains of all matches of two views when only those that agree with `pose` are
+        `kept`.
+        """
         agreeing = matches.select(kept)
-        return PairView(agreeing, indices[kept], pose, parallax_degrees(agreeing.rays_a, agreeing.rays_b, pose))
+        return PairView(
+            agreeing,
+            indices[kept],
+            pose,
+            parallax_degrees(agreeing.rays_a, agreeing.rays_b, pose),
+        )
 
     @property
     def usefulness(self) -> float:
-        """Number of matches, each counted by how well its depth can be read, and the surface around it compared."""
-        readable, alike = self.parallax / ENOUGH_PARALLAX, (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2
+        """Number of matches, each counted by how well its depth can be read, and the surface around
+        it compared.
+        """
+        readable, alike = (
+            self.parallax / ENOUGH_PARALLAX,
+            (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2,
+        )
         return float(np.minimum(np.minimum(readable, alike), 1).sum())
 
 
@@ -112,26 +146,42 @@ class Registration:
         threshold: float,
         zoom: float = 1.0,
     ) -> "Registration":
-        """Views of known `poses` and what they share: matches within `threshold` [pixels], where chance gives fewer.
+        """Views of known `poses` and what they share: matches within `threshold` [pixels], where
+        chance gives fewer.
 
-        These are more pairs than show a motion of their own: two views that share a wall alone may show a wrong one on
-        right matches. Views that share nothing are not registered. Raises MatchingError when view 0 is one of them.
+        These are more pairs than show a motion of their own: two views that share a wall alone may
+        show a wrong one on right matches. Views that share nothing are not registered. Raises
+        MatchingError when view 0 is one of them.
         """
         pairs = {}
         for (a, b), indices in features.indices.items():
             if a in poses and b in poses:
-                matches, pose = features.matches(images, a, b), poses[b].after(poses[a].inverse())
+                matches, pose = (
+                    features.matches(images, a, b),
+                    poses[b].after(poses[a].inverse()),
+                )
                 _, kept = support(matches, pose, threshold)
-                if log_chance(len(matches), int(kept.sum()), matches.chance * threshold) <= -MIN_LOG_EVIDENCE:
+                if (
+                    log_chance(
+                        len(matches), int(kept.sum()), matches.chance * threshold
+                    )
+                    <= -MIN_LOG_EVIDENCE
+                ):
                     pairs[a, b] = PairView.of(matches, indices, kept, pose)
         views = range(len(images))
         placed = np.array([any(view in pair for pair in pairs) for view in views])
         if not placed[0]:
             raise MatchingError(
-                "view 0 shares too few features with the other photos on the lines that the known poses give; "
+                "view 0 shares too few features with the other photos on the lines that the "
+                "known poses give; "
                 "look whether poses and photos belong together."
             )
-        return Registration(tuple(poses.get(view, Pose.identity()) for view in views), placed, pairs, zoom)
+        return Registration(
+            tuple(poses.get(view, Pose.identity()) for view in views),
+            placed,
+            pairs,
+            zoom,
+        )
 
     def relative(self, a: int, b: int) -> Pose:
         """From view a's frame to view b's."""
@@ -140,15 +190,27 @@ class Registration:
     def shared_depths(self, a: int, b: int) -> Float[np.ndarray, "match"]:
         """Camera z in view a of the points matched with view b, one of its neighbours."""
         pair = self.pairs[min(a, b), max(a, b)]
-        rays = (pair.matches.rays_a, pair.matches.rays_b) if a < b else (pair.matches.rays_b, pair.matches.rays_a)
+        rays = (
+            (pair.matches.rays_a, pair.matches.rays_b)
+            if a < b
+            else (pair.matches.rays_b, pair.matches.rays_a)
+        )
         depth, other = triangulate(*rays, self.relative(a, b))
         return depth[(depth > 0) & (other > 0)]
 
     def neighbours_of(self, view: int) -> list[int]:
-        """Registered views that share points with `view`, most useful first: many points, seen from different sides."""
-        found = [(a + b - view, pair) for (a, b), pair in self.pairs.items() if view in (a, b)]
+        """Registered views that share points with `view`, most useful first: many points, seen from
+        different sides.
+        """
+        found = [
+            (a + b - view, pair)
+            for (a, b), pair in self.pairs.items()
+            if view in (a, b)
+        ]
         usable = [(other, pair) for other, pair in found if self.registered[other]]
-        return [other for other, _ in sorted(usable, key=lambda item: -item[1].usefulness)]
+        return [
+            other for other, _ in sorted(usable, key=lambda item: -item[1].usefulness)
+        ]
 
 
 class FeatureSettings(config.Settings):
@@ -156,18 +218,29 @@ class FeatureSettings(config.Settings):
 
     keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
     detection_size: int = Field(
-        640, ge=128, le=4096, description="long side at which features are looked for [pixels]; larger finds more"
+        640,
+        ge=128,
+        le=4096,
+        description="long side at which features are looked for [pixels]; larger finds more",
     )
     ratio: float = Field(
-        0.85, gt=0, le=1, description="a match must be this much nearer than its second choice (Lowe's test)"
+        0.85,
+        gt=0,
+        le=1,
+        description="a match must be this much nearer than its second choice (Lowe's test)",
     )
     matches: Literal["auto", "sift", "learned", "efficientloftr", "superpoint"] = Field(
         "auto",
-        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get "
-        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those weights are at hand; "
-        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', 'superpoint-lightglue'",
+        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
+        "weights get "
+        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those "
+        "weights are at hand; "
+        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', "
+        "'superpoint-lightglue'",
     )
-    learned_keypoints: int = Field(1024, ge=128, le=4096, description="most learned features a photo")
+    learned_keypoints: int = Field(
+        1024, ge=128, le=4096, description="most learned features a photo"
+    )
 
 
 @dataclass(frozen=True)
@@ -175,18 +248,27 @@ class FoundFeatures:
     """Features of every image, and which of them look alike."""
 
     keypoints: tuple[Keypoints, ...]
-    indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]  # (a, b) with a < b: keypoints of images a and b
-    sift: tuple[int, ...] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    indices: dict[
+        tuple[int, int], Int[np.ndarray, "match 2"]
+    ]  # (a, b) with a < b: keypoints of images a and b
+    sift: tuple[
+        int, ...
+    ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
     helper: str = ""  # what to call the source of the learned ones
 
     def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
         """Which matches of images a and b are learned ones."""
-        return self.indices[a, b][:, 0] >= (self.sift[a] if self.sift else len(self.keypoints[a]))
+        return self.indices[a, b][:, 0] >= (
+            self.sift[a] if self.sift else len(self.keypoints[a])
+        )
 
     def matches(self, images: Sequence[CalibratedImage], a: int, b: int) -> Matches:
         """What images a and b have in common, as rays of their cameras."""
         pair, indices = (images[a], images[b]), self.indices[a, b]
-        points = (self.keypoints[view].points[indices[:, side]] for side, view in enumerate((a, b)))
+        points = (
+            self.keypoints[view].points[indices[:, side]]
+            for side, view in enumerate((a, b))
+        )
         rays = (rays_through(own, image.intrinsics) for own, image in zip(points, pair))
         focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
         height, width = images[b].size
@@ -197,21 +279,36 @@ class FoundFeatures:
         return Matches(*rays, float(np.mean(focals)), chance, noise)
 
 
-def find_features(images: Sequence[CalibratedImage], settings: FeatureSettings) -> FoundFeatures:
+def find_features(
+    images: Sequence[CalibratedImage], settings: FeatureSettings
+) -> FoundFeatures:
     """Detect features and match every two images; needs no intrinsics.
 
-    Raises MissingDependencyError where learned matches are asked for and their weights are not at hand.
+    Raises MissingDependencyError where learned matches are asked for and their weights are not at
+    hand.
     """
-    keypoints = tuple(detect(image.pixels, settings.keypoints, settings.detection_size) for image in images)
+    keypoints = tuple(
+        detect(image.pixels, settings.keypoints, settings.detection_size)
+        for image in images
+    )
     every = combinations(range(len(images)), 2)
-    found = FoundFeatures(keypoints, {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every})
+    found = FoundFeatures(
+        keypoints,
+        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every},
+    )
     asked = settings.matches in LEARNED
-    few = [pair for pair, indices in found.indices.items() if asked or len(indices) < ENOUGH_MATCHES]
+    few = [
+        pair
+        for pair, indices in found.indices.items()
+        if asked or len(indices) < ENOUGH_MATCHES
+    ]
     if settings.matches == "sift" or not few:
         return found
     declared = weights.named(LEARNED[settings.matches if asked else "learned"][0])
     folder = weights.find(declared) if asked else weights.at_hand(declared)
-    return found if folder is None else _with_learned(found, few, images, folder, settings)
+    return (
+        found if folder is None else _with_learned(found, few, images, folder, settings)
+    )
 
 
 def _with_learned(
@@ -222,17 +319,26 @@ def _with_learned(
     settings: FeatureSettings,
 ) -> FoundFeatures:
     """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
-    from edit3r_matching import learned  # torch's networks, kornia and transformers load only where they are used
+    from edit3r_matching import (
+        learned,  # torch's networks, kornia and transformers load only where they are used
+    )
 
     name, called = LEARNED.get(settings.matches, LEARNED["learned"])
     networks = learned.load(name, folder, settings.learned_keypoints)
     views = sorted({view for pair in pairs for view in pair})
-    more, own = networks.between({view: images[view].pixels for view in views}, pairs, settings.detection_size)
+    more, own = networks.between(
+        {view: images[view].pixels for view in views}, pairs, settings.detection_size
+    )
     sift = tuple(map(len, found.keypoints))
     indices = dict(found.indices)
     for a, b in pairs:
-        indices[a, b] = np.concatenate((indices[a, b], own[a, b] + np.array([sift[a], sift[b]])))
-    keypoints = tuple(k.followed_by(more[view]) if view in more else k for view, k in enumerate(found.keypoints))
+        indices[a, b] = np.concatenate(
+            (indices[a, b], own[a, b] + np.array([sift[a], sift[b]]))
+        )
+    keypoints = tuple(
+        k.followed_by(more[view]) if view in more else k
+        for view, k in enumerate(found.keypoints)
+    )
     return FoundFeatures(keypoints, indices, sift, called)
 
 
@@ -244,16 +350,24 @@ def register(
     seed: int,
     free_focal: bool = False,
 ) -> Registration:
-    """Place the images; `threshold` is what agrees with an epipolar line [pixels at a long side of 256].
+    """Place the images; `threshold` is what agrees with an epipolar line [pixels at a long side of
+    256].
 
-    `names` are for messages. `free_focal`: nobody knows the lens, so that three views and more also settle its focal
-    length. Raises MatchingError with the reason when view 0 cannot be placed with any other.
+    `names` are for messages. `free_focal`: nobody knows the lens, so that three views and more also
+    settle its focal length. Raises MatchingError with the reason when view 0 cannot be placed with
+    any other.
     """
     pairs, failures = agreeing_pairs(images, features, threshold, seed)
     first = [(pair, key) for key, pair in pairs.items() if key[0] == 0]
     if not first:
-        reasons = "; ".join(f"{names[0]} and {names[b]}: {why}" for (a, b), why in failures.items() if a == 0)
-        raise MatchingError(f"the photos could not be placed relative to each other ({reasons}). {ADVICE}")
+        reasons = "; ".join(
+            f"{names[0]} and {names[b]}: {why}"
+            for (a, b), why in failures.items()
+            if a == 0
+        )
+        raise MatchingError(
+            f"the photos could not be placed relative to each other ({reasons}). {ADVICE}"
+        )
     pair, (_, partner) = max(first, key=lambda item: item[0].usefulness)
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
@@ -262,25 +376,36 @@ def register(
 
 
 def agreeing_pairs(
-    images: Sequence[CalibratedImage], features: FoundFeatures, threshold: float, seed: int
+    images: Sequence[CalibratedImage],
+    features: FoundFeatures,
+    threshold: float,
+    seed: int,
 ) -> tuple[dict[tuple[int, int], PairView], dict[tuple[int, int], str]]:
     """The epipolar geometry of every two images that show one; for the others, why not."""
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
     for (a, b), indices in features.indices.items():
         limit = threshold * max(*images[a].size, *images[b].size) / 256
-        found = _pair(features.matches(images, a, b), indices, features.learned(a, b), limit, seed)
+        found = _pair(
+            features.matches(images, a, b), indices, features.learned(a, b), limit, seed
+        )
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
             failures[a, b] = found
     while wrong := _most_contradicted(pairs):
-        failures[wrong] = f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show another motion"
+        failures[wrong] = (
+            f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show "
+            "another motion"
+        )
     return pairs, failures
 
 
-def _most_contradicted(pairs: dict[tuple[int, int], PairView]) -> tuple[int, int] | None:
-    """The pair that most often turns another way than both its views with a third; of several that with least matches.
+def _most_contradicted(
+    pairs: dict[tuple[int, int], PairView],
+) -> tuple[int, int] | None:
+    """The pair that most often turns another way than both its views with a third; of several that
+    with least matches.
 
     None where every three views agree.
     """
@@ -289,9 +414,16 @@ def _most_contradicted(pairs: dict[tuple[int, int], PairView]) -> tuple[int, int
         three = [(a, b), (b, c), (a, c)]
         if all(pair in pairs for pair in three):
             first, second, direct = (pairs[pair].pose.rotation for pair in three)
-            if np.degrees(np.linalg.norm(cv2.Rodrigues(second @ first @ direct.T)[0])) > MOST_LOOP:
+            if (
+                np.degrees(np.linalg.norm(cv2.Rodrigues(second @ first @ direct.T)[0]))
+                > MOST_LOOP
+            ):
                 against.update(three)
-    return max(against, key=lambda pair: (against[pair], -len(pairs[pair].matches)), default=None)
+    return max(
+        against,
+        key=lambda pair: (against[pair], -len(pairs[pair].matches)),
+        default=None,
+    )
 
 
 def _pair(
@@ -304,7 +436,9 @@ def _pair(
     """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
     found = estimate_pose(matches, threshold, seed)
     evident = _evident(found, matches, learned, threshold)
-    if not evident and learned.any():  # where SIFT's matches are nearly all wrong, they hide what the others say
+    if (
+        not evident and learned.any()
+    ):  # where SIFT's matches are nearly all wrong, they hide what the others say
         alone = matches.select(learned)
         second = estimate_pose(alone, threshold, seed)
         if _evident(second, alone, learned[learned], threshold):
@@ -322,9 +456,17 @@ def _pair(
 
 
 def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
-    """Whether, in both images, what agrees fills a small part of where there are matches: they show one thing only."""
+    """Whether, in both images, what agrees fills a small part of where there are matches: they show
+    one thing only.
+    """
     both = (agreeing, matches)
-    inside = [[cv2.contourArea(cv2.convexHull(np.float32(rays[:, :2]))) for rays in (m.rays_a, m.rays_b)] for m in both]
+    inside = [
+        [
+            cv2.contourArea(cv2.convexHull(np.float32(rays[:, :2])))
+            for rays in (m.rays_a, m.rays_b)
+        ]
+        for m in both
+    ]
     places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
     return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
 
@@ -334,8 +476,15 @@ def _places(rays: Float[np.ndarray, "match 3"]) -> int:
     return len(np.unique(np.floor(6 * rays[:, :2]), axis=0))
 
 
-def _evident(found: TwoViewPose | None, matches: Matches, learned: Bool[np.ndarray, "match"], threshold: float) -> bool:
-    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both kinds."""
+def _evident(
+    found: TwoViewPose | None,
+    matches: Matches,
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+) -> bool:
+    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both
+    kinds.
+    """
     if found is None:
         return False
     exact = int((found.inliers & ~learned).sum())
@@ -343,14 +492,20 @@ def _evident(found: TwoViewPose | None, matches: Matches, learned: Bool[np.ndarr
     if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:
         return True
     many = bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS
-    return many and found.log_false_alarms <= -MIN_LOG_EVIDENCE and _holds_together(found, matches)
+    return (
+        many
+        and found.log_false_alarms <= -MIN_LOG_EVIDENCE
+        and _holds_together(found, matches)
+    )
 
 
 def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
-    """Whether the points that agree form surfaces, and lie all over the places where there are matches.
+    """Whether the points that agree form surfaces, and lie all over the places where there are
+    matches.
 
-    Wrong learned matches are wrong together, so counting them against chance proves little. But the epipolar lines
-    say nothing about where along them a match lies, and points of wrong matches have depths that jump.
+    Wrong learned matches are wrong together, so counting them against chance proves little. But the
+    epipolar lines say nothing about where along them a match lies, and points of wrong matches have
+    depths that jump.
     """
     kept = matches.select(found.inliers)
     depth, _ = triangulate(kept.rays_a, kept.rays_b, found.pose)
@@ -360,14 +515,20 @@ def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
         return False
     from scipy.spatial import cKDTree  # learned features only
 
-    _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)  # itself and four neighbours
+    _, near = cKDTree(places[:, :2]).query(
+        places[:, :2], 5
+    )  # itself and four neighbours
     step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
-    return bool(step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a))
+    return bool(
+        step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a)
+    )
 
 
 @dataclass
 class _IncrementalRegistration:
-    """The growing reconstruction: poses, and the 3D point of each keypoint that has one (NaN: none yet)."""
+    """The growing reconstruction: poses, and the 3D point of each keypoint that has one (NaN: none
+    yet).
+    """
 
     images: Sequence[CalibratedImage]
     features: FoundFeatures
@@ -379,7 +540,9 @@ class _IncrementalRegistration:
 
     def start(self, partner: int, pair: PairView) -> None:
         """Place view 0 and its best partner."""
-        self.points = [np.full((len(keys), 3), np.nan) for keys in self.features.keypoints]
+        self.points = [
+            np.full((len(keys), 3), np.nan) for keys in self.features.keypoints
+        ]
         self.poses = {0: Pose.identity(), partner: pair.pose}
         self._triangulate_with(partner)
 
@@ -396,13 +559,23 @@ class _IncrementalRegistration:
                 self._triangulate_with(view)
 
     def settled(self, free_focal: bool) -> Registration:
-        """What was placed; three and more views adjusted together, and again on all matches that agree with that.
+        """What was placed; three and more views adjusted together, and again on all matches that
+        agree with that.
 
         Two are settled by their epipolar geometry already.
         """
-        views, images, poses, zoom = range(len(self.images)), self.images, self.poses, 1.0
+        views, images, poses, zoom = (
+            range(len(self.images)),
+            self.images,
+            self.poses,
+            1.0,
+        )
         placed = np.array([view in poses for view in views])
-        found = Registration(tuple(poses.get(view, Pose.identity()) for view in views), placed, self.pairs)
+        found = Registration(
+            tuple(poses.get(view, Pose.identity()) for view in views),
+            placed,
+            self.pairs,
+        )
         if len(poses) < 3:
             return found
         from edit3r_matching.bundle_adjustment import adjust
@@ -411,13 +584,19 @@ class _IncrementalRegistration:
         points = [keys.points for keys in self.features.keypoints]
         for _ in range(2):
             matches = {pair: view.indices for pair, view in found.pairs.items()}
-            poses, change = adjust(images, points, matches, poses, 2 * limit, free_focal)
+            poses, change = adjust(
+                images, points, matches, poses, 2 * limit, free_focal
+            )
             images, zoom = [image.zoomed(change) for image in images], zoom * change
             found = Registration.on_poses(images, self.features, poses, limit, zoom)
         return found
 
-    def _known_points(self, view: int) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
-        """Keypoint indices of `view` whose match in a placed view has a 3D point, and those points."""
+    def _known_points(
+        self, view: int
+    ) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
+        """Keypoint indices of `view` whose match in a placed view has a 3D point, and those
+        points.
+        """
         own, points = [], []
         for (a, b), pair in self.pairs.items():
             if view in (a, b) and (other := a + b - view) in self.poses:
@@ -430,11 +609,19 @@ class _IncrementalRegistration:
             return np.zeros(0, int), np.zeros((0, 3))
         return np.concatenate(own), np.concatenate(points)
 
-    def _place(self, view: int, indices: Int[np.ndarray, "point"], points: Float[np.ndarray, "point 3"]) -> Pose | None:
+    def _place(
+        self,
+        view: int,
+        indices: Int[np.ndarray, "point"],
+        points: Float[np.ndarray, "point 3"],
+    ) -> Pose | None:
         """PnP with RANSAC, refined on its inliers; None when too few points agree."""
         if len(indices) < MIN_INLIERS:
             return None
-        intrinsics, pixels = self.images[view].intrinsics, self.features.keypoints[view].points[indices]
+        intrinsics, pixels = (
+            self.images[view].intrinsics,
+            self.features.keypoints[view].points[indices],
+        )
         threshold = 2 * self.threshold * max(self.images[view].size) / 256
         cv2.setRNGSeed(self.seed)
         found, turn, shift, inliers = cv2.solvePnPRansac(
@@ -450,7 +637,9 @@ class _IncrementalRegistration:
         if not found or inliers is None or len(inliers) < MIN_INLIERS:
             return None
         kept = inliers[:, 0]
-        turn, shift = cv2.solvePnPRefineLM(points[kept], pixels[kept], intrinsics, None, turn, shift)
+        turn, shift = cv2.solvePnPRefineLM(
+            points[kept], pixels[kept], intrinsics, None, turn, shift
+        )
         return Pose(cv2.Rodrigues(turn)[0], shift[:, 0])
 
     def _triangulate_with(self, view: int) -> None:
@@ -458,9 +647,15 @@ class _IncrementalRegistration:
         for (a, b), pair in self.pairs.items():
             if view in (a, b) and a in self.poses and b in self.poses:
                 pose = self.poses[b].after(self.poses[a].inverse())
-                depth_a, depth_b = triangulate(pair.matches.rays_a, pair.matches.rays_b, pose)
+                depth_a, depth_b = triangulate(
+                    pair.matches.rays_a, pair.matches.rays_b, pose
+                )
                 good = (depth_a > 0) & (depth_b > 0) & (pair.parallax > MIN_PARALLAX)
-                points = self.poses[a].inverse().apply(pair.matches.rays_a[good] * depth_a[good, None])
+                points = (
+                    self.poses[a]
+                    .inverse()
+                    .apply(pair.matches.rays_a[good] * depth_a[good, None])
+                )
                 for side, indices in zip((a, b), pair.indices[good].T):
                     fresh = ~np.isfinite(self.points[side][indices, 0])
                     self.points[side][indices[fresh]] = points[fresh]

@@ -1,7 +1,8 @@
 """Pose of one camera relative to another from point matches.
 
-pycolmap's robust estimate is refined on the Sampson error. Whether its support could be chance is decided a contrario
-(Moisan and Stival 2004): how many such agreements would matches thrown at random give?
+pycolmap's robust estimate is refined on the Sampson error. Whether its support could be chance is
+decided a contrario (Moisan and Stival 2004): how many such agreements would matches thrown at
+random give?
 """
 
 import ctypes
@@ -17,8 +18,9 @@ from jaxtyping import Bool, Float
 
 from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 
-# Importing pycolmap makes the process print a stack trace when somebody ends it; what was to happen before happens
-# again. By the C library, since Python sets handlers in its main thread only, and the app imports in another one.
+# Importing pycolmap makes the process print a stack trace when somebody ends it; what was to happen
+# before happens again. By the C library, since Python sets handlers in its main thread only, and
+# the app imports in another one.
 _SET = getattr(ctypes.CDLL(None), "signal", None) if os.name == "posix" else None
 if _SET is not None:
     _SET.restype, _SET.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
@@ -43,12 +45,17 @@ __all__ = [
 
 MIN_INLIERS = 12
 LEAST_SHARE = 0.3
-"""Share of the matches that must agree on a motion which the estimate without the lens does not show."""
+"""Share of the matches that must agree on a motion which the estimate without the lens does not
+show.
+"""
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
-_SHARP = 0.15  # times the threshold: what a good match is off, where it is asked how exactly they agree
-_NOISE = 0.25  # times the threshold: what points that are not wrong are off, for the loss
+# times the threshold: what a good match is off, where it is asked how exactly they agree
+_SHARP = 0.15
+_NOISE = (
+    0.25  # times the threshold: what points that are not wrong are off, for the loss
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,9 @@ class Matches:
     rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
-    noise: Float[np.ndarray, "match"] | None = None  # how inexact each is, 1 being SIFT's points; None: all are
+    noise: Float[np.ndarray, "match"] | None = (
+        None  # how inexact each is, 1 being SIFT's points; None: all are
+    )
 
     def __len__(self) -> int:
         return len(self.rays_a)
@@ -67,12 +76,19 @@ class Matches:
     def select(self, index: Bool[np.ndarray, "match"]) -> "Matches":
         """The matches at `index`."""
         noise = None if self.noise is None else self.noise[index]
-        return replace(self, rays_a=self.rays_a[index], rays_b=self.rays_b[index], noise=noise)
+        return replace(
+            self, rays_a=self.rays_a[index], rays_b=self.rays_b[index], noise=noise
+        )
 
     def zoomed(self, factor: float) -> "Matches":
         """The same points seen with focal lengths `factor` times as long."""
-        rays = (rays / np.array([factor, factor, 1.0]) for rays in (self.rays_a, self.rays_b))
-        return replace(self, **dict(zip(("rays_a", "rays_b"), rays)), focal=factor * self.focal)
+        rays = (
+            rays / np.array([factor, factor, 1.0])
+            for rays in (self.rays_a, self.rays_b)
+        )
+        return replace(
+            self, **dict(zip(("rays_a", "rays_b"), rays)), focal=factor * self.focal
+        )
 
 
 @dataclass(frozen=True)
@@ -81,63 +97,105 @@ class TwoViewPose:
 
     pose: Pose  # A's frame to B's, translation of length 1
     inliers: Bool[np.ndarray, "match"]
-    log_false_alarms: float  # log10 of how many equally good agreements random matches would give
+    log_false_alarms: (
+        float  # log10 of how many equally good agreements random matches would give
+    )
 
 
 def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose | None:
-    """The pose that most matches agree on within `threshold` [pixels]; None when there is nothing to agree on."""
+    """The pose that most matches agree on within `threshold` [pixels]; None when there is nothing
+    to agree on.
+    """
     pose = rough_pose(matches, threshold, seed)
     if pose is None:
         return None
-    # The epipolar geometry does not tell the sign of the translation; points in front of both cameras do.
+    # The epipolar geometry does not tell the sign of the translation; points in front of both
+    # cameras do.
     signed = [Pose(pose.rotation, sign * pose.translation) for sign in (1, -1)]
     scored = [(*support(matches, pose, threshold), pose) for pose in signed]
     _, inliers, pose = max(scored, key=lambda item: item[0])
-    return TwoViewPose(pose, inliers, log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold))
+    return TwoViewPose(
+        pose,
+        inliers,
+        log_false_alarms(len(matches), int(inliers.sum()), matches.chance * threshold),
+    )
 
 
 def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
-    """The pose that pycolmap finds, refined, up to the sign of its translation; None where there is none."""
+    """The pose that pycolmap finds, refined, up to the sign of its translation; None where there is
+    none.
+    """
     if len(matches) < MIN_INLIERS:
         return None
     focal = matches.focal
-    camera = pycolmap.Camera(model="PINHOLE", width=1, height=1, params=[focal, focal, 0, 0])
+    camera = pycolmap.Camera(
+        model="PINHOLE", width=1, height=1, params=[focal, focal, 0, 0]
+    )
     options = pycolmap.TwoViewGeometryOptions(
         compute_relative_pose=True, detect_watermark=False, min_num_inliers=MIN_INLIERS
     )
     options.ransac.max_error, options.ransac.random_seed = threshold, seed
-    first, second = (np.ascontiguousarray(focal * rays[:, :2]) for rays in (matches.rays_a, matches.rays_b))
+    first, second = (
+        np.ascontiguousarray(focal * rays[:, :2])
+        for rays in (matches.rays_a, matches.rays_b)
+    )
     same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
-    geometry = pycolmap.estimate_calibrated_two_view_geometry(camera, first, camera, second, same, options)
+    geometry = pycolmap.estimate_calibrated_two_view_geometry(
+        camera, first, camera, second, same, options
+    )
     if geometry.cam2_from_cam1 is None:
         return None
-    # Where the lens is not quite what it is said to be, that explains the matches without it, and its pose is wrong.
-    essential = pycolmap.estimate_essential_matrix(first, second, camera, camera, options.ransac)
-    agree = essential is not None and essential["num_inliers"] >= LEAST_SHARE * len(matches)
+    # Where the lens is not quite what it is said to be, that explains the matches without it, and
+    # its pose is wrong.
+    essential = pycolmap.estimate_essential_matrix(
+        first, second, camera, camera, options.ransac
+    )
+    agree = essential is not None and essential["num_inliers"] >= LEAST_SHARE * len(
+        matches
+    )
     found = (geometry.cam2_from_cam1, essential["cam2_from_cam1"] if agree else None)
     matrices = [motion.matrix() for motion in found if motion]
     lengths = [np.linalg.norm(matrix[:, 3]) for matrix in matrices]
     # Without a translation there are no epipolar lines.
-    poses = [Pose(m[:, :3], m[:, 3] / length) for m, length in zip(matrices, lengths) if length > 1e-9]
+    poses = [
+        Pose(m[:, :3], m[:, 3] / length)
+        for m, length in zip(matrices, lengths)
+        if length > 1e-9
+    ]
     refined = [refine(matches, pose, threshold) for pose in poses]
-    return max(refined, key=lambda pose: signed_support(matches, pose, threshold), default=None)
+    return max(
+        refined, key=lambda pose: signed_support(matches, pose, threshold), default=None
+    )
 
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
-    """Score of `pose` with the sign of its translation for which more points lie in front of both cameras."""
-    return max(support(matches, Pose(pose.rotation, sign * pose.translation), threshold)[0] for sign in (1, -1))
+    """Score of `pose` with the sign of its translation for which more points lie in front of both
+    cameras.
+    """
+    return max(
+        support(matches, Pose(pose.rotation, sign * pose.translation), threshold)[0]
+        for sign in (1, -1)
+    )
 
 
 def sharp_support(matches: Matches, pose: Pose, threshold: float) -> float:
-    """Score of `pose` like `signed_support`, by Cauchy's law: it also tells how exactly matches agree, not only that.
+    """Score of `pose` like `signed_support`, by Cauchy's law: it also tells how exactly matches
+    agree, not only that.
 
-    1 a match on its epipolar line, half of that at about a third of the `threshold` [pixels], 0 beyond it.
+    1 a match on its epipolar line, half of that at about a third of the `threshold` [pixels], 0
+    beyond it.
     """
     errors = sampson_errors(matches, pose)
     depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
-    likely = np.log1p((threshold / (_SHARP * threshold)) ** 2) - np.log1p((errors / (_SHARP * threshold)) ** 2)
+    likely = np.log1p((threshold / (_SHARP * threshold)) ** 2) - np.log1p(
+        (errors / (_SHARP * threshold)) ** 2
+    )
     score = np.maximum(likely, 0) / np.log1p(_SHARP**-2)
-    return float(max(score[(sign * depth_a > 0) & (sign * depth_b > 0)].sum() for sign in (1, -1)))
+    return float(
+        max(
+            score[(sign * depth_a > 0) & (sign * depth_b > 0)].sum() for sign in (1, -1)
+        )
+    )
 
 
 def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
@@ -148,8 +206,12 @@ def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     return matches.focal * (matches.rays_b * lines_b).sum(1) / np.sqrt(gradient + 1e-18)
 
 
-def support(matches: Matches, pose: Pose, threshold: float) -> tuple[float, Bool[np.ndarray, "match"]]:
-    """Truncated quadratic score (MSAC, higher is better); matches within `threshold` [pixels], before both cameras."""
+def support(
+    matches: Matches, pose: Pose, threshold: float
+) -> tuple[float, Bool[np.ndarray, "match"]]:
+    """Truncated quadratic score (MSAC, higher is better); matches within `threshold` [pixels],
+    before both cameras.
+    """
     errors = sampson_errors(matches, pose)
     depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
     inliers = (np.abs(errors) < threshold) & (depth_a > 0) & (depth_b > 0)
@@ -157,7 +219,9 @@ def support(matches: Matches, pose: Pose, threshold: float) -> tuple[float, Bool
 
 
 def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
-    """Minimise the robust Sampson error over rotation and translation direction, reselecting inliers in between."""
+    """Minimise the robust Sampson error over rotation and translation direction, reselecting
+    inliers in between.
+    """
     for _ in range(_REFINEMENT_ROUNDS):
         near = np.abs(sampson_errors(matches, pose)) < _NEAR * threshold
         if near.sum() < MIN_INLIERS:
@@ -167,14 +231,28 @@ def refine(matches: Matches, pose: Pose, threshold: float) -> Pose:
 
 
 def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
-    """The pose near `pose` with the least Cauchy loss of the errors over `scale` [pixels] (Levenberg-Marquardt)."""
+    """The pose near `pose` with the least Cauchy loss of the errors over `scale` [pixels]
+    (Levenberg-Marquardt).
+    """
     scales = scale if matches.noise is None else scale * matches.noise
     errors, damping = sampson_errors(matches, pose) / scales, 1e-3
     for _ in range(_MOST_STEPS):
         moved, weights = _tangent_step(pose), 1 / (1 + errors**2)
-        slopes = np.stack([sampson_errors(matches, moved(1e-6 * axis)) / scales - errors for axis in np.eye(5)]) / 1e-6
+        slopes = (
+            np.stack(
+                [
+                    sampson_errors(matches, moved(1e-6 * axis)) / scales - errors
+                    for axis in np.eye(5)
+                ]
+            )
+            / 1e-6
+        )
         normal, slope = (slopes * weights) @ slopes.T, slopes @ (weights * errors)
-        tried = moved(-np.linalg.solve(normal + np.diag(damping * normal.diagonal() + 1e-9), slope))
+        tried = moved(
+            -np.linalg.solve(
+                normal + np.diag(damping * normal.diagonal() + 1e-9), slope
+            )
+        )
         after = sampson_errors(matches, tried) / scales
         gain = 1 - np.log1p(after**2).sum() / np.log1p(errors**2).sum()
         damping = 0.1 * damping if gain > 0 else 10 * damping
@@ -186,7 +264,9 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
 
 
 def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:
-    """Function from 5 numbers (rotation vector, two slides of the unit translation) to a pose near `pose`."""
+    """Function from 5 numbers (rotation vector, two slides of the unit translation) to a pose near
+    `pose`.
+    """
     slides = np.linalg.svd(pose.translation[None])[2][1:]
 
     def moved(step: Float[np.ndarray, "5"]) -> Pose:
@@ -198,16 +278,25 @@ def _tangent_step(pose: Pose) -> Callable[[Float[np.ndarray, "5"]], Pose]:
 
 
 def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
-    """log10 of the expected number of 5-point models that `inliers` of random `matches` would agree with."""
+    """log10 of the expected number of 5-point models that `inliers` of random `matches` would agree
+    with.
+    """
     if inliers <= 5:
         return np.inf
     choose = _log_binomial(matches, inliers) + _log_binomial(inliers, 5)
-    return float((np.log(10 * (matches - 5)) + choose + (inliers - 5) * np.log(min(chance, 1.0))) / np.log(10))
+    return float(
+        (np.log(10 * (matches - 5)) + choose + (inliers - 5) * np.log(min(chance, 1.0)))
+        / np.log(10)
+    )
 
 
 def log_chance(matches: int, inliers: int, chance: float) -> float:
-    """log10 of how likely `inliers` of random `matches`, at most, agree with one motion that is known."""
-    return (_log_binomial(matches, inliers) + inliers * math.log(min(chance, 1.0))) / math.log(10)
+    """log10 of how likely `inliers` of random `matches`, at most, agree with one motion that is
+    known.
+    """
+    return (
+        _log_binomial(matches, inliers) + inliers * math.log(min(chance, 1.0))
+    ) / math.log(10)
 
 
 def _log_binomial(n: int, k: int) -> float:

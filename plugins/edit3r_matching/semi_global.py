@@ -1,14 +1,15 @@
-"""Semi-global matching (Hirschmueller 2008): costs are aggregated along eight paths that end at each pixel.
+"""Semi-global matching (Hirschmueller 2008): costs are aggregated along eight paths that end at
+each pixel.
 
-Changing depth by one plane between neighbours costs `SMALL_STEP`, by more a jump cost that falls where the image has
-an edge, since depth edges are usually seen.
+Changing depth by one plane between neighbours costs `SMALL_STEP`, by more a jump cost that falls
+where the image has an edge, since depth edges are usually seen.
 """
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from edit3r.compiling import compiled
+from edit3r.compute.compiling import compiled
 
 __all__ = ["aggregate", "best_plane"]
 
@@ -20,7 +21,8 @@ BIG = 1e9
 
 
 def aggregate(
-    cost: Float[np.ndarray, "height width plane"], grey: Float[np.ndarray, "height width"]
+    cost: Float[np.ndarray, "height width plane"],
+    grey: Float[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width plane"]:
     """Sum of the eight path costs, float32, for costs of about [0, 1]."""
     cost = np.ascontiguousarray(cost, np.float32)
@@ -31,17 +33,27 @@ def aggregate(
     return total
 
 
-def _jump_costs(grey: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+def _jump_costs(
+    grey: Float[np.ndarray, "height width"],
+) -> Float[np.ndarray, "height width"]:
     """What a change by more than one plane costs at each pixel."""
-    gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 4
+    gradient = (
+        np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+        / 4
+    )
     return (LEAST_JUMP + JUMP * np.exp(-gradient / EDGE)).astype(np.float32)
 
 
 @compiled(fastmath=True, nogil=True)
-def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover - compiled
-    """Paths from the previous pixel of the row and from three pixels of the previous row, in scan order."""
+def _four_paths(
+    cost, jump, small_step, backwards, total
+):  # pragma: no cover - compiled
+    """Paths from the previous pixel of the row and from three pixels of the previous row, in scan
+    order.
+    """
     height, width, planes = cost.shape
-    # Row buffers are padded by one plane and one pixel on either side, so that no border needs a test.
+    # Row buffers are padded by one plane and one pixel on either side, so that no border needs a
+    # test.
     above = np.full((3, width + 2, planes + 2), np.float32(BIG))
     above_least = np.zeros((3, width + 2), np.float32)
     below = np.full((3, width + 2, planes + 2), np.float32(BIG))
@@ -59,11 +71,21 @@ def _four_paths(cost, jump, small_step, backwards, total):  # pragma: no cover -
             else:
                 previous_x = x + 1 if backwards else x - 1
                 penalty = min(jump[y, x], jump[y, previous_x])
-                least = _extend(cost[y, x], beside[1 - slot], least, small_step, penalty, beside[slot], out)
+                least = _extend(
+                    cost[y, x],
+                    beside[1 - slot],
+                    least,
+                    small_step,
+                    penalty,
+                    beside[slot],
+                    out,
+                )
             for path in range(3):
                 source = column + path - 1
                 if row == 0 or source < 0 or source >= width:
-                    below_least[path, column + 1] = _start_path(cost[y, x], below[path, column + 1], out)
+                    below_least[path, column + 1] = _start_path(
+                        cost[y, x], below[path, column + 1], out
+                    )
                     continue
                 source_x = width - 1 - source if backwards else source
                 penalty = min(jump[y, x], jump[previous_y, source_x])
@@ -92,7 +114,9 @@ def _start_path(cost, path, total):  # pragma: no cover - compiled
 
 
 @compiled(fastmath=True, nogil=True)
-def _extend(cost, previous, previous_least, small_step, jump, path, total):  # pragma: no cover - compiled
+def _extend(
+    cost, previous, previous_least, small_step, jump, path, total
+):  # pragma: no cover - compiled
     """One step of Hirschmueller's equation 13; returns the least value of the new path costs."""
     least = np.float32(BIG)
     limit = previous_least + jump
@@ -107,7 +131,9 @@ def _extend(cost, previous, previous_least, small_step, jump, path, total):  # p
 
 @compiled(nogil=True)
 def best_plane(total):  # pragma: no cover - compiled
-    """Position of the least cost `[height, width]` in planes, refined by a parabola through three planes."""
+    """Position of the least cost `[height, width]` in planes, refined by a parabola through three
+    planes.
+    """
     height, width, planes = total.shape
     position = np.empty((height, width), np.float32)
     for y in range(height):
@@ -121,6 +147,8 @@ def best_plane(total):  # pragma: no cover - compiled
             if 0 < best < planes - 1:
                 curvature = row[best - 1] + row[best + 1] - 2 * row[best]
                 if curvature > 1e-9:
-                    offset = np.float32(0.5) * (row[best - 1] - row[best + 1]) / curvature
+                    offset = (
+                        np.float32(0.5) * (row[best - 1] - row[best + 1]) / curvature
+                    )
             position[y, x] = best + min(max(offset, np.float32(-0.5)), np.float32(0.5))
     return position

@@ -1,4 +1,6 @@
-"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`, and a data set to measure on."""
+"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`, and a data set to
+measure on.
+"""
 
 from edit3r import Component, hookimpl
 
@@ -11,7 +13,8 @@ def register_datasets() -> list[Component]:
         Component(
             "implicit",
             "edit3r_measure.implicit_scenes:ImplicitDataset",
-            "smooth bodies coloured by formulas, with exact poses, depth and edited truth; to measure on",
+            "smooth bodies coloured by formulas, with exact poses, depth and edited truth; to "
+            "measure on",
         )
     ]
 

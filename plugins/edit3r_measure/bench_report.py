@@ -1,4 +1,6 @@
-"""A benchmark's report: means over scenes with intervals, differences between methods, tables, and a page of images."""
+"""A benchmark's report: means over scenes with intervals, differences between methods, tables, and
+a page of images.
+"""
 
 import base64
 import html
@@ -21,7 +23,14 @@ from edit3r_measure.bench_item import RESULTS, RUN, ItemResult, read_results
 from edit3r_measure.bench_manifest import EDIT_TYPES
 from edit3r_measure.bench_metrics import BY_REGION, METRICS
 from edit3r_measure.metrics import Interval, bootstrap_mean
-from edit3r_measure.report import format_or_dash, grouped, make_folder, markdown_table, write_json, write_text
+from edit3r_measure.report import (
+    format_or_dash,
+    grouped,
+    make_folder,
+    markdown_table,
+    write_json,
+    write_text,
+)
 
 FORMS = {**METRICS, **BY_REGION}  # better direction and number format of every measure
 
@@ -68,27 +77,44 @@ class Column:
 
     def of_type(self, kind: str) -> "Column":
         """Return the column with the edits of one type only."""
-        return replace(self, results={k: r for k, r in self.results.items() if r.type == kind})
+        return replace(
+            self, results={k: r for k, r in self.results.items() if r.type == kind}
+        )
 
 
 def read_columns(folders: Iterable[Path]) -> list[Column]:
-    """Read every run in the folders, or one level below them, cut to the edits that every method has a result of.
+    """Read every run in the folders, or one level below them, cut to the edits that every method
+    has a result of.
 
     Raises InputError unless all are of one benchmark.
     """
     columns = []
     for folder in map(Path, folders):
-        paths = [folder] if (folder / RUN).is_file() else sorted(path.parent for path in folder.glob(f"*/{RUN}"))
+        paths = (
+            [folder]
+            if (folder / RUN).is_file()
+            else sorted(path.parent for path in folder.glob(f"*/{RUN}"))
+        )
         if not paths:
             lacking = f"neither a folder of edit3r bench run (it has no {RUN} and {RESULTS}) nor of such"
             raise InputError(f"{folder}: {lacking}.")
-        columns += [Column(p, json.loads((p / RUN).read_text(encoding="utf-8")), read_results(p)) for p in paths]
+        columns += [
+            Column(
+                p, json.loads((p / RUN).read_text(encoding="utf-8")), read_results(p)
+            )
+            for p in paths
+        ]
     labels = [column.label for column in columns]
     for column in columns:
         if column.run["manifest_sha256"] != columns[0].run["manifest_sha256"]:
-            raise InputError(f"{column.folder}: is of another benchmark than {columns[0].folder}; report them apart.")
+            raise InputError(
+                f"{column.folder}: is of another benchmark than {columns[0].folder}; report them "
+                "apart."
+            )
         if not column.results:
-            raise InputError(f"{column.folder}: holds no results yet; finish its edit3r bench run.")
+            raise InputError(
+                f"{column.folder}: holds no results yet; finish its edit3r bench run."
+            )
     for column in columns:
         if labels.count(column.label) > 1:
             again = f"a second method is called {column.label!r}; run it with --set label=..."
@@ -97,12 +123,20 @@ def read_columns(folders: Iterable[Path]) -> list[Column]:
     if not shared:
         raise InputError("the runs have no edit in common; nothing to compare.")
     columns.sort(key=lambda column: (column.run.get("position", 0), column.label))
-    return [replace(c, results={name: c.results[name] for name in sorted(shared)}) for c in columns]
+    return [
+        replace(c, results={name: c.results[name] for name in sorted(shared)})
+        for c in columns
+    ]
 
 
 def metric_names(columns: Sequence[Column]) -> list[str]:
     """Return what at least one method has a value of, in the order of reports."""
-    found = {name for column in columns for result in column.results.values() for name in result.metrics}
+    found = {
+        name
+        for column in columns
+        for result in column.results.values()
+        for name in result.metrics
+    }
     return [name for name in (*METRICS, *BY_REGION) if name in found]
 
 
@@ -113,23 +147,37 @@ def mean_of(column: Column, name: str, minus: Column | None = None) -> Interval 
     """
 
     def value(result: ItemResult) -> float:
-        other = 0.0 if minus is None else minus.results[result.id].metrics.get(name, math.nan)
+        other = (
+            0.0
+            if minus is None
+            else minus.results[result.id].metrics.get(name, math.nan)
+        )
         return result.metrics.get(name, math.nan) - other
 
     scenes = grouped(column.results.values(), lambda result: result.scene)
-    return bootstrap_mean({scene: list(map(value, results)) for scene, results in scenes.items()})
+    return bootstrap_mean(
+        {scene: list(map(value, results)) for scene, results in scenes.items()}
+    )
 
 
 def timing(column: Column) -> dict[str, Any]:
-    """Return median seconds of warm edits, those of the cold one, and how many warm ones there were."""
+    """Return median seconds of warm edits, those of the cold one, and how many warm ones there
+    were.
+    """
     times = [result.timing for result in column.results.values() if result.timing]
     warm, cold = ([t for t in times if t["cold"] is wanted] for wanted in (False, True))
-    median = {name: statistics.median(t[name] for t in warm) for name in (*CPU, *WALL)} if warm else None
+    median = (
+        {name: statistics.median(t[name] for t in warm) for name in (*CPU, *WALL)}
+        if warm
+        else None
+    )
     return {"warm": median, "warm_edits": len(warm), "cold": cold[0] if cold else None}
 
 
 def summary_of(columns: Sequence[Column]) -> dict[str, Any]:
-    """Return all means as JSON data: a function of manifest and methods alone, so the same on every run; no times."""
+    """Return all means as JSON data: a function of manifest and methods alone, so the same on every
+    run; no times.
+    """
     names = metric_names(columns)
     return {
         "manifest_sha256": columns[0].run["manifest_sha256"],
@@ -138,7 +186,10 @@ def summary_of(columns: Sequence[Column]) -> dict[str, Any]:
             column.label: {
                 "method": column.run["method"],
                 "failures": {result.id: result.failure for result in column.failures},
-                "metrics": {name: (mean := mean_of(column, name)) and asdict(mean) for name in names},
+                "metrics": {
+                    name: (mean := mean_of(column, name)) and asdict(mean)
+                    for name in names
+                },
             }
             for column in columns
         },
@@ -151,22 +202,51 @@ def report_text(columns: Sequence[Column]) -> str:
     scenes = len({result.scene for result in first.results.values()})
     parts = [
         f"# {first.run['manifest'] or 'Benchmark'}",
-        f"Manifest {first.run['manifest_sha256'][:12]}, {len(first.results)} edits of {scenes} scenes.",
+        f"Manifest {first.run['manifest_sha256'][:12]}, {len(first.results)} edits of {scenes} "
+        "scenes.",
         "\n".join(map(_note, columns)),
         EXPLANATION,
         "## Main comparison",
         main_table(columns),
     ]
     if others:
-        rows = [[title(name), *(_cell(mean_of(first, name, minus=c), name, "+") for c in others)] for name in names]
-        table = markdown_table(["", *(f"{first.label} - {other.label}" for other in others)], rows)
+        rows = [
+            [
+                title(name),
+                *(_cell(mean_of(first, name, minus=c), name, "+") for c in others),
+            ]
+            for name in names
+        ]
+        table = markdown_table(
+            ["", *(f"{first.label} - {other.label}" for other in others)], rows
+        )
         parts += [f"## {first.label} against the others, edit by edit", table]
     parts += ["## By region", region_table(columns)]
-    parts += ["## By type of edit", *(_types_table(columns, n) for n in ("score", "psnr-in-edit") if n in names)]
-    parts += ["## Time", "Seconds for one edit of a scene, all views.", time_table(columns)]
-    failures = [f"- {column.label}, {result.id}: {result.failure}" for column in columns for result in column.failures]
-    remarks = [f"- {column.label}, {result.id}: {result.remark}" for column in columns for result in _remarked(column)]
-    parts += ["## Failures", "\n".join(failures) or "None.", "## Edits that did nothing", "\n".join(remarks) or "None."]
+    parts += [
+        "## By type of edit",
+        *(_types_table(columns, n) for n in ("score", "psnr-in-edit") if n in names),
+    ]
+    parts += [
+        "## Time",
+        "Seconds for one edit of a scene, all views.",
+        time_table(columns),
+    ]
+    failures = [
+        f"- {column.label}, {result.id}: {result.failure}"
+        for column in columns
+        for result in column.failures
+    ]
+    remarks = [
+        f"- {column.label}, {result.id}: {result.remark}"
+        for column in columns
+        for result in _remarked(column)
+    ]
+    parts += [
+        "## Failures",
+        "\n".join(failures) or "None.",
+        "## Edits that did nothing",
+        "\n".join(remarks) or "None.",
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -179,9 +259,15 @@ def _note(column: Column) -> str:
     method = column.run["method"]
     parts = []
     for kind in ("editor", "reconstructor"):
-        settings = ", ".join(f"{key}={value}" for key, value in method[kind]["settings"].items())
-        parts.append(f"{kind} `{method[kind]['name']}`" + (f" ({settings})" if settings else ""))
-    return f"- **{column.label}**: {', '.join(parts)}" + (f"; {method['note']}" if method["note"] else "")
+        settings = ", ".join(
+            f"{key}={value}" for key, value in method[kind]["settings"].items()
+        )
+        parts.append(
+            f"{kind} `{method[kind]['name']}`" + (f" ({settings})" if settings else "")
+        )
+    return f"- **{column.label}**: {', '.join(parts)}" + (
+        f"; {method['note']}" if method["note"] else ""
+    )
 
 
 def main_table(columns: Sequence[Column]) -> str:
@@ -189,30 +275,49 @@ def main_table(columns: Sequence[Column]) -> str:
     counts = [
         ["edits", *(str(len(column.results)) for column in columns)],
         ["failed", *(str(len(column.failures)) for column in columns)],
-        ["nothing edited, or nothing of it shown", *(str(len(_remarked(column))) for column in columns)],
+        [
+            "nothing edited, or nothing of it shown",
+            *(str(len(_remarked(column))) for column in columns),
+        ],
     ]
-    return _table(counts, [name for name in metric_names(columns) if name in METRICS], columns)
+    return _table(
+        counts, [name for name in metric_names(columns) if name in METRICS], columns
+    )
 
 
 def region_table(columns: Sequence[Column]) -> str:
-    """Return the table of the measures against the truth by region of the picture and kind of view."""
-    return _table([], [name for name in metric_names(columns) if name in BY_REGION], columns)
+    """Return the table of the measures against the truth by region of the picture and kind of
+    view.
+    """
+    return _table(
+        [], [name for name in metric_names(columns) if name in BY_REGION], columns
+    )
 
 
-def _table(first: list[list[str]], names: Sequence[str], columns: Sequence[Column]) -> str:
-    rows = [[title(name), *(_cell(mean_of(c, name), name) for c in columns)] for name in names]
+def _table(
+    first: list[list[str]], names: Sequence[str], columns: Sequence[Column]
+) -> str:
+    rows = [
+        [title(name), *(_cell(mean_of(c, name), name) for c in columns)]
+        for name in names
+    ]
     return markdown_table(_head("", columns), [*first, *rows])
 
 
 def _types_table(columns: Sequence[Column], name: str) -> str:
     """Return the table of one metric by type of edit."""
     kinds = [kind for kind in EDIT_TYPES if columns[0].of_type(kind).results]
-    rows = [[kind, *(_cell(mean_of(c.of_type(kind), name), name) for c in columns)] for kind in kinds]
+    rows = [
+        [kind, *(_cell(mean_of(c.of_type(kind), name), name) for c in columns)]
+        for kind in kinds
+    ]
     return markdown_table(_head(title(name), columns), rows)
 
 
 def time_table(columns: Sequence[Column]) -> str:
-    """Return seconds an edit of a scene (all its views): warm medians by part, and the whole of the cold first one."""
+    """Return seconds an edit of a scene (all its views): warm medians by part, and the whole of the
+    cold first one.
+    """
     titles = {
         "editor, warm [s CPU]": ("warm", CPU[:1]),
         "reconstruction, warm [s CPU]": ("warm", CPU[1:2]),
@@ -223,7 +328,15 @@ def time_table(columns: Sequence[Column]) -> str:
     }
     times = [timing(column) for column in columns]
     rows = [
-        [title, *(format_or_dash(t[which] and sum(t[which][name] for name in names), ".3g") for t in times)]
+        [
+            title,
+            *(
+                format_or_dash(
+                    t[which] and sum(t[which][name] for name in names), ".3g"
+                )
+                for t in times
+            ),
+        ]
         for title, (which, names) in titles.items()
     ]
     rows.append(["warm edits", *(format(time["warm_edits"], ".3g") for time in times)])
@@ -241,12 +354,17 @@ def title(name: str) -> str:
 def _cell(interval: Interval | None, name: str, sign: str = "") -> str:
     if interval is None:
         return "-"
-    mean, low, high = (format(value, sign + FORMS[name][1]) for value in (interval.mean, interval.low, interval.high))
+    mean, low, high = (
+        format(value, sign + FORMS[name][1])
+        for value in (interval.mean, interval.low, interval.high)
+    )
     return mean if interval.scenes < 2 else f"{mean} ({low}, {high})"
 
 
 def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) -> str:
-    """Write report.md, report.json and index.html into `out`, and return the main table and the times."""
+    """Write report.md, report.json and index.html into `out`, and return the main table and the
+    times.
+    """
     make_folder(out)
     text = report_text(columns)
     write_text(out / "report.md", text)
@@ -262,36 +380,55 @@ def write_page(path: Path, text: str, columns: Sequence[Column], most: int) -> N
     shown = evenly(edits, most)
     parts = [MarkdownIt("commonmark", {"html": False}).enable("table").render(text)]
     parts.append(
-        f"<h2>Pictures</h2><p>{len(shown)} of {len(edits)} edits, evenly chosen. Frames from left to right: the inputs "
+        f"<h2>Pictures</h2><p>{len(shown)} of {len(edits)} edits, evenly chosen. Frames from "
+        "left to right: the inputs "
         "(the first is the reference), then the held-back views.</p>"
     )
     for edit in shown:
         title = f"<h3>{html.escape(f'{edit.id} ({edit.type})')}</h3>"
-        parts.append(f'<div class="item">{title}<div class="strips">{_strips(columns, edit.id)}</div></div>')
+        parts.append(
+            f'<div class="item">{title}<div class="strips">{_strips(columns, edit.id)}</div></div>'
+        )
     title = html.escape(text.partition("\n")[0].removeprefix("# "))
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
     write_text(path, f"{head}<body>{''.join(parts)}</body></html>\n")
 
 
 def _strips(columns: Sequence[Column], edit: str) -> str:
-    """Return photos and truth once, then each 2D edit with the methods that had it, then what each method shows."""
+    """Return photos and truth once, then each 2D edit with the methods that had it, then what each
+    method shows.
+    """
     folders = {column.label: column.folder / "pictures" / edit for column in columns}
     rows = []
     for kind in ("photos", "truth"):
-        files = [file for folder in folders.values() if (file := folder / f"{kind}.png").is_file()]
-        rows += [f"<span>{kind}</span>{_embed(file.read_bytes())}" for file in files[:1]]
+        files = [
+            file
+            for folder in folders.values()
+            if (file := folder / f"{kind}.png").is_file()
+        ]
+        rows += [
+            f"<span>{kind}</span>{_embed(file.read_bytes())}" for file in files[:1]
+        ]
     edits: dict[bytes, list[str]] = {}
     for label, folder in folders.items():
         if (folder / "edited.png").is_file():
             edits.setdefault((folder / "edited.png").read_bytes(), []).append(label)
-    rows += [f"<span>2D edit: {html.escape(', '.join(who))}</span>{_embed(image)}" for image, who in edits.items()]
+    rows += [
+        f"<span>2D edit: {html.escape(', '.join(who))}</span>{_embed(image)}"
+        for image, who in edits.items()
+    ]
     for column in columns:
         result, file = column.results[edit], folders[column.label] / "shown.png"
         label, failure = html.escape(column.label), html.escape(result.failure)
         if failure:
-            rows.append(f'<span>{label}</span><span class="failed">failed: {failure}</span>')
+            rows.append(
+                f'<span>{label}</span><span class="failed">failed: {failure}</span>'
+            )
         elif file.is_file():
-            rows.append(f"<span>{label}, score {result.metrics['score']:.2f}</span>{_embed(file.read_bytes())}")
+            rows.append(
+                f"<span>{label}, score "
+                f"{result.metrics['score']:.2f}</span>{_embed(file.read_bytes())}"
+            )
     return "".join(rows)
 
 
@@ -299,7 +436,10 @@ def _embed(content: bytes) -> str:
     """Return an image file's content as an `img` tag that holds it as WebP."""
     image = Image.open(io.BytesIO(content), formats=FORMATS).convert("RGB")
     if image.height > HEIGHT:
-        image = image.resize((round(image.width * HEIGHT / image.height), HEIGHT), Image.Resampling.LANCZOS)
+        image = image.resize(
+            (round(image.width * HEIGHT / image.height), HEIGHT),
+            Image.Resampling.LANCZOS,
+        )
     buffer = io.BytesIO()
     image.save(buffer, "WEBP", quality=88)
     return f'<img alt="" src="data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode("ascii")}">'

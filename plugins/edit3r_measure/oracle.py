@@ -1,8 +1,10 @@
-"""The stand-in editor of the offline benchmark: it knows the edited truth and makes the views disagree about it.
+"""The stand-in editor of the offline benchmark: it knows the edited truth and makes the views
+disagree about it.
 
-No editor that runs without weights can add or remove objects. So the images that a perfect editor would return are
-taken from the generator and then made to disagree as those of real 2D editors do: other colours, other texture,
-slightly moved structure in each view. It is not an editor, and results say so by its name.
+No editor that runs without weights can add or remove objects. So the images that a perfect editor
+would return are taken from the generator and then made to disagree as those of real 2D editors do:
+other colours, other texture, slightly moved structure in each view. It is not an editor, and
+results say so by its name.
 """
 
 import hashlib
@@ -18,12 +20,13 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Editor
-from edit3r.types import EditRequest, Views
 
-# Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth of the item
+# Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth
+# of the item
 ORACLE = "oracle"
 FAULTS = ("blurred", "shifted", "coloured")  # what may be wrong with a reference
 NOISE_CELLS = 6  # cells of the texture and warp noise along each side of the image
@@ -32,11 +35,15 @@ NOISE_CELLS = 6  # cells of the texture and warp noise along each side of the im
 class OracleSettings(Settings):
     """How much the views disagree."""
 
-    disagreement: float = Field(0.5, ge=0, le=1, description="0: every view shows the truth; 1: hardly alike")
+    disagreement: float = Field(
+        0.5, ge=0, le=1, description="0: every view shows the truth; 1: hardly alike"
+    )
     reference: Literal["exact", "spoiled", "off-in-half"] = Field(
         "exact",
-        description="exact: the first view shows the truth, the others disagree with it, so the truth is what the "
-        "reference says; off-in-half: in half of the edits it is blurred, shifted or off in colour; spoiled: all views "
+        description="exact: the first view shows the truth, the others disagree with it, so the "
+        "truth is what the "
+        "reference says; off-in-half: in half of the edits it is blurred, shifted or off in "
+        "colour; spoiled: all views "
         "are off alike, and their average is nearest to the truth",
     )
 
@@ -44,7 +51,9 @@ class OracleSettings(Settings):
 class OracleEditor(Editor):
     """Returns the truth of its item's input views, spoiled; ignores prompt and masks."""
 
-    def __init__(self, truth: Float[Tensor, "view 3 height width"], settings: OracleSettings) -> None:
+    def __init__(
+        self, truth: Float[Tensor, "view 3 height width"], settings: OracleSettings
+    ) -> None:
         self.truth = truth
         self.settings = settings
 
@@ -61,12 +70,16 @@ class OracleEditor(Editor):
 
 
 def fault_of(prompt: str, seed: int) -> str:
-    """Return what is wrong with the reference of this edit, drawn by a hash: nothing in half, else each as often."""
+    """Return what is wrong with the reference of this edit, drawn by a hash: nothing in half, else
+    each as often.
+    """
     digest = hashlib.sha256(repr((prompt, seed)).encode("utf-8")).digest()
     return FAULTS[digest[1] % len(FAULTS)] if digest[0] % 2 else ""
 
 
-def slightly_off(image: Float[Tensor, "3 height width"], fault: str) -> Float[Tensor, "3 height width"]:
+def slightly_off(
+    image: Float[Tensor, "3 height width"], fault: str
+) -> Float[Tensor, "3 height width"]:
     """Return `image` with one of FAULTS, or as it is for "".
 
     `blurred` by a deviation of 0.012 image widths, `shifted` to the right by 0.01 of them, `coloured` by 1.15, 1 and
@@ -78,15 +91,19 @@ def slightly_off(image: Float[Tensor, "3 height width"], fault: str) -> Float[Te
     if fault == "shifted":
         grid = pixel_grid(image.shape[-2:], like=image)
         return warp(image, grid - grid.new_tensor([0.01, 0.0]), padding="reflection")
-    gains = image.new_tensor([1.15, 1.0, 0.85] if fault == "coloured" else [1.0, 1.0, 1.0])
+    gains = image.new_tensor(
+        [1.15, 1.0, 0.85] if fault == "coloured" else [1.0, 1.0, 1.0]
+    )
     return (image * gains[:, None, None]).clamp(0, 1)
 
 
-def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> Float[Tensor, "3 height width"]:
+def spoil(
+    image: Float[Tensor, "3 height width"], key: tuple, amount: float
+) -> Float[Tensor, "3 height width"]:
     """Return `image` warped, recoloured and textured by a draw from a hash of `key`, in [0, 1].
 
-    At `amount` 1 hues turn by up to 0.35 half turns, channels change by up to half and 0.2 more, smooth texture has a
-    deviation of 0.12 and points move by about 0.02 image widths.
+    At `amount` 1 hues turn by up to 0.35 half turns, channels change by up to half and 0.2 more,
+    smooth texture has a deviation of 0.12 and points move by about 0.02 image widths.
     """
     if amount == 0:
         return image
@@ -95,10 +112,17 @@ def spoil(image: Float[Tensor, "3 height width"], key: tuple, amount: float) -> 
     unit = 2 * torch.rand(7, generator=generator) - 1
     noise = _smooth_noise(int(torch.randint(2**31, (1,), generator=generator)), image)
     shift = amount * 0.02 * noise[:2].clamp(-1, 1).permute(1, 2, 0)
-    moved = warp(image, pixel_grid(image.shape[-2:], like=image) + shift, padding="reflection").clamp(0, 1)
-    turned = torch.einsum("ij,jhw->ihw", _hue_rotation(amount * 0.35 * math.pi * float(unit[0])).to(image), moved)
+    moved = warp(
+        image, pixel_grid(image.shape[-2:], like=image) + shift, padding="reflection"
+    ).clamp(0, 1)
+    turned = torch.einsum(
+        "ij,jhw->ihw",
+        _hue_rotation(amount * 0.35 * math.pi * float(unit[0])).to(image),
+        moved,
+    )
     gain, offset = (
-        values.to(image)[:, None, None] for values in (1 + amount * 0.5 * unit[1:4], amount * 0.2 * unit[4:])
+        values.to(image)[:, None, None]
+        for values in (1 + amount * 0.5 * unit[1:4], amount * 0.2 * unit[4:])
     )
     return (turned * gain + offset + amount * 0.12 * noise[2:]).clamp(0, 1)
 
@@ -108,10 +132,21 @@ def _hue_rotation(angle: float) -> Float[Tensor, "3 3"]:
     cosine, sine = math.cos(angle), math.sin(angle) / math.sqrt(3)
     same = cosine + (1 - cosine) / 3
     ahead, behind = (1 - cosine) / 3 - sine, (1 - cosine) / 3 + sine
-    return torch.tensor([[same, ahead, behind], [behind, same, ahead], [ahead, behind, same]])
+    return torch.tensor(
+        [[same, ahead, behind], [behind, same, ahead], [ahead, behind, same]]
+    )
 
 
-def _smooth_noise(seed: int, like: Float[Tensor, "3 height width"]) -> Float[Tensor, "5 height width"]:
+def _smooth_noise(
+    seed: int, like: Float[Tensor, "3 height width"]
+) -> Float[Tensor, "5 height width"]:
     """Return smooth fields of standard deviation about 1."""
-    coarse = torch.randn(1, 5, NOISE_CELLS, NOISE_CELLS, generator=torch.Generator().manual_seed(seed))
-    return F.interpolate(coarse.to(like), size=like.shape[-2:], mode="bicubic", align_corners=False)[0] / 0.8
+    coarse = torch.randn(
+        1, 5, NOISE_CELLS, NOISE_CELLS, generator=torch.Generator().manual_seed(seed)
+    )
+    return (
+        F.interpolate(
+            coarse.to(like), size=like.shape[-2:], mode="bicubic", align_corners=False
+        )[0]
+        / 0.8
+    )

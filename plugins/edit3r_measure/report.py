@@ -1,4 +1,5 @@
-"""What the three commands share: checks of options, Markdown tables, groups of rows, and whole files.
+"""What the three commands share: checks of options, Markdown tables, groups of rows, and whole
+files.
 
 Nothing here imports torch, for a command line is parsed without it.
 """
@@ -20,11 +21,17 @@ def check_least(args: argparse.Namespace, **least: int) -> None:
     for option, smallest in least.items():
         value = getattr(args, option)
         if value is not None and value < smallest:
-            raise SettingsError(f"--{option.replace('_', '-')}: must be at least {smallest}, got {value}.")
+            raise SettingsError(
+                f"--{option.replace('_', '-')}: must be at least {smallest}, got {value}."
+            )
 
 
-def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a Markdown table whose first `left` columns are set left and the others right, without a last newline."""
+def markdown_table(
+    titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1
+) -> str:
+    """Return a Markdown table whose first `left` columns are set left and the others right, without
+    a last newline.
+    """
     ruler = ["---"] * left + ["--:"] * (len(titles) - left)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ruler, *rows))
 
@@ -43,11 +50,15 @@ def grouped(items: Iterable[Item], key: Callable[[Item], str]) -> dict[str, list
 
 
 def make_folder(folder: Path) -> Path:
-    """Make the folder where results go, and return it. Raises InputError where that cannot be done."""
+    """Make the folder where results go, and return it. Raises InputError where that cannot be
+    done.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be created ({error.strerror}); give --out another folder.") from None
+        raise InputError(
+            f"{folder}: cannot be created ({error.strerror}); give --out another folder."
+        ) from None
     return folder
 
 

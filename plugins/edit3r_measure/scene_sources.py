@@ -1,8 +1,8 @@
 """Scenes with a known answer: folders of posed photos, and data sets with truth.
 
-Both give the same `Scene`: some photos to reconstruct from, and what is known beside them (a real image between them,
-the photos after a true edit). A scene can be written to a folder and laid out there as a user's photos
-are, so that `edit3r run` itself can be measured on it.
+Both give the same `Scene`: some photos to reconstruct from, and what is known beside them (a real
+image between them, the photos after a true edit). A scene can be written to a folder and laid out
+there as a user's photos are, so that `edit3r run` itself can be measured on it.
 """
 
 import hashlib
@@ -19,18 +19,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import SceneSample
+from edit3r.contract.types import Cameras
 from edit3r.errors import InputError, UnknownComponentError
 from edit3r.geometry.rotations import rotation_angle
-from edit3r.interfaces import SceneSample
 from edit3r.io.cameras import PosedCamera, write_cameras
 from edit3r.io.images import evenly, find_photos, read_image, save_image
 from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
-from edit3r.registry import Registry
-from edit3r.types import Cameras
+from edit3r.plugins.registry import Registry
 
 PHOTOS = "photos"
 TRUTH_FILE = "truth.json"
-FARTHEST_BETWEEN = 0.4  # how far a photo between two others may be from the middle [baselines]
+FARTHEST_BETWEEN = (
+    0.4  # how far a photo between two others may be from the middle [baselines]
+)
 
 NO_TRIPLES = "no two photos are 5 to 30 degrees apart with a third between them"
 
@@ -44,7 +46,9 @@ class Scene:
     files: tuple[str, ...]  # names of the inputs and of the target
     inputs: tuple[Photo, ...]  # the first and the last are the farthest apart
     target: Photo  # an image that is not among the inputs
-    edited: tuple[Photo, ...] = ()  # inputs and target after the true edit, where it is known
+    edited: tuple[
+        Photo, ...
+    ] = ()  # inputs and target after the true edit, where it is known
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,11 @@ class SceneOptions:
 
     count: int  # most pairs of a folder, scenes of a data set
     size: int  # side of the square photos [pixels]
-    datasets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # name to settings
-    more_inputs: bool = False  # from folders also a third photo between the two, never larger than the photos are
+    datasets: Mapping[str, Mapping[str, Any]] = field(
+        default_factory=dict
+    )  # name to settings
+    # from folders also a third photo between the two, never larger than the photos are
+    more_inputs: bool = False
 
 
 # Pairs of photos and the photo between them.
@@ -81,24 +88,37 @@ class Triple:
 
 def rotation_degrees(a: Float[np.ndarray, "3 3"], b: Float[np.ndarray, "3 3"]) -> float:
     """Return the angle between two rotation matrices [degrees], accurate for small angles."""
-    return float(torch.rad2deg(rotation_angle(torch.from_numpy(a), torch.from_numpy(b))))
+    return float(
+        torch.rad2deg(rotation_angle(torch.from_numpy(a), torch.from_numpy(b)))
+    )
 
 
 def choose_triples(
-    cameras: Sequence[PosedCamera], count: int, degrees: tuple[float, float] = (5.0, 30.0)
+    cameras: Sequence[PosedCamera],
+    count: int,
+    degrees: tuple[float, float] = (5.0, 30.0),
 ) -> list[Triple]:
-    """Return at most `count` triples, spread evenly over all pairs `degrees` apart which have a photo between them."""
+    """Return at most `count` triples, spread evenly over all pairs `degrees` apart which have a
+    photo between them.
+    """
     poses = [camera.c2w for camera in cameras]
     triples = []
     for first, second in combinations(range(len(poses)), 2):
         angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
         if degrees[0] <= angle <= degrees[1]:
-            triples += [Triple(first, second, target, angle) for target in photos_between(poses, first, second)[:1]]
+            triples += [
+                Triple(first, second, target, angle)
+                for target in photos_between(poses, first, second)[:1]
+            ]
     return evenly(triples, count)
 
 
-def photos_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> list[int]:
-    """Return the photos near the middle of the baseline that look the same way, nearest to it first."""
+def photos_between(
+    poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int
+) -> list[int]:
+    """Return the photos near the middle of the baseline that look the same way, nearest to it
+    first.
+    """
     angle = rotation_degrees(poses[first][:3, :3], poses[second][:3, :3])
     start, end = poses[first][:3, 3], poses[second][:3, 3]
     near = FARTHEST_BETWEEN * max(np.linalg.norm(end - start), 1e-12)
@@ -107,28 +127,48 @@ def photos_between(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second
         for index, turn in _turns(poses, first, second).items()
         if turn <= angle
     }
-    return sorted((index for index in distances if distances[index] < near), key=distances.__getitem__)
+    return sorted(
+        (index for index in distances if distances[index] < near),
+        key=distances.__getitem__,
+    )
 
 
-def _turns(poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int) -> dict[int, float]:
+def _turns(
+    poses: Sequence[Float[np.ndarray, "4 4"]], first: int, second: int
+) -> dict[int, float]:
     """Return the larger angle [degrees] to the two photos of each other one, by index."""
     ends = (first, second)
     others = [index for index in range(len(poses)) if index not in ends]
-    return {i: max(rotation_degrees(poses[i][:3, :3], poses[end][:3, :3]) for end in ends) for i in others}
+    return {
+        i: max(rotation_degrees(poses[i][:3, :3], poses[end][:3, :3]) for end in ends)
+        for i in others
+    }
 
 
 def _another_between(folder: PosedFolder, triple: Triple) -> list[int]:
-    """Return a photo between the two inputs besides the target, that whose larger angle to them is least, or none."""
-    turns = _turns([camera.c2w for camera in folder.cameras], triple.first, triple.second)
-    turns = {index: turn for index, turn in turns.items() if index != triple.target and turn < triple.degrees}
+    """Return a photo between the two inputs besides the target, that whose larger angle to them is
+    least, or none.
+    """
+    turns = _turns(
+        [camera.c2w for camera in folder.cameras], triple.first, triple.second
+    )
+    turns = {
+        index: turn
+        for index, turn in turns.items()
+        if index != triple.target and turn < triple.degrees
+    }
     return sorted(turns, key=turns.__getitem__)[:1]
 
 
 # The two sources.
 
 
-def find_scenes(source: str, options: SceneOptions, registry: Registry) -> list[SceneSource]:
-    """Return the scenes of a folder of posed photos or of a data set, perhaps none; InputError for what is neither."""
+def find_scenes(
+    source: str, options: SceneOptions, registry: Registry
+) -> list[SceneSource]:
+    """Return the scenes of a folder of posed photos or of a data set, perhaps none; InputError for
+    what is neither.
+    """
     if Path(source).is_dir():
         return list(_photographed(read_posed_folder(source), options))
     try:
@@ -157,29 +197,49 @@ def photo_scene(folder: PosedFolder, indices: Sequence[int], size: int) -> Scene
     return Scene(folder.name, PHOTOS, files, tuple(inputs), target)
 
 
-def _generated(name: str, registry: Registry, options: SceneOptions) -> Iterator[SceneSource]:
+def _generated(
+    name: str, registry: Registry, options: SceneOptions
+) -> Iterator[SceneSource]:
     settings = dict(options.datasets.get(name, {}))
     dataset = registry.build("dataset", name, **settings)
     mark = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
     for index in range(min(options.count, len(dataset))):
-        yield SceneSource(f"{name}-{mark}-{index}", name, partial(sample_scene, name, index, dataset))
+        yield SceneSource(
+            f"{name}-{mark}-{index}", name, partial(sample_scene, name, index, dataset)
+        )
 
 
 def sample_scene(name: str, index: int, samples: Sequence[SceneSample]) -> Scene:
-    """Return a sample of the data set called `name` as a scene: context views, first target, the true edit if known."""
+    """Return a sample of the data set called `name` as a scene: context views, first target, the
+    true edit if known.
+    """
     sample = samples[index]
     between = sample.target_cameras.select([0])
-    inputs, (target,) = _photos(sample.context, sample.context_cameras), _photos(sample.target[:1], between)
+    inputs, (target,) = (
+        _photos(sample.context, sample.context_cameras),
+        _photos(sample.target[:1], between),
+    )
     edited: tuple[Photo, ...] = ()
     if sample.edited_context is not None and sample.edited_target is not None:
-        edited = _photos(sample.edited_context, sample.context_cameras) + _photos(sample.edited_target[:1], between)
+        edited = _photos(sample.edited_context, sample.context_cameras) + _photos(
+            sample.edited_target[:1], between
+        )
     files = (*(f"{index}/{view}" for view in range(len(inputs))), f"{index}/target")
     return Scene(name, name, files, inputs, target, edited)
 
 
-def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> tuple[Photo, ...]:
+def _photos(
+    images: Float[Tensor, "view 3 height width"], cameras: Cameras
+) -> tuple[Photo, ...]:
     channels_last = images.permute(0, 2, 3, 1).contiguous().numpy()
-    return tuple(map(Photo, channels_last, cameras.intrinsics[0].double().numpy(), cameras.c2w[0].double().numpy()))
+    return tuple(
+        map(
+            Photo,
+            channels_last,
+            cameras.intrinsics[0].double().numpy(),
+            cameras.c2w[0].double().numpy(),
+        )
+    )
 
 
 # Scenes on disk, for measuring `edit3r run` itself.
@@ -187,7 +247,9 @@ def _photos(images: Float[Tensor, "view 3 height width"], cameras: Cameras) -> t
 
 @dataclass(frozen=True)
 class SceneFolder:
-    """A written scene: `photos/` with `cameras.json` (no poses: a run has to find them), targets and `truth.json`."""
+    """A written scene: `photos/` with `cameras.json` (no poses: a run has to find them), targets
+    and `truth.json`.
+    """
 
     path: Path
     name: str
@@ -214,23 +276,43 @@ class SceneFolder:
         return self.path / "edited" if (self.path / "edited").is_dir() else None
 
     def truth(self, edited: bool = False) -> tuple[list[Photo], Photo]:
-        """Return the input photos and the target with true cameras; `edited`: as the true edit makes the target."""
+        """Return the input photos and the target with true cameras; `edited`: as the true edit
+        makes the target.
+        """
         poses = json.loads((self.path / TRUTH_FILE).read_text(encoding="utf-8"))
-        files = [*self.photos, self.path / ("edited_target.png" if edited else "target.png")]
+        files = [
+            *self.photos,
+            self.path / ("edited_target.png" if edited else "target.png"),
+        ]
         images = (np.asarray(read_image(file), np.float32) / 255 for file in files)
-        *inputs, target = map(Photo, images, map(np.array, poses["intrinsics"]), map(np.array, poses["c2w"]))
+        *inputs, target = map(
+            Photo,
+            images,
+            map(np.array, poses["intrinsics"]),
+            map(np.array, poses["c2w"]),
+        )
         return inputs, target
 
     def fingerprint(self) -> str:
-        """Return a hash of everything in the folder; two scenes with the same images and poses share it."""
+        """Return a hash of everything in the folder; two scenes with the same images and poses
+        share it.
+        """
         digest = hashlib.sha256()
         for file in sorted(path for path in self.path.rglob("*") if path.is_file()):
-            digest.update(file.relative_to(self.path).as_posix().encode() + b"\0" + file.read_bytes())
+            digest.update(
+                file.relative_to(self.path).as_posix().encode()
+                + b"\0"
+                + file.read_bytes()
+            )
         return digest.hexdigest()[:16]
 
 
-def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, registry: Registry) -> list[SceneFolder]:
-    """Write the scenes of each source that have a target. Raises InputError for a source without any."""
+def write_scenes(
+    sources: Sequence[str], options: SceneOptions, root: Path, registry: Registry
+) -> list[SceneFolder]:
+    """Write the scenes of each source that have a target. Raises InputError for a source without
+    any.
+    """
     written = []
     for source in sources:
         scenes = find_scenes(source, options, registry)
@@ -241,7 +323,9 @@ def write_scenes(sources: Sequence[str], options: SceneOptions, root: Path, regi
 
 
 def write_scene(source: SceneSource, root: Path) -> SceneFolder:
-    """Write a scene below `root`, unless it is there already; the truth comes last, so no half is taken for whole."""
+    """Write a scene below `root`, unless it is there already; the truth comes last, so no half is
+    taken for whole.
+    """
     path = root / source.name
     if not (path / TRUTH_FILE).is_file():
         scene = source.load()
@@ -249,10 +333,19 @@ def write_scene(source: SceneSource, root: Path) -> SceneFolder:
         _save_images(photos, path / "photos", path / "target.png")
         _save_images(scene.edited, path / "edited", path / "edited_target.png")
         height, width = photos[0].image.shape[:2]
-        in_pixels = [photo.intrinsics * np.array([[width], [height], [1.0]]) for photo in scene.inputs]
-        cameras = [PosedCamera(f"photos/{i}.png", width, height, in_pixels[i], None) for i in range(count)]
+        in_pixels = [
+            photo.intrinsics * np.array([[width], [height], [1.0]])
+            for photo in scene.inputs
+        ]
+        cameras = [
+            PosedCamera(f"photos/{i}.png", width, height, in_pixels[i], None)
+            for i in range(count)
+        ]
         write_cameras(path / "cameras.json", cameras)
-        matrices = {name: [getattr(photo, name).tolist() for photo in photos] for name in ("intrinsics", "c2w")}
+        matrices = {
+            name: [getattr(photo, name).tolist() for photo in photos]
+            for name in ("intrinsics", "c2w")
+        }
         truth = {"name": path.name, "kind": scene.kind, **matrices}
         (path / TRUTH_FILE).write_text(json.dumps(truth), encoding="utf-8")
     return SceneFolder.open(path)

@@ -1,6 +1,8 @@
-"""From a sweep's raw measurements to points, the Pareto front, and the presets that `edit3r run --quality` offers.
+"""From a sweep's raw measurements to points, the Pareto front, and the presets that `edit3r run
+--quality` offers.
 
-A point is one choice of run settings. A cost is smaller-is-better (seconds), an accuracy larger-is-better (dB).
+A point is one choice of run settings. A cost is smaller-is-better (seconds), an accuracy
+larger-is-better (dB).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edit3r.io.decode import read_image
-from edit3r.quality import PRESETS, Expected, Quality, ShippedPoint
+from edit3r.pipeline.quality import PRESETS, Expected, Quality, ShippedPoint
 from edit3r_measure.metrics import psnr
 from edit3r_measure.report import grouped
 from edit3r_measure.tradeoff_knobs import SweepPlan
@@ -54,8 +56,12 @@ class Figures:
 
     cpu: Spread  # all stages of one run [s]: over the repeats, then the mean over the scenes
     wall: Spread  # the same
-    first: Mapping[str, float]  # the first run of a process, by clock: what a run of the command takes [s]
-    stages: Mapping[str, float]  # processor seconds of each stage, median of the repeats
+    first: Mapping[
+        str, float
+    ]  # the first run of a process, by clock: what a run of the command takes [s]
+    stages: Mapping[
+        str, float
+    ]  # processor seconds of each stage, median of the repeats
     memory_mb: float  # peak of the process, largest of the scenes [MiB]
     start_memory_mb: float  # of which the program took before it made anything
     gaussians: float
@@ -67,10 +73,14 @@ class Figures:
     perceptual: float | None
     uptake: float | None
     leak: float | None
-    distance: float | None = None  # PSNR of its novel views against those of the most accurate point [dB]
+    distance: float | None = (
+        None  # PSNR of its novel views against those of the most accurate point [dB]
+    )
 
     def seconds(self, clock: str) -> float:
-        """Return the time to rank by, of "cpu" or "wall": the quickest repeats', which others disturbed least."""
+        """Return the time to rank by, of "cpu" or "wall": the quickest repeats', which others
+        disturbed least.
+        """
         return getattr(self, clock).least
 
 
@@ -84,32 +94,57 @@ class MeasuredPoint:
 
 
 def summarize(measurements: Sequence[Measurement]) -> list[MeasuredPoint]:
-    """Return the points measured on every scene that any point was measured on, and that failed on none."""
+    """Return the points measured on every scene that any point was measured on, and that failed on
+    none.
+    """
     scenes = {m["scene"] for m in measurements}
     points = []
     for label, group in grouped(measurements, lambda m: m["label"]).items():
-        if {m["scene"] for m in group} == scenes and not any("failure" in m for m in group):
-            kinds = {kind: _figures(own) for kind, own in grouped(group, lambda m: m["kind"]).items()}
+        if {m["scene"] for m in group} == scenes and not any(
+            "failure" in m for m in group
+        ):
+            kinds = {
+                kind: _figures(own)
+                for kind, own in grouped(group, lambda m: m["kind"]).items()
+            }
             points.append(MeasuredPoint(label, group[0]["settings"], kinds))
     return points
 
 
 def with_distances(
-    points: Sequence[MeasuredPoint], measurements: Sequence[Measurement], image: Callable[[str], Path]
+    points: Sequence[MeasuredPoint],
+    measurements: Sequence[Measurement],
+    image: Callable[[str], Path],
 ) -> list[MeasuredPoint]:
     """Fill in `Figures.distance`; `image` is a measurement's key to the file of its novel view.
 
     The most accurate point of a kind of scene has none, nor has a point whose files are gone.
     """
     for kind in points[0].kinds if points else ():
-        files = {(m["label"], m["scene"]): image(m["key"]) for m in measurements if m["kind"] == kind}
-        views = {at: np.asarray(read_image(f), np.float32) / 255 for at, f in files.items() if f.is_file()}
+        files = {
+            (m["label"], m["scene"]): image(m["key"])
+            for m in measurements
+            if m["kind"] == kind
+        }
+        views = {
+            at: np.asarray(read_image(f), np.float32) / 255
+            for at, f in files.items()
+            if f.is_file()
+        }
         best = max(points, key=lambda point: point.kinds[kind].psnr).label
         filled = []
         for point in points:
-            scenes = [scene for label, scene in views if label == point.label != best and (best, scene) in views]
-            decibels = [psnr(views[point.label, scene], views[best, scene]) for scene in scenes]
-            figures = replace(point.kinds[kind], distance=fmean(decibels) if decibels else None)
+            scenes = [
+                scene
+                for label, scene in views
+                if label == point.label != best and (best, scene) in views
+            ]
+            decibels = [
+                psnr(views[point.label, scene], views[best, scene]) for scene in scenes
+            ]
+            figures = replace(
+                point.kinds[kind], distance=fmean(decibels) if decibels else None
+            )
             filled.append(replace(point, kinds={**point.kinds, kind: figures}))
         points = filled
     return list(points)
@@ -118,12 +153,17 @@ def with_distances(
 def _figures(group: Sequence[Measurement]) -> Figures:
     runs = [[run for run in m["runs"] if not run["warm_up"]] for m in group]
     times = {
-        clock: Spread.mean(Spread.of(sum(run[clock].values()) for run in scene) for scene in runs)
+        clock: Spread.mean(
+            Spread.of(sum(run[clock].values()) for run in scene) for scene in runs
+        )
         for clock in ("cpu", "wall")
     }
     return Figures(
         **times,
-        first={clock: fmean(sum(m["runs"][0][clock].values()) for m in group) for clock in times},
+        first={
+            clock: fmean(sum(m["runs"][0][clock].values()) for m in group)
+            for clock in times
+        },
         stages=_stages(runs),
         memory_mb=max(m["memory_mb"] for m in group),
         start_memory_mb=min(m["start_memory_mb"] for m in group),
@@ -136,11 +176,17 @@ def _figures(group: Sequence[Measurement]) -> Figures:
 
 
 def _stages(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, float]:
-    """Return processor seconds by stage; component names in brackets are left out, so that points share the names."""
-    names = dict.fromkeys(name for scene in runs for run in scene for name in run["cpu"])
+    """Return processor seconds by stage; component names in brackets are left out, so that points
+    share the names.
+    """
+    names = dict.fromkeys(
+        name for scene in runs for run in scene for name in run["cpu"]
+    )
     found: dict[str, float] = {}
     for name in names:
-        seconds = fmean(median(run["cpu"].get(name, 0.0) for run in scene) for scene in runs)
+        seconds = fmean(
+            median(run["cpu"].get(name, 0.0) for run in scene) for scene in runs
+        )
         plain = name.partition(" (")[0]
         found[plain] = found.get(plain, 0.0) + seconds
     return found
@@ -155,7 +201,8 @@ def _mean_of_known(group: Sequence[Measurement], key: str) -> float | None:
 
 
 def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
-    """Return for each point whether no other is at least as good in both and better in one (the Pareto front).
+    """Return for each point whether no other is at least as good in both and better in one (the
+    Pareto front).
 
     Points equal in both do not push each other out.
     """
@@ -170,15 +217,25 @@ def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
 def on_every_front(points: Sequence[ShippedPoint]) -> list[bool]:
     """Return for each point whether it is on the front of every kind of scene."""
     kinds = points[0].expected if points else ()
-    fronts = [front([p.expected[k].seconds for p in points], [p.expected[k].psnr for p in points]) for k in kinds]
+    fronts = [
+        front(
+            [p.expected[k].seconds for p in points],
+            [p.expected[k].psnr for p in points],
+        )
+        for k in kinds
+    ]
     return [all(flags) for flags in zip(*fronts)]
 
 
-def choose_presets(points: Sequence[ShippedPoint], apart: float = 2.0) -> dict[str, ShippedPoint]:
-    """Return the presets by name, all of them points on every front; empty when there are no three such points.
+def choose_presets(
+    points: Sequence[ShippedPoint], apart: float = 2.0
+) -> dict[str, ShippedPoint]:
+    """Return the presets by name, all of them points on every front; empty when there are no three
+    such points.
 
-    `best` is the most accurate point at the largest size of photos for which the other two exist. `balanced` is the
-    most accurate point that costs at most 1/`apart` of it on every kind of scene, and `fast` the same below `balanced`.
+    `best` is the most accurate point at the largest size of photos for which the other two exist.
+    `balanced` is the most accurate point that costs at most 1/`apart` of it on every kind of scene,
+    and `fast` the same below `balanced`.
     """
     candidates = [point for point, flag in zip(points, on_every_front(points)) if flag]
     largest = max((point.settings.get("size", 0) for point in points), default=0)
@@ -191,36 +248,64 @@ def choose_presets(points: Sequence[ShippedPoint], apart: float = 2.0) -> dict[s
     return {}
 
 
-def _most_accurate(points: Sequence[ShippedPoint], slower: ShippedPoint, apart: float) -> ShippedPoint | None:
-    """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of scene."""
-    quick = [p for p in points if all(apart * p.expected[k].seconds <= e.seconds for k, e in slower.expected.items())]
+def _most_accurate(
+    points: Sequence[ShippedPoint], slower: ShippedPoint, apart: float
+) -> ShippedPoint | None:
+    """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of
+    scene.
+    """
+    quick = [
+        p
+        for p in points
+        if all(
+            apart * p.expected[k].seconds <= e.seconds
+            for k, e in slower.expected.items()
+        )
+    ]
     return max(quick, key=lambda p: p.accuracy, default=None)
 
 
-def make_quality(points: Sequence[MeasuredPoint], measured: Mapping[str, Any], plan: SweepPlan) -> Quality:
-    """Return the content of the shipped file: all points, quickest first by `measured["clock"]`, with the presets.
+def make_quality(
+    points: Sequence[MeasuredPoint], measured: Mapping[str, Any], plan: SweepPlan
+) -> Quality:
+    """Return the content of the shipped file: all points, quickest first by `measured["clock"]`,
+    with the presets.
 
-    Only what `plan.shipped` names is a preset's business; a point that differs from the base elsewhere (in the number
-    of photos, say) is measured but not shipped.
+    Only what `plan.shipped` names is a preset's business; a point that differs from the base
+    elsewhere (in the number of photos, say) is measured but not shipped.
     """
     exact = []
     for point in points:
-        shipped = {key: value for key, value in point.settings.items() if key in plan.shipped}
+        shipped = {
+            key: value for key, value in point.settings.items() if key in plan.shipped
+        }
         if _of_the_user(point.settings, plan) == _of_the_user(plan.base, plan):
-            expected = {kind: _expected(figures, measured["clock"]) for kind, figures in point.kinds.items()}
-            exact.append(ShippedPoint(label=point.label, settings=shipped, expected=expected))
-    presets = {point.label: preset for preset, point in choose_presets(exact, APART).items()}
+            expected = {
+                kind: _expected(figures, measured["clock"])
+                for kind, figures in point.kinds.items()
+            }
+            exact.append(
+                ShippedPoint(label=point.label, settings=shipped, expected=expected)
+            )
+    presets = {
+        point.label: preset for preset, point in choose_presets(exact, APART).items()
+    }
     rounded = [
         point.model_copy(
             update={
                 "front": flag,
                 "preset": presets.get(point.label),
-                "expected": {kind: _rounded(expected) for kind, expected in point.expected.items()},
+                "expected": {
+                    kind: _rounded(expected)
+                    for kind, expected in point.expected.items()
+                },
             }
         )
         for point, flag in zip(exact, on_every_front(exact))
     ]
-    return Quality(measured=dict(measured), points=sorted(rounded, key=lambda point: point.seconds))
+    return Quality(
+        measured=dict(measured), points=sorted(rounded, key=lambda point: point.seconds)
+    )
 
 
 def _of_the_user(settings: Mapping[str, Any], plan: SweepPlan) -> dict[str, Any]:
@@ -241,4 +326,9 @@ def _expected(figures: Figures, clock: str) -> Expected:
 
 
 def _rounded(expected: Expected) -> Expected:
-    return Expected(**{name: round(value, DIGITS.get(name, 0)) for name, value in expected.model_dump().items()})
+    return Expected(
+        **{
+            name: round(value, DIGITS.get(name, 0))
+            for name, value in expected.model_dump().items()
+        }
+    )

@@ -1,4 +1,6 @@
-"""The table of a sweep with the words around it, in Markdown, and its plot: time against accuracy."""
+"""The table of a sweep with the words around it, in Markdown, and its plot: time against
+accuracy.
+"""
 
 import math
 import os
@@ -17,10 +19,16 @@ from edit3r_measure.report import format_or_dash, markdown_table
 from edit3r_measure.tradeoff_knobs import BASE
 from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
 
-START, END = "<!-- tradeoff: written by edit3r tradeoff --page -->", "<!-- end of tradeoff -->"
+START, END = (
+    "<!-- tradeoff: written by edit3r tradeoff --page -->",
+    "<!-- end of tradeoff -->",
+)
 STAGES = ("reconstruct", "simplify", "refine", "render", "write files")
 CLOCKS = {"cpu": "processor time", "wall": "time"}
-PANEL, LINE = 260, 9  # about the height of all points, and of a line of text [typographic points]
+PANEL, LINE = (
+    260,
+    9,
+)  # about the height of all points, and of a line of text [typographic points]
 NAMES = 0.6  # room for names, left of the points, against the width of these
 
 
@@ -34,14 +42,19 @@ def report(
     """Return everything that a sweep found; `presets` is label to preset."""
     parts = [_statement(measurements, measured, clock)]
     for kind in points[0].kinds if points else ():
-        scenes = list(dict.fromkeys(m["scene"] for m in measurements if m["kind"] == kind))
-        parts.append(f"**{kind}** ({', '.join(scenes)})\n\n{_table(points, kind, clock, presets)}")
+        scenes = list(
+            dict.fromkeys(m["scene"] for m in measurements if m["kind"] == kind)
+        )
+        parts.append(
+            f"**{kind}** ({', '.join(scenes)})\n\n{_table(points, kind, clock, presets)}"
+        )
     parts.append("\n".join(_remarks(measurements)))
     return "\n\n".join(parts) + "\n"
 
 
 def write_into_page(page: Path, text: str, plotted: Path) -> None:
-    """Write the report between the markers of a page, and the plot, if there is one, to images/ beside the page.
+    """Write the report between the markers of a page, and the plot, if there is one, to images/
+    beside the page.
 
     Raises InputError when the page has no markers.
     """
@@ -56,43 +69,73 @@ def write_into_page(page: Path, text: str, plotted: Path) -> None:
 def describe_machine(threads: int | None) -> dict[str, Any]:
     """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
     table = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.+)", table.read_text()) if table.is_file() else None
+    found = (
+        re.search(r"model name\s*: (.+)", table.read_text())
+        if table.is_file()
+        else None
+    )
     versions = installed_versions()
     return {
         "processor": found[1] if found else platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "threads": threads or "as the libraries choose",
-        "versions": {name: versions[name] for name in ("edit3r", "python", "torch", "numba") if name in versions},
+        "versions": {
+            name: versions[name]
+            for name in ("edit3r", "python", "torch", "numba")
+            if name in versions
+        },
     }
 
 
-def _statement(measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str) -> str:
+def _statement(
+    measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str
+) -> str:
     """Return a paragraph on the machine, how busy it was, and the command."""
-    versions = ", ".join(f"{name} {version}" for name, version in measured["versions"].items())
-    runs = [run for m in measurements for run in m.get("runs", ()) if not run["warm_up"]]
+    versions = ", ".join(
+        f"{name} {version}" for name, version in measured["versions"].items()
+    )
+    runs = [
+        run for m in measurements for run in m.get("runs", ()) if not run["warm_up"]
+    ]
     loads = [run["load"] for run in runs if run["load"] is not None]
-    waited = [sum(run["wall"].values()) / max(sum(run["cpu"].values()), 1e-9) for run in runs]
+    waited = [
+        sum(run["wall"].values()) / max(sum(run["cpu"].values()), 1e-9) for run in runs
+    ]
     busy = f"; 1-minute load {median(loads):.1f} in the median" if loads else ""
-    shared = f", wall time {median(waited):.2f} times the processor time in the median" if waited else ""
+    shared = (
+        f", wall time {median(waited):.2f} times the processor time in the median"
+        if waited
+        else ""
+    )
     days = sorted({m["measured_at"][:10] for m in measurements})
     return (
-        f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; {versions}; "
+        f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; "
+        f"{versions}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1]))) if days else 'nothing measured'}{busy}{shared}. "
         f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat; "
         f"measured by `{measured['command']}`."
     )
 
 
-def _table(points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> str:
+def _table(
+    points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]
+) -> str:
     rows = sorted(points, key=lambda p: p.kinds[kind].seconds(clock))
     figures = [point.kinds[kind] for point in rows]
     on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
     stages = [name for name in STAGES if any(name in f.stages for f in figures)]
     cells = [
-        [point.label, presets.get(point.label, ""), "yes" if on else "", *_cells(f, stages).values()]
+        [
+            point.label,
+            presets.get(point.label, ""),
+            "yes" if on else "",
+            *_cells(f, stages).values(),
+        ]
         for point, f, on in zip(rows, figures, on_front)
     ]
-    return markdown_table(["setting", "preset", "front", *_cells(figures[0], stages)], cells, left=3)
+    return markdown_table(
+        ["setting", "preset", "front", *_cells(figures[0], stages)], cells, left=3
+    )
 
 
 def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
@@ -105,7 +148,8 @@ def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
         "peak MiB": f"{f.memory_mb:.0f}",
         "Gaussians": f"{f.gaussians:,.0f}",
         "PLY MB": f"{f.ply_mb:.1f}",
-        "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to {f.psnr_of_scenes.most:.2f})",
+        "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to "
+        f"{f.psnr_of_scenes.most:.2f})",
         "SSIM": f"{f.ssim:.3f}",
         "perceptual": format_or_dash(f.perceptual, ".3f"),
         "dB to the best": format_or_dash(f.distance, ".1f"),
@@ -119,23 +163,46 @@ def _seconds(spread: Spread) -> str:
 
 
 def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Say what the base is, what failed, what was not repeatable, and which perceptual distance it was."""
+    """Say what the base is, what failed, what was not repeatable, and which perceptual distance it
+    was.
+    """
     base = next((m["settings"] for m in measurements if m["label"] == BASE), {})
-    lines = [f"- {BASE}: {', '.join(f'{key} {value}' for key, value in base.items())}; others differ as they say."]
-    lines += [f"- {m['label']} failed on {m['scene']}: {m['failure']}" for m in measurements if "failure" in m]
+    lines = [
+        f"- {BASE}: {', '.join(f'{key} {value}' for key, value in base.items())}; others differ "
+        "as they say."
+    ]
+    lines += [
+        f"- {m['label']} failed on {m['scene']}: {m['failure']}"
+        for m in measurements
+        if "failure" in m
+    ]
     odd = [m for m in measurements if not m.get("repeatable", True)]
-    lines += [f"- {m['label']} on {m['scene']}: repeats did not leave the same scene." for m in odd]
+    lines += [
+        f"- {m['label']} on {m['scene']}: repeats did not leave the same scene."
+        for m in odd
+    ]
     used = {m["perceptual_by"] for m in measurements if m.get("perceptual_by")}
     if used:
-        lines.append(f"- Perceptual distance: the loss {' and '.join(sorted(used))}; smaller is closer.")
-    missing = {name: why for m in measurements for name, why in m.get("perceptual_missing", {}).items()}
-    return lines + [f"- No perceptual distance by {name}: {why}" for name, why in sorted(missing.items())]
+        lines.append(
+            f"- Perceptual distance: the loss {' and '.join(sorted(used))}; smaller is closer."
+        )
+    missing = {
+        name: why
+        for m in measurements
+        for name, why in m.get("perceptual_missing", {}).items()
+    }
+    return lines + [
+        f"- No perceptual distance by {name}: {why}"
+        for name, why in sorted(missing.items())
+    ]
 
 
 # The plot.
 
 
-def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str], file: Path) -> None:
+def plot(
+    points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str], file: Path
+) -> None:
     """Write a panel for each kind of scene; `presets` is label to preset.
 
     Raises MissingDependencyError without matplotlib.
@@ -143,7 +210,9 @@ def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str]
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingDependencyError("the plot needs matplotlib; install with: pip install matplotlib") from None
+        raise MissingDependencyError(
+            "the plot needs matplotlib; install with: pip install matplotlib"
+        ) from None
     kinds = list(points[0].kinds)
     figure = Figure(figsize=(6.5 * len(kinds), 5), layout="constrained")
     for axis, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds):
@@ -151,22 +220,52 @@ def plot(points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str]
     figure.savefig(file, dpi=110)
 
 
-def _draw_panel(axis: Any, points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]) -> None:
+def _draw_panel(
+    axis: Any,
+    points: Sequence[MeasuredPoint],
+    kind: str,
+    clock: str,
+    presets: Mapping[str, str],
+) -> None:
     times = [getattr(p.kinds[kind], clock) for p in points]
     accuracies = [p.kinds[kind].psnr for p in points]
     on_front = front([t.least for t in times], accuracies)
-    line = sorted((t.least, a, p.label) for p, t, a, on in zip(points, times, accuracies, on_front) if on)
-    axis.step(*list(zip(*line))[:2], where="post", color="tab:blue", linewidth=1, label="front")
+    line = sorted(
+        (t.least, a, p.label)
+        for p, t, a, on in zip(points, times, accuracies, on_front)
+        if on
+    )
+    axis.step(
+        *list(zip(*line))[:2],
+        where="post",
+        color="tab:blue",
+        linewidth=1,
+        label="front",
+    )
     for point, time, accuracy, on in zip(points, times, accuracies, on_front):
         preset = presets.get(point.label)
-        look = {"fmt": "*", "ms": 15, "color": "tab:red"} if preset else {"fmt": "o", "ms": 5}
+        look = (
+            {"fmt": "*", "ms": 15, "color": "tab:red"}
+            if preset
+            else {"fmt": "o", "ms": 5}
+        )
         spread = [[0], [time.most - time.least]]
-        axis.errorbar(time.least, accuracy, xerr=spread, lw=1, **{"color": "tab:blue" if on else "0.6", **look})
-    _label_axes(axis, kind, clock, min(t.least for t in times), max(t.most for t in times))
+        axis.errorbar(
+            time.least,
+            accuracy,
+            xerr=spread,
+            lw=1,
+            **{"color": "tab:blue" if on else "0.6", **look},
+        )
+    _label_axes(
+        axis, kind, clock, min(t.least for t in times), max(t.most for t in times)
+    )
     _name_points(axis, line, presets, max(accuracies) - min(accuracies))
 
 
-def _label_axes(axis: Any, kind: str, clock: str, quickest: float, slowest: float) -> None:
+def _label_axes(
+    axis: Any, kind: str, clock: str, quickest: float, slowest: float
+) -> None:
     """Make the axis of times [s] logarithmic, with room for names on the left."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -182,9 +281,13 @@ def _label_axes(axis: Any, kind: str, clock: str, quickest: float, slowest: floa
 
 
 def _name_points(
-    axis: Any, on_front: Sequence[tuple[float, float, str]], presets: Mapping[str, str], span: float
+    axis: Any,
+    on_front: Sequence[tuple[float, float, str]],
+    presets: Mapping[str, str],
+    span: float,
 ) -> None:
-    """Write the names of (seconds, dB, label), quickest first, to the left, where no point can be, and none on another.
+    """Write the names of (seconds, dB, label), quickest first, to the left, where no point can be,
+    and none on another.
 
     Points off the front are named in the table.
     """

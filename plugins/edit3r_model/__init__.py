@@ -1,18 +1,19 @@
 """The networks of the paper: photos without poses to 3D Gaussians in one pass, any number of views.
 
-The small network, reconstructor `edit3r`, carries edits between views over matched geometry; its weights ship:
-`small_reconstructor` runs `small_backbone` and `small_head`, whose networks are in `edit_fusion` and whose rules are in
-`edit_colour`.
+The small network, reconstructor `edit3r`, carries edits between views over matched geometry; its
+weights ship: `small_reconstructor` runs `small_backbone` and `small_head`, whose networks are in
+`edit_fusion` and whose rules are in `edit_colour`.
 
-The full network, reconstructor `noposplat`, finds geometry by itself and needs weights: `full_reconstructor` brings
-images to its size (`view_fitting`) and runs `full_network`, that is `backbone` (of blocks in `transformer`) and
-`dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`. `checkpoints` and `official_checkpoints` read weights
-of any origin; `engine` chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the limits.
+The full network, reconstructor `noposplat`, finds geometry by itself and needs weights:
+`full_reconstructor` brings images to its size (`view_fitting`) and runs `full_network`, that is
+`backbone` (of blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in
+`gaussian_adapter`. `checkpoints` and `official_checkpoints` read weights of any origin; `engine`
+chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the limits.
 Written from a description of the published network; no code of that family is used.
 """
 
 from edit3r import Component, hookimpl
-from edit3r.weights import Weights
+from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
@@ -20,7 +21,8 @@ OFFICIAL = Weights(
     "edit3r-official",
     "the full network as the paper's authors trained it, for two views of 512x512",
     2_500_000_000,  # about: 612 million parameters in float32
-    "as the card of its repository says: read it first; the network starts from NoPoSplat's and MASt3R's weights, "
+    "as the card of its repository says: read it first; the network starts from NoPoSplat's and "
+    "MASt3R's weights, "
     "which are CC BY-NC-SA 4.0",
     "unclear",
     "hub:jiagengliu02/edit3r",
@@ -38,19 +40,20 @@ _NOPOSPLAT = Weights(
     files=(("re10k.ckpt", ""),),
 )
 
-_CITATION = (
-    "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
-)
+_CITATION = "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
 
 
 @hookimpl
 def register_backbones():
     about = "small U-Net over photos and matched geometry"
-    small = Component("matched-unet", "edit3r_model.small_backbone:MatchedUNet", about, min_views=2)
+    small = Component(
+        "matched-unet", "edit3r_model.small_backbone:MatchedUNet", about, min_views=2
+    )
     full = Component(
         "asymmetric-vit",
         "edit3r_model.backbone:AsymmetricViT",
-        "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other views",
+        "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other "
+        "views",
         min_views=2,
         citation=_CITATION,
     )
@@ -60,7 +63,13 @@ def register_backbones():
 @hookimpl
 def register_heads():
     about = "carries and fuses the edits over matched geometry; goes with any backbone"
-    small = Component("edit-fusion", "edit3r_model.small_head:EditFusionHead", about, parts=("backbone",), min_views=2)
+    small = Component(
+        "edit-fusion",
+        "edit3r_model.small_head:EditFusionHead",
+        about,
+        parts=("backbone",),
+        min_views=2,
+    )
     full = Component(
         "dpt-gaussian",
         "edit3r_model.dpt_head:DptGaussianHead",
@@ -77,7 +86,8 @@ def register_reconstructors():
     edit3r = Component(
         name="edit3r",
         target="edit3r_model.small_reconstructor:Edit3rReconstructor",
-        summary="matched geometry, and a small network that carries and fuses the edits (weights ship)",
+        summary="matched geometry, and a small network that carries and fuses the edits (weights "
+        "ship)",
         parts=("matcher", "backbone", "head"),
         min_views=2,
         weights=(OFFICIAL,),
@@ -86,7 +96,8 @@ def register_reconstructors():
     noposplat = Component(
         "noposplat",
         "edit3r_model.full_reconstructor:NoPoSplatReconstructor",
-        "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our safetensors; ships no weights",
+        "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our "
+        "safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,
         weights=(OFFICIAL, _NOPOSPLAT),
@@ -101,11 +112,13 @@ def register_commands() -> list[Component]:
         Component(
             "convert",
             "edit3r_model.command:ConvertCommand",
-            "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
+            "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config "
+            "beside it",
         ),
         Component(
             "conflicts",
             "edit3r_model.command:ConflictsCommand",
-            "draw what each photo's Gaussians of a run show, and where its edit contradicts the first's",
+            "draw what each photo's Gaussians of a run show, and where its edit contradicts the "
+            "first's",
         ),
     ]

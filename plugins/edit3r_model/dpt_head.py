@@ -1,6 +1,8 @@
-"""Head `dpt-gaussian`: token levels to dense maps of centres and attributes, one Gaussian per pixel.
+"""Head `dpt-gaussian`: token levels to dense maps of centres and attributes, one Gaussian per
+pixel.
 
-Dense prediction transformer heads (DPT, Ranftl et al. 2021) as in MASt3R; two per role (view 0; all others).
+Dense prediction transformer heads (DPT, Ranftl et al. 2021) as in MASt3R; two per role (view 0; all
+others).
 """
 
 from collections.abc import Callable
@@ -13,65 +15,98 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Backbone, GaussianHead
+from edit3r.contract.types import Features, Gaussians
 from edit3r.errors import SettingsError
-from edit3r.interfaces import Backbone, GaussianHead
-from edit3r.types import Features, Gaussians
 from edit3r_model.backbone import ROLES, assign_roles
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
 from edit3r_model.memory import construct
 
 IN_STRIPS = {3: (0, 1), 7: (0, 3)}
-"""Padding (rows, columns) by kernel size of layers that see strips: these bring their bordering rows along."""
+"""Padding (rows, columns) by kernel size of layers that see strips: these bring their bordering
+rows along.
+"""
 
 
 class DptGaussianHead(GaussianHead):
-    """Two dense predictors per role: one for the Gaussians' centres, one for all their other attributes.
+    """Two dense predictors per role: one for the Gaussians' centres, one for all their other
+    attributes.
 
-    Centres come from the transformer's features alone; attributes also see the image itself through a convolution
-    that skips the transformer, which is what keeps colours sharp.
+    Centres come from the transformer's features alone; attributes also see the image itself through
+    a convolution that skips the transformer, which is what keeps colours sharp.
     """
 
     class Settings(Settings):
         feature_width: int = Field(256, ge=1, description="channels of the fused maps")
-        point_width: int = Field(128, ge=1, description="channels of the centre predictor's last layers")
-        layer_widths: tuple[int, int, int, int] = Field(
-            (96, 192, 384, 768), description="channels of the four reassembled levels, finest first"
+        point_width: int = Field(
+            128, ge=1, description="channels of the centre predictor's last layers"
         )
-        harmonics_degree: int = Field(4, ge=0, le=4, description="degree of the harmonics the network predicts")
+        layer_widths: tuple[int, int, int, int] = Field(
+            (96, 192, 384, 768),
+            description="channels of the four reassembled levels, finest first",
+        )
+        harmonics_degree: int = Field(
+            4, ge=0, le=4, description="degree of the harmonics the network predicts"
+        )
         keep_degree: int | None = Field(
             None,
             ge=0,
             le=4,
-            description="degree of the harmonics handed on; default: all predicted. The rasterizer the published "
+            description="degree of the harmonics handed on; default: all predicted. The "
+            "rasterizer the published "
             "models were trained with evaluates only up to 3, so 3 shows exactly what it showed",
         )
-        scale_factor: float = Field(0.001, gt=0, description="of softplus(raw scale) [scene units]")
-        max_scale: float = Field(0.3, gt=0, description="largest standard deviation [scene units]")
+        scale_factor: float = Field(
+            0.001, gt=0, description="of softplus(raw scale) [scene units]"
+        )
+        max_scale: float = Field(
+            0.3, gt=0, description="largest standard deviation [scene units]"
+        )
         strip_rows: int = Field(
             16,
             ge=1,
-            description="picture rows computed at a time in the last layers; fewer need less memory, results are equal",
+            description="picture rows computed at a time in the last layers; fewer need less "
+            "memory, results are equal",
         )
         seed: int | None = Field(
-            0, description="of the initial weights; none leaves them empty (no memory), to be filled from a checkpoint"
+            0,
+            description="of the initial weights; none leaves them empty (no memory), to be "
+            "filled from a checkpoint",
         )
 
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings = settings
-        self.token_widths, self.patch_size = tuple(backbone.feature_widths), backbone.patch_size
+        self.token_widths, self.patch_size = (
+            tuple(backbone.feature_widths),
+            backbone.patch_size,
+        )
         if len(self.token_widths) != 4:
-            raise SettingsError(f"head: dpt-gaussian reads 4 levels, the backbone gives {len(self.token_widths)}.")
+            raise SettingsError(
+                f"head: dpt-gaussian reads 4 levels, the backbone gives {len(self.token_widths)}."
+            )
         if self.patch_size != 16:
-            raise SettingsError(f"head: dpt-gaussian needs patches of 16 pixels, the backbone has {self.patch_size}.")
-        self.degree = min(settings.harmonics_degree, 4 if settings.keep_degree is None else settings.keep_degree)
+            raise SettingsError(
+                "head: dpt-gaussian needs patches of 16 pixels, the backbone has "
+                f"{self.patch_size}."
+            )
+        self.degree = min(
+            settings.harmonics_degree,
+            4 if settings.keep_degree is None else settings.keep_degree,
+        )
         construct(self, self._build, settings.seed)
 
     def _build(self) -> None:
-        self.centres = nn.ModuleList(CentrePredictor(self.token_widths, self.settings) for _ in range(ROLES))
-        self.attributes = nn.ModuleList(AttributePredictor(self.token_widths, self.settings) for _ in range(ROLES))
+        self.centres = nn.ModuleList(
+            CentrePredictor(self.token_widths, self.settings) for _ in range(ROLES)
+        )
+        self.attributes = nn.ModuleList(
+            AttributePredictor(self.token_widths, self.settings) for _ in range(ROLES)
+        )
 
-    def forward(self, features: Features, images: Float[Tensor, "batch view 3 height width"]) -> Gaussians:
+    def forward(
+        self, features: Features, images: Float[Tensor, "batch view 3 height width"]
+    ) -> Gaussians:
         return adapt(
             self.raw_points(features),
             self.raw_parameters(features, images),
@@ -80,7 +115,9 @@ class DptGaussianHead(GaussianHead):
             self.degree,
         )
 
-    def raw_points(self, features: Features) -> Float[Tensor, "batch view 3 height width"]:
+    def raw_points(
+        self, features: Features
+    ) -> Float[Tensor, "batch view 3 height width"]:
         """Return the centre maps before the exponential."""
         return self._per_view(self.centres, features, None)
 
@@ -94,34 +131,60 @@ class DptGaussianHead(GaussianHead):
         return self._per_view(self.attributes, features, images * 2 - 1)
 
     def _per_view(
-        self, predictors: nn.ModuleList, features: Features, pixels: Float[Tensor, "batch view 3 height width"] | None
+        self,
+        predictors: nn.ModuleList,
+        features: Features,
+        pixels: Float[Tensor, "batch view 3 height width"] | None,
     ) -> Float[Tensor, "batch view channel height width"]:
-        """Run the right predictor on each view, one at a time: maps are large, and only one set is in memory."""
+        """Run the right predictor on each view, one at a time: maps are large, and only one set is
+        in memory.
+        """
         batch, views = features.levels[0].shape[:2]
-        maps: Tensor | None = None  # [batch, view, height, width, channel], as the Gaussians are ordered
+        maps: Tensor | None = (
+            None  # [batch, view, height, width, channel], as the Gaussians are ordered
+        )
         for predictor, role in zip(predictors, assign_roles(views)):
             for view in range(views)[role.own]:
                 for scene in range(batch):
-                    levels = [_on_grid(level[scene, view], features.grid) for level in features.levels]
+                    levels = [
+                        _on_grid(level[scene, view], features.grid)
+                        for level in features.levels
+                    ]
                     extra = () if pixels is None else (pixels[scene, view, None],)
                     result = predictor(levels, *extra)[0].movedim(0, -1)
-                    maps = result.new_empty(batch, views, *result.shape) if maps is None else maps
+                    maps = (
+                        result.new_empty(batch, views, *result.shape)
+                        if maps is None
+                        else maps
+                    )
                     maps[scene, view] = result
         return maps.movedim(-1, 2)
 
 
 class CentrePredictor(nn.Module):
-    """Raw centres of one view's Gaussians: trunk, then three convolutions with one doubling between them."""
+    """Raw centres of one view's Gaussians: trunk, then three convolutions with one doubling between
+    them.
+    """
 
-    def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
+    def __init__(
+        self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings
+    ) -> None:
         super().__init__()
         self.strip_rows = settings.strip_rows
-        self.trunk = DptTrunk(token_widths, settings.layer_widths, settings.feature_width)
-        self.conv1 = nn.Conv2d(settings.feature_width, settings.point_width, 3, padding=1)
-        self.conv2 = nn.Conv2d(settings.point_width, settings.point_width, 3, padding=IN_STRIPS[3])
+        self.trunk = DptTrunk(
+            token_widths, settings.layer_widths, settings.feature_width
+        )
+        self.conv1 = nn.Conv2d(
+            settings.feature_width, settings.point_width, 3, padding=1
+        )
+        self.conv2 = nn.Conv2d(
+            settings.point_width, settings.point_width, 3, padding=IN_STRIPS[3]
+        )
         self.out = nn.Conv2d(settings.point_width, 3, 1)
 
-    def forward(self, maps: list[Float[Tensor, "batch channel n m"]]) -> Float[Tensor, "batch 3 height width"]:
+    def forward(
+        self, maps: list[Float[Tensor, "batch channel n m"]]
+    ) -> Float[Tensor, "batch 3 height width"]:
         half = self.conv1(self.trunk(maps))
         height = 2 * half.shape[2]
 
@@ -133,9 +196,13 @@ class CentrePredictor(nn.Module):
 
 
 class AttributePredictor(nn.Module):
-    """Raw attributes of one view's Gaussians: doubled trunk plus features of the image, then two convolutions."""
+    """Raw attributes of one view's Gaussians: doubled trunk plus features of the image, then two
+    convolutions.
+    """
 
-    def __init__(self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings) -> None:
+    def __init__(
+        self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings
+    ) -> None:
         super().__init__()
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
@@ -145,23 +212,31 @@ class AttributePredictor(nn.Module):
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
     def forward(
-        self, maps: list[Float[Tensor, "batch channel n m"]], pixels: Float[Tensor, "batch 3 height width"]
+        self,
+        maps: list[Float[Tensor, "batch channel n m"]],
+        pixels: Float[Tensor, "batch 3 height width"],
     ) -> Float[Tensor, "batch channel height width"]:
         half = self.trunk(maps)
         height = 2 * half.shape[2]
         pixels = pixels.to(half.dtype)
 
         def seen(start: int, stop: int) -> Tensor:
-            near = with_border(lambda first, last: pixels[:, :, first:last], start, stop, height, 3)
+            near = with_border(
+                lambda first, last: pixels[:, :, first:last], start, stop, height, 3
+            )
             return double_rows(half, start, stop) + F.relu(self.shortcut(near))
 
         def strip(start: int, stop: int) -> Tensor:
-            return self.out(F.relu(self.conv(with_border(seen, start, stop, height, 1))))
+            return self.out(
+                F.relu(self.conv(with_border(seen, start, stop, height, 1)))
+            )
 
         return in_strips(height, self.strip_rows, strip)
 
 
-def _on_grid(tokens: Float[Tensor, "token channel"], grid: tuple[int, int]) -> Float[Tensor, "1 channel rows columns"]:
+def _on_grid(
+    tokens: Float[Tensor, "token channel"], grid: tuple[int, int]
+) -> Float[Tensor, "1 channel rows columns"]:
     """Tokens as a map with the rows and columns of the patch grid."""
     return tokens.T.unflatten(1, grid)[None]
 
@@ -169,23 +244,36 @@ def _on_grid(tokens: Float[Tensor, "token channel"], grid: tuple[int, int]) -> F
 class DptTrunk(nn.Module):
     """Reassemble token levels into maps of four resolutions and fuse them from coarse to fine.
 
-    With a patch grid of n x m the maps are 4n x 4m, 2n x 2m, n x m and ceil(n/2) x ceil(m/2); the result is 8n x 8m.
+    With a patch grid of n x m the maps are 4n x 4m, 2n x 2m, n x m and ceil(n/2) x ceil(m/2); the
+    result is 8n x 8m.
     """
 
-    def __init__(self, token_widths: tuple[int, ...], layer_widths: tuple[int, ...], width: int) -> None:
+    def __init__(
+        self, token_widths: tuple[int, ...], layer_widths: tuple[int, ...], width: int
+    ) -> None:
         super().__init__()
         self.reassemble = nn.ModuleList(
-            _reassemble(index, tokens, layer) for index, (tokens, layer) in enumerate(zip(token_widths, layer_widths))
+            _reassemble(index, tokens, layer)
+            for index, (tokens, layer) in enumerate(zip(token_widths, layer_widths))
         )
-        self.project = nn.ModuleList(nn.Conv2d(layer, width, 3, padding=1, bias=False) for layer in layer_widths)
+        self.project = nn.ModuleList(
+            nn.Conv2d(layer, width, 3, padding=1, bias=False) for layer in layer_widths
+        )
         self.fuse = nn.ModuleList(Fusion(width, skip=index < 3) for index in range(4))
 
-    def forward(self, maps: list[Float[Tensor, "batch channel rows columns"]]) -> Float[Tensor, "batch width 8n 8m"]:
+    def forward(
+        self, maps: list[Float[Tensor, "batch channel rows columns"]]
+    ) -> Float[Tensor, "batch width 8n 8m"]:
         """`maps` are the token levels on the patch grid, finest use first."""
         grid = maps[0].shape[-2:]
         dtype = self.reassemble[0][1].weight.dtype  # may differ from the backbone's
-        layers = [self.project[i](self.reassemble[i](level.to(dtype))) for i, level in enumerate(maps)]
-        path = self.fuse[3](layers[3])[..., : grid[0], : grid[1]]  # odd grids: 2 ceil(n/2) is one too many
+        layers = [
+            self.project[i](self.reassemble[i](level.to(dtype)))
+            for i, level in enumerate(maps)
+        ]
+        path = self.fuse[3](layers[3])[
+            ..., : grid[0], : grid[1]
+        ]  # odd grids: 2 ceil(n/2) is one too many
         for index in (2, 1, 0):
             path = self.fuse[index](path, layers[index])
         return path
@@ -199,15 +287,17 @@ class ResidualUnit(nn.Module):
         self.conv1 = nn.Conv2d(width, width, 3, padding=1)
         self.conv2 = nn.Conv2d(width, width, 3, padding=1)
 
-    def forward(self, x: Float[Tensor, "batch width h w"]) -> Float[Tensor, "batch width h w"]:
+    def forward(
+        self, x: Float[Tensor, "batch width h w"]
+    ) -> Float[Tensor, "batch width h w"]:
         return x + self.conv2(F.relu(self.conv1(F.relu(x))))
 
 
 class Fusion(nn.Module):
     """Add a finer map (if the block has a skip), refine, and double the resolution.
 
-    The published order is upsampling, then the 1x1 convolution. Interpolation weights sum to one, so the two commute
-    exactly; the convolution goes first here and costs a quarter.
+    The published order is upsampling, then the 1x1 convolution. Interpolation weights sum to one,
+    so the two commute exactly; the convolution goes first here and costs a quarter.
     """
 
     def __init__(self, width: int, skip: bool) -> None:
@@ -217,38 +307,52 @@ class Fusion(nn.Module):
         self.out = nn.Conv2d(width, width, 1)
 
     def forward(
-        self, x: Float[Tensor, "batch width h w"], finer: Float[Tensor, "batch width h w"] | None = None
+        self,
+        x: Float[Tensor, "batch width h w"],
+        finer: Float[Tensor, "batch width h w"] | None = None,
     ) -> Float[Tensor, "batch width 2h 2w"]:
         if self.skip is not None:
             x = x + self.skip(finer)
         return double(self.out(self.refine(x)))
 
 
-def double(x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch channel 2h 2w"]:
+def double(
+    x: Float[Tensor, "batch channel h w"],
+) -> Float[Tensor, "batch channel 2h 2w"]:
     """Upsample bilinearly by 2 and keep the corner pixels in place (`align_corners`)."""
     return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
 
 
-def double_rows(x: Float[Tensor, "batch channel h w"], start: int, stop: int) -> Float[Tensor, "batch channel row 2w"]:
+def double_rows(
+    x: Float[Tensor, "batch channel h w"], start: int, stop: int
+) -> Float[Tensor, "batch channel row 2w"]:
     """Compute the rows `start` to `stop` (exclusive) of `double(x)` without the others."""
     height = x.shape[2]
     at = torch.arange(start, stop, device=x.device) * ((height - 1) / (2 * height - 1))
     low = at.long().clamp(max=max(height - 2, 0))
     high = (low + 1).clamp(max=height - 1)
     share = (at - low).to(x.dtype)[:, None, None]
-    nhwc = x.permute(0, 2, 3, 1)  # indexing this way round keeps channels-last maps channels-last
+    nhwc = x.permute(
+        0, 2, 3, 1
+    )  # indexing this way round keeps channels-last maps channels-last
     rows = torch.lerp(nhwc[:, low], nhwc[:, high], share).permute(0, 3, 1, 2)
-    return F.interpolate(rows, size=(stop - start, 2 * x.shape[3]), mode="bilinear", align_corners=True)
+    return F.interpolate(
+        rows, size=(stop - start, 2 * x.shape[3]), mode="bilinear", align_corners=True
+    )
 
 
 def in_strips(
-    height: int, rows: int, compute: Callable[[int, int], Float[Tensor, "batch channel row width"]]
+    height: int,
+    rows: int,
+    compute: Callable[[int, int], Float[Tensor, "batch channel row width"]],
 ) -> Float[Tensor, "batch channel height width"]:
     """Join `compute(start, stop)` over strips of at most `rows` rows.
 
     Large maps never exist as a whole, and a strip stays in the cache from one layer to the next.
     """
-    strips = [compute(start, min(start + rows, height)) for start in range(0, height, rows)]
+    strips = [
+        compute(start, min(start + rows, height)) for start in range(0, height, rows)
+    ]
     return strips[0] if len(strips) == 1 else torch.cat(strips, 2)
 
 
@@ -259,7 +363,8 @@ def with_border(
     height: int,
     border: int,
 ) -> Float[Tensor, "batch channel row+2border width"]:
-    """Return rows `start - border` to `stop + border` of a map with `height` rows, zero beyond its edges.
+    """Return rows `start - border` to `stop + border` of a map with `height` rows, zero beyond its
+    edges.
 
     A convolution without padding in the rows needs them to give exactly the rows `start` to `stop`.
     """
@@ -270,11 +375,17 @@ def with_border(
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:
-    """Layers from tokens on the patch grid to a map at `index`'s resolution: x4, x2, x1, x1/2 of the grid's."""
+    """Layers from tokens on the patch grid to a map at `index`'s resolution: x4, x2, x1, x1/2 of
+    the grid's.
+    """
     project = nn.Conv2d(token_width, layer_width, 1)
     resize = {
         0: lambda: nn.ConvTranspose2d(layer_width, layer_width, 4, 4),
         1: lambda: nn.ConvTranspose2d(layer_width, layer_width, 2, 2),
         3: lambda: nn.Conv2d(layer_width, layer_width, 3, 2, padding=1),
     }
-    return nn.Sequential(project, resize[index]()) if index in resize else nn.Sequential(project)
+    return (
+        nn.Sequential(project, resize[index]())
+        if index in resize
+        else nn.Sequential(project)
+    )

@@ -1,8 +1,9 @@
 """In which precision the full network runs, and how a loaded layer is brought into it.
 
-`make_plan` decides from settings and from what this machine was measured to do, before anything loads; `prepare_leaf`
-then converts one layer after the other while the rest of the network is still on disk. Only int8 has layers of its own
-(`int8_layers`); every other precision is torch's plain layers, which can be trained.
+`make_plan` decides from settings and from what this machine was measured to do, before anything
+loads; `prepare_leaf` then converts one layer after the other while the rest of the network is still
+on disk. Only int8 has layers of its own (`int8_layers`); every other precision is torch's plain
+layers, which can be trained.
 """
 
 import time
@@ -18,11 +19,16 @@ from edit3r.reporting import note, warn
 from edit3r_model.int8_layers import Int8Conv, Int8Linear
 
 Precision = Literal["float32", "bfloat16", "float16", "int8"]
-DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
+DTYPES = {
+    "float32": torch.float32,
+    "bfloat16": torch.bfloat16,
+    "float16": torch.float16,
+}
 MIN_INT8_CHANNELS = 64
 """Narrower layers spend more on quantising than the products save."""
 WORTHWHILE = 1.2
-"""How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing."""
+"""How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing.
+"""
 MEASURED_SECONDS = 0.05
 
 
@@ -35,14 +41,22 @@ class EnginePlan:
 
 
 def make_plan(
-    precision: Precision | Literal["auto"], head_precision: Precision | Literal["auto"], device: torch.device
+    precision: Precision | Literal["auto"],
+    head_precision: Precision | Literal["auto"],
+    device: torch.device,
 ) -> EnginePlan:
-    """Return the plan for a device; raises SettingsError for a precision that the device does not run."""
+    """Return the plan for a device; raises SettingsError for a precision that the device does not
+    run.
+    """
     on_cpu = device.type == "cpu"
     if precision == "float16" and on_cpu:
-        raise SettingsError("reconstructor.precision: float16 is for CUDA; on a CPU use bfloat16 or int8.")
+        raise SettingsError(
+            "reconstructor.precision: float16 is for CUDA; on a CPU use bfloat16 or int8."
+        )
     if precision == "int8" and not (on_cpu and torch.backends.mkldnn.is_available()):
-        raise SettingsError("reconstructor.precision: int8 is for CPUs where torch has oneDNN; use bfloat16.")
+        raise SettingsError(
+            "reconstructor.precision: int8 is for CPUs where torch has oneDNN; use bfloat16."
+        )
     if precision == "auto":
         precision = "bfloat16" if bfloat16_gain(device) >= WORTHWHILE else "float32"
         note("reconstructor.precision", f"{precision}, after measuring")
@@ -51,16 +65,21 @@ def make_plan(
     parts = (precision, precision if head_precision == "auto" else head_precision)
     if "bfloat16" in parts and bfloat16_gain(device) < 1:
         gain = bfloat16_gain(device)
-        warn(f"products take {1 / gain:.1f} times as long in bfloat16 as in float32 here, so float32 takes its place.")
+        warn(
+            f"products take {1 / gain:.1f} times as long in bfloat16 as in float32 here, so "
+            "float32 takes its place."
+        )
         parts = tuple("float32" if part == "bfloat16" else part for part in parts)
     return EnginePlan(*parts)
 
 
 @cache
 def bfloat16_gain(device: torch.device) -> float:
-    """How many times as fast as in float32 a linear layer is in bfloat16 on `device`, by 50 ms of each in turns.
+    """How many times as fast as in float32 a linear layer is in bfloat16 on `device`, by 50 ms of
+    each in turns.
 
-    A processor may know bfloat16, only emulate it, or be slow in float32: nothing but the time tells.
+    A processor may know bfloat16, only emulate it, or be slow in float32: nothing but the time
+    tells.
     """
     dtypes = torch.float32, torch.bfloat16
     layers = [nn.Linear(1024, 1024, device=device, dtype=dtype) for dtype in dtypes]
@@ -72,23 +91,42 @@ def bfloat16_gain(device: torch.device) -> float:
                 start = _clock(device)
                 layer(x)
                 seconds = max(_clock(device) - start, 1e-9)
-                best[index], spent = min(best[index], seconds), spent + max(seconds, 1e-4)
+                best[index], spent = (
+                    min(best[index], seconds),
+                    spent + max(seconds, 1e-4),
+                )
     return best[0] / best[1]
 
 
 def _clock(device: torch.device) -> float:
-    """Seconds, when all work on `device` is done; on a CPU its own time, so that other programs do not count."""
+    """Seconds, when all work on `device` is done; on a CPU its own time, so that other programs do
+    not count.
+    """
     if device.type != "cuda":
         return time.process_time()
     torch.cuda.synchronize(device)
     return time.perf_counter()
 
 
-def prepare_leaf(network: nn.Module, name: str, leaf: nn.Module, plan: EnginePlan, device: torch.device) -> None:
-    """Convert the leaf called `name` in place: dtype, memory layout, device, or the int8 form of it."""
+def prepare_leaf(
+    network: nn.Module,
+    name: str,
+    leaf: nn.Module,
+    plan: EnginePlan,
+    device: torch.device,
+) -> None:
+    """Convert the leaf called `name` in place: dtype, memory layout, device, or the int8 form of
+    it.
+    """
     form = plan.backbone if name.startswith("backbone.") else plan.head
-    if form == "int8" and isinstance(leaf, nn.Linear | nn.Conv2d) and min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS:
-        network.set_submodule(name, (Int8Linear if isinstance(leaf, nn.Linear) else Int8Conv)(leaf))
+    if (
+        form == "int8"
+        and isinstance(leaf, nn.Linear | nn.Conv2d)
+        and min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS
+    ):
+        network.set_submodule(
+            name, (Int8Linear if isinstance(leaf, nn.Linear) else Int8Conv)(leaf)
+        )
         return
     dtype = DTYPES.get(form, torch.float32)
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):

@@ -1,6 +1,7 @@
 """Raw network maps to Gaussians: the activations of centre, scale, rotation, opacity and colour.
 
-Pure functions, always in float32 or wider. The parametrisation is that of Ye et al., No Pose, No Problem (ICLR 2025).
+Pure functions, always in float32 or wider. The parametrisation is that of Ye et al., No Pose, No
+Problem (ICLR 2025).
 """
 
 import torch
@@ -8,42 +9,62 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.types import Gaussians
+from edit3r.contract.types import Gaussians
 
 MAX_DISTANCE_EXPONENT = 40.0
 """Raw distances are cut here: e^40 is beyond any scene, and its square is still a float32."""
 MIN_SCALE = 1e-12
 """Keeps scales positive where softplus underflows [scene units]."""
 MIN_QUAT = 1e-6
-"""Shorter raw quaternions have no direction to speak of; dividing by their length would make gradients explode."""
+"""Shorter raw quaternions have no direction to speak of; dividing by their length would make
+gradients explode.
+"""
 
 
 def centres(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """Place points at distance e^|raw| - 1 in the direction of `raw`, in the frame of view 0; z may be negative."""
+    """Place points at distance e^|raw| - 1 in the direction of `raw`, in the frame of view 0; z may
+    be negative.
+    """
     length = raw.norm(dim=-1, keepdim=True)
-    return raw / length.clamp(min=1e-8) * torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
+    return (
+        raw
+        / length.clamp(min=1e-8)
+        * torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
+    )
 
 
-def bounded_scales(raw: Float[Tensor, "*batch 3"], factor: float, largest: float) -> Float[Tensor, "*batch 3"]:
+def bounded_scales(
+    raw: Float[Tensor, "*batch 3"], factor: float, largest: float
+) -> Float[Tensor, "*batch 3"]:
     """Compute standard deviations min(factor softplus(raw), largest) [scene units]."""
     return (factor * F.softplus(raw)).clamp(MIN_SCALE, largest)
 
 
 def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
-    """Turn raw x, y, z, w into unit wxyz; one shorter than `MIN_QUAT` becomes zero (no rotation, no gradient)."""
+    """Turn raw x, y, z, w into unit wxyz; one shorter than `MIN_QUAT` becomes zero (no rotation, no
+    gradient).
+    """
     norm = raw.norm(dim=-1, keepdim=True)
     unit = raw / (norm.clamp(min=MIN_QUAT) + 1e-8)
     return torch.where(norm > MIN_QUAT, unit, torch.zeros_like(unit)).roll(1, -1)
 
 
-def harmonics_mask(degree: int, like: Float[Tensor, "*shape"]) -> Float[Tensor, "coefficient"]:
+def harmonics_mask(
+    degree: int, like: Float[Tensor, "*shape"]
+) -> Float[Tensor, "coefficient"]:
     """Return the fixed damping of view dependence: 1 for l = 0, 0.1 * 0.25^l for higher l."""
-    factors = [1.0 if level == 0 else 0.1 * 0.25**level for level in range(degree + 1) for _ in range(2 * level + 1)]
+    factors = [
+        1.0 if level == 0 else 0.1 * 0.25**level
+        for level in range(degree + 1)
+        for _ in range(2 * level + 1)
+    ]
     return torch.tensor(factors, dtype=like.dtype, device=like.device)
 
 
 def attribute_channels(degree: int) -> int:
-    """Count the attribute map's channels: opacity, three scales, four quaternion entries, harmonics of 3 colours."""
+    """Count the attribute map's channels: opacity, three scales, four quaternion entries, harmonics
+    of 3 colours.
+    """
     return 8 + 3 * (degree + 1) ** 2
 
 
@@ -54,11 +75,15 @@ def adapt(
     max_scale: float,
     degree: int,
 ) -> Gaussians:
-    """Turn raw maps into one Gaussian per pixel, view-major and row-major, with harmonics kept up to `degree`."""
+    """Turn raw maps into one Gaussian per pixel, view-major and row-major, with harmonics kept up
+    to `degree`.
+    """
     views, height, width = points.shape[1], *points.shape[3:]
     raw = _per_pixel(attributes)
     opacity, scale, quat, colour = raw.split((1, 3, 4, raw.shape[-1] - 8), -1)
-    harmonics = colour.unflatten(-1, (3, -1)).transpose(-1, -2)  # [batch, gaussian, coefficient, 3]
+    harmonics = colour.unflatten(-1, (3, -1)).transpose(
+        -1, -2
+    )  # [batch, gaussian, coefficient, 3]
     kept = (degree + 1) ** 2
     return Gaussians(
         means=centres(_per_pixel(points)),
@@ -66,11 +91,15 @@ def adapt(
         quats=quats_from_xyzw(quat),
         opacities=opacity.squeeze(-1).sigmoid(),
         harmonics=harmonics[..., :kept, :] * harmonics_mask(degree, raw)[:, None],
-        view_index=torch.arange(views, device=points.device).repeat_interleave(height * width),
+        view_index=torch.arange(views, device=points.device).repeat_interleave(
+            height * width
+        ),
     )
 
 
-def _per_pixel(maps: Float[Tensor, "batch view channel height width"]) -> Float[Tensor, "batch gaussian channel"]:
+def _per_pixel(
+    maps: Float[Tensor, "batch view channel height width"],
+) -> Float[Tensor, "batch gaussian channel"]:
     """Maps to one row per pixel, in float32 at least."""
     wide = maps.float() if maps.dtype in (torch.float16, torch.bfloat16) else maps
     return wide.movedim(2, -1).flatten(1, 3)

@@ -1,7 +1,7 @@
 """Layers for inference on a CPU in int8, through oneDNN.
 
-The weights have one scale per output channel; activations are quantised as they come with one scale each. The layers
-hold no parameters, so they cannot be trained.
+The weights have one scale per output channel; activations are quantised as they come with one scale
+each. The layers hold no parameters, so they cannot be trained.
 """
 
 import cv2
@@ -10,22 +10,38 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 ROWS_HINT = 512
-"""Typical number of tokens a linear sees; oneDNN chooses its layout for it, any other number gives equal results."""
+"""Typical number of tokens a linear sees; oneDNN chooses its layout for it, any other number gives
+equal results.
+"""
 
 _LEVELS = 254
-"""Steps between the smallest and the largest value; one less than uint8 has, so that rounding never overflows."""
+"""Steps between the smallest and the largest value; one less than uint8 has, so that rounding never
+overflows.
+"""
 
 _int8_ops = torch.ops.onednn
-_FLOAT_OUTPUT = 1.0, 0, torch.float32, "none", []  # scale and zero point of a float are 1 and 0; nothing follows
+_FLOAT_OUTPUT = (
+    1.0,
+    0,
+    torch.float32,
+    "none",
+    [],
+)  # scale and zero point of a float are 1 and 0; nothing follows
 
 
 class _Int8Layer(nn.Module):
-    """What int8 layers share: scales of the weights, bias, and how results are made float32 again."""
+    """What int8 layers share: scales of the weights, bias, and how results are made float32
+    again.
+    """
 
-    def __init__(self, layer: nn.Linear | nn.Conv2d, scales: Float[Tensor, "out"]) -> None:
+    def __init__(
+        self, layer: nn.Linear | nn.Conv2d, scales: Float[Tensor, "out"]
+    ) -> None:
         super().__init__()
         self.register_buffer("scales", scales, persistent=False)
-        self.register_buffer("zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False)
+        self.register_buffer(
+            "zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False
+        )
         bias = None if layer.bias is None else layer.bias.detach().float()
         self.register_buffer("bias", bias, persistent=False)
 
@@ -37,7 +53,9 @@ class Int8Linear(_Int8Layer):
         weight, scales = quantise_weight(linear.weight.detach())
         super().__init__(linear, scales)
         self.in_features, self.out_features = linear.in_features, linear.out_features
-        self._weight = _int8_ops.qlinear_prepack(weight, [ROWS_HINT, linear.in_features])
+        self._weight = _int8_ops.qlinear_prepack(
+            weight, [ROWS_HINT, linear.in_features]
+        )
 
     def forward(self, x: Float[Tensor, "*batch in"]) -> Float[Tensor, "*batch out"]:
         values = quantise_input(x.reshape(-1, self.in_features).contiguous())
@@ -54,15 +72,23 @@ class Int8Conv(_Int8Layer):
         super().__init__(conv, scales)
         self.geometry = conv.stride, conv.padding, conv.dilation, conv.groups
         # The input's scale is passed again with each call; packing only needs some value.
-        self._weight = _int8_ops.qconv_prepack(weight, scales, 1.0, _LEVELS // 2, *self.geometry)
+        self._weight = _int8_ops.qconv_prepack(
+            weight, scales, 1.0, _LEVELS // 2, *self.geometry
+        )
 
-    def forward(self, x: Float[Tensor, "batch channel h w"]) -> Float[Tensor, "batch out h2 w2"]:
+    def forward(
+        self, x: Float[Tensor, "batch channel h w"]
+    ) -> Float[Tensor, "batch out h2 w2"]:
         values = quantise_input(x.contiguous(memory_format=torch.channels_last))
         weights = self._weight, self.scales, self.zeros, self.bias
-        return _int8_ops.qconv_pointwise(*values, *weights, *self.geometry, *_FLOAT_OUTPUT, "")
+        return _int8_ops.qconv_pointwise(
+            *values, *weights, *self.geometry, *_FLOAT_OUTPUT, ""
+        )
 
 
-def quantise_weight(weight: Float[Tensor, "out *rest"]) -> tuple[Tensor, Float[Tensor, "out"]]:
+def quantise_weight(
+    weight: Float[Tensor, "out *rest"],
+) -> tuple[Tensor, Float[Tensor, "out"]]:
     """Return (int8 weight, scale per output channel), symmetric around 0."""
     scales = weight.float().flatten(1).abs().amax(1).clamp(min=1e-12) / 127
     shape = (-1, *(1 for _ in weight.shape[1:]))
@@ -70,7 +96,8 @@ def quantise_weight(weight: Float[Tensor, "out *rest"]) -> tuple[Tensor, Float[T
 
 
 def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
-    """Return (uint8 values, scale, zero point) with the whole range of `x`, zero included, on 255 levels.
+    """Return (uint8 values, scale, zero point) with the whole range of `x`, zero included, on 255
+    levels.
 
     `x` is contiguous or channels-last; the values have its layout.
     """
@@ -81,7 +108,10 @@ def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
     low, high = min(low, 0.0), max(high, 0.0)
     scale = max((high - low) / _LEVELS, 1e-12)
     zero = round(-low / scale)
-    # OpenCV scales, rounds and narrows in one pass, four times faster than torch's conversion to uint8. The absolute
-    # value it takes as well changes nothing: the zero point leaves at most a rounding error below zero.
-    values = cv2.convertScaleAbs(x.reshape(-1, x.shape[-1]).numpy(), alpha=1 / scale, beta=zero)
+    # OpenCV scales, rounds and narrows in one pass, four times faster than torch's conversion to
+    # uint8. The absolute value it takes as well changes nothing: the zero point leaves at most a
+    # rounding error below zero.
+    values = cv2.convertScaleAbs(
+        x.reshape(-1, x.shape[-1]).numpy(), alpha=1 / scale, beta=zero
+    )
     return torch.from_numpy(values).view(x.shape), scale, zero

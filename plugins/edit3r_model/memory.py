@@ -1,4 +1,6 @@
-"""Memory of the full network: built empty, filled layer by layer, and estimated before a run starts."""
+"""Memory of the full network: built empty, filled layer by layer, and estimated before a run
+starts.
+"""
 
 import ctypes
 import mmap
@@ -9,24 +11,30 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from edit3r.contract.interfaces import Backbone
 from edit3r.errors import RunError
-from edit3r.interfaces import Backbone
 from edit3r.reporting import available_memory
 
 ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
 
 _WORKING_TENSORS = 14
-"""Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their rotated copies, MLP hidden (4)."""
+"""Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their rotated copies,
+MLP hidden (4).
+"""
 _WORKING_MAPS = 5
 """Feature maps at half resolution alive at once in a dense head."""
 _PER_GAUSSIAN = 4 * (2 * (3 + 83) + 86)
 """Bytes per pixel for raw maps, their stacked copies and the Gaussians in float32."""
 _PAGEOUT = 21
-"""MADV_PAGEOUT (Linux 5.4): drops clean file pages from the process, never data; Python's mmap does not name it."""
+"""MADV_PAGEOUT (Linux 5.4): drops clean file pages from the process, never data; Python's mmap does
+not name it.
+"""
 
 
 def construct(module: nn.Module, build: Callable[[], None], seed: int | None) -> None:
-    """Run `build` without memory for weights; then, unless `seed` is None, draw all initial weights."""
+    """Run `build` without memory for weights; then, unless `seed` is None, draw all initial
+    weights.
+    """
     with torch.device("meta"):
         build()
     if seed is not None:
@@ -36,26 +44,33 @@ def construct(module: nn.Module, build: Callable[[], None], seed: int | None) ->
 
 def leaf_names(module: nn.Module) -> list[str]:
     """Return the dotted names of all submodules that hold parameters themselves."""
-    return [name for name, part in module.named_modules() if next(part.parameters(recurse=False), None) is not None]
+    return [
+        name
+        for name, part in module.named_modules()
+        if next(part.parameters(recurse=False), None) is not None
+    ]
 
 
 def draw_leaf(name: str, leaf: nn.Module, seed: int) -> None:
     """Give the layer called `name` memory on the CPU and initial weights.
 
-    They depend on `seed` and `name` alone, so a network drawn in pieces equals one drawn at once. Both decoders of the
-    backbone start equal.
+    They depend on `seed` and `name` alone, so a network drawn in pieces equals one drawn at once.
+    Both decoders of the backbone start equal.
     """
     leaf.to_empty(device="cpu", recurse=False)
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed ^ zlib.crc32(name.replace("decoders.1.", "decoders.0.").encode()))
+        torch.manual_seed(
+            seed ^ zlib.crc32(name.replace("decoders.1.", "decoders.0.").encode())
+        )
         leaf.reset_parameters()
 
 
 def release_pages(tensor: Tensor) -> None:
-    """Take the pages of a memory-mapped file under `tensor` out of memory; the data stay valid. Linux only.
+    """Take the pages of a memory-mapped file under `tensor` out of memory; the data stay valid.
+    Linux only.
 
-    Without this the mapped file counts as resident until all of it is read, beside the copy in use. The advice is safe
-    for any tensor; where the system refuses it nothing happens.
+    Without this the mapped file counts as resident until all of it is read, beside the copy in use.
+    The advice is safe for any tensor; where the system refuses it nothing happens.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -63,18 +78,36 @@ def release_pages(tensor: Tensor) -> None:
     start = -(-tensor.data_ptr() // page) * page
     length = (tensor.data_ptr() + tensor.nbytes) // page * page - start
     if length > 0:
-        ctypes.CDLL(None).madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), _PAGEOUT)
+        ctypes.CDLL(None).madvise(
+            ctypes.c_void_p(start), ctypes.c_size_t(length), _PAGEOUT
+        )
 
 
-def estimate_bytes(backbone: Backbone, batch: int, views: int, size: tuple[int, int], feature_width: int = 256) -> int:
+def estimate_bytes(
+    backbone: Backbone,
+    batch: int,
+    views: int,
+    size: tuple[int, int],
+    feature_width: int = 256,
+) -> int:
     """Estimate the memory of one run beside the weights [bytes], usually within a factor of 1.5."""
     height, width = size
-    tokens = batch * views * (height // backbone.patch_size) * (width // backbone.patch_size)
+    tokens = (
+        batch * views * (height // backbone.patch_size) * (width // backbone.patch_size)
+    )
     channels = max(backbone.feature_widths)
-    token_bytes = 4 * tokens * channels * (_WORKING_TENSORS + len(backbone.feature_widths))
-    gathered = 4 * 2 * tokens * (views - 1) * channels  # keys and values of the other views
-    maps = 4 * feature_width * (height // 2) * (width // 2) * _WORKING_MAPS  # one image at a time
-    return token_bytes + gathered + maps + batch * views * height * width * _PER_GAUSSIAN
+    token_bytes = (
+        4 * tokens * channels * (_WORKING_TENSORS + len(backbone.feature_widths))
+    )
+    gathered = (
+        4 * 2 * tokens * (views - 1) * channels
+    )  # keys and values of the other views
+    maps = (
+        4 * feature_width * (height // 2) * (width // 2) * _WORKING_MAPS
+    )  # one image at a time
+    return (
+        token_bytes + gathered + maps + batch * views * height * width * _PER_GAUSSIAN
+    )
 
 
 def available_bytes(device: torch.device) -> int | None:
@@ -85,10 +118,13 @@ def available_bytes(device: torch.device) -> int | None:
 
 
 def check_fits(needed: int, device: torch.device, what: str) -> None:
-    """Raise RunError that says what to lower when `needed` bytes are more than `device` has free."""
+    """Raise RunError that says what to lower when `needed` bytes are more than `device` has
+    free.
+    """
     free = available_bytes(device)
     if free is not None and needed > free:
         raise RunError(
-            f"{what} needs about {needed / 2**30:.1f} GiB of memory on {device}, {free / 2**30:.1f} GiB are free; "
+            f"{what} needs about {needed / 2**30:.1f} GiB of memory on {device}, "
+            f"{free / 2**30:.1f} GiB are free; "
             f"{ADVICE}."
         )

@@ -1,4 +1,5 @@
-"""Backbone `matched-unet`: the unedited images and what matching says of them, seen together by a small U-Net.
+"""Backbone `matched-unet`: the unedited images and what matching says of them, seen together by a
+small U-Net.
 
 The convolutional blocks that the small form is made of are here as well.
 """
@@ -11,13 +12,18 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+from edit3r.compute.layers import Conv2d, GroupNorm, bilinear
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Backbone, MatchedGeometry
+from edit3r.contract.types import Features
 from edit3r.errors import InputError
 from edit3r.geometry.maps import resize
-from edit3r.geometry.warping import Correspondences, find_correspondences, partner_views, warp
-from edit3r.interfaces import Backbone, MatchedGeometry
-from edit3r.layers import Conv2d, GroupNorm, bilinear
-from edit3r.types import Features
+from edit3r.geometry.warping import (
+    Correspondences,
+    find_correspondences,
+    partner_views,
+    warp,
+)
 
 STRIDE = 2
 """Image pixels per side of a token."""
@@ -26,13 +32,17 @@ SMALLEST = 8
 
 
 class MatchedUNet(Backbone):
-    """U-Net with global attention at an eighth of the images' resolution; one level of features, at half of it."""
+    """U-Net with global attention at an eighth of the images' resolution; one level of features, at
+    half of it.
+    """
 
     takes_geometry = True
     patch_size = STRIDE
 
     class Settings(Settings):
-        width: int = Field(32, ge=8, le=512, multiple_of=8, description="channels of its features")
+        width: int = Field(
+            32, ge=8, le=512, multiple_of=8, description="channels of its features"
+        )
         seed: int = Field(0, ge=0, description="of the initial weights")
 
     def __init__(self, settings: Settings) -> None:
@@ -44,10 +54,15 @@ class MatchedUNet(Backbone):
             self.stem = Conv2d(12 * STRIDE**2, width, 3, padding=1)
             self.blocks2 = nn.Sequential(ResidualBlock(width))
             self.down4 = Conv2d(width, 2 * width, 4, stride=2, padding=1)
-            self.blocks4 = nn.Sequential(ResidualBlock(2 * width), ResidualBlock(2 * width))
+            self.blocks4 = nn.Sequential(
+                ResidualBlock(2 * width), ResidualBlock(2 * width)
+            )
             self.down8 = Conv2d(2 * width, 3 * width, 4, stride=2, padding=1)
             self.blocks8 = nn.Sequential(
-                ResidualBlock(3 * width), GlobalBlock(3 * width), ResidualBlock(3 * width), GlobalBlock(3 * width)
+                ResidualBlock(3 * width),
+                GlobalBlock(3 * width),
+                ResidualBlock(3 * width),
+                GlobalBlock(3 * width),
             )
             self.up4 = Conv2d(3 * width, 2 * width, 1)
             self.out4 = nn.Sequential(ResidualBlock(2 * width))
@@ -63,17 +78,28 @@ class MatchedUNet(Backbone):
         """Encode unedited images; the depths of `geometry` have a median of about 1."""
         size = tuple(images.shape[-2:])
         if geometry is None:
-            raise InputError("matched-unet needs matched geometry: give the reconstructor a matcher, as edit3r has.")
+            raise InputError(
+                "matched-unet needs matched geometry: give the reconstructor a matcher, as "
+                "edit3r has."
+            )
         if min(size) < SMALLEST or size[0] % STRIDE or size[1] % STRIDE:
-            raise InputError(f"matched-unet takes even sides of at least {SMALLEST} pixels, got {size[0]}x{size[1]}.")
+            raise InputError(
+                f"matched-unet takes even sides of at least {SMALLEST} pixels, got "
+                f"{size[0]}x{size[1]}."
+            )
         matches = find_correspondences(geometry.depths, intrinsics, geometry.c2w)
-        x = F.pixel_unshuffle(self._inputs(images, geometry, matches).flatten(0, 1), STRIDE)
+        x = F.pixel_unshuffle(
+            self._inputs(images, geometry, matches).flatten(0, 1), STRIDE
+        )
         x2 = self.blocks2(self.stem(x))
         x4 = self.blocks4(self.down4(x2))
         x8 = self.blocks8(self.down8(x4))
         x4 = self.out4(x4 + upsample_to(self.up4(x8), x4))
         x2 = self.out2(x2 + upsample_to(self.up2(x4), x2))
-        return Features((x2.flatten(2).transpose(1, 2).unflatten(0, images.shape[:2]),), tuple(x2.shape[-2:]))
+        return Features(
+            (x2.flatten(2).transpose(1, 2).unflatten(0, images.shape[:2]),),
+            tuple(x2.shape[-2:]),
+        )
 
     def _inputs(
         self,
@@ -83,16 +109,30 @@ class MatchedUNet(Backbone):
     ) -> Float[Tensor, "batch view 12 height width"]:
         """Own and warped colours, log depth and how far the views agree."""
         index, confidence = partner_views(images.shape[1]), geometry.confidence
-        warped = warp(torch.cat((images, confidence[:, :, None]), 2)[:, index], matches.coordinates)
+        warped = warp(
+            torch.cat((images, confidence[:, :, None]), 2)[:, index],
+            matches.coordinates,
+        )
         warped = warped * matches.inside[:, :, None]
-        gap = (images - warped[:, :, :3]).abs().mean(2, keepdim=True) * matches.inside[:, :, None]
-        single = (torch.log(geometry.depths), confidence, matches.inside, matches.depth_ratio)
+        gap = (images - warped[:, :, :3]).abs().mean(2, keepdim=True) * matches.inside[
+            :, :, None
+        ]
+        single = (
+            torch.log(geometry.depths),
+            confidence,
+            matches.inside,
+            matches.depth_ratio,
+        )
         maps = torch.stack(single, 2)
-        return torch.cat((images - 0.5, warped[:, :, :3], warped[:, :, 3:], gap, maps), 2)
+        return torch.cat(
+            (images - 0.5, warped[:, :, :3], warped[:, :, 3:], gap, maps), 2
+        )
 
 
 def averaged(geometry: MatchedGeometry, size: tuple[int, int]) -> MatchedGeometry:
-    """Return `geometry` for images shrunk to `size` (height, width); depths are averaged as inverse depths."""
+    """Return `geometry` for images shrunk to `size` (height, width); depths are averaged as inverse
+    depths.
+    """
     return replace(
         geometry,
         depths=1 / resize(1 / geometry.depths[:, :, None], size)[:, :, 0],
@@ -111,7 +151,9 @@ class ResidualBlock(nn.Module):
         nn.init.zeros_(self.second.weight)
         nn.init.zeros_(self.second.bias)
 
-    def forward(self, x: Float[Tensor, "batch channel height width"]) -> Float[Tensor, "batch channel height width"]:
+    def forward(
+        self, x: Float[Tensor, "batch channel height width"]
+    ) -> Float[Tensor, "batch channel height width"]:
         return x + self.second(F.silu(self.first(F.silu(self.norm(x)))))
 
 
@@ -127,9 +169,13 @@ class GlobalBlock(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, x: Float[Tensor, "batch channel height width"]) -> Float[Tensor, "batch channel height width"]:
+    def forward(
+        self, x: Float[Tensor, "batch channel height width"]
+    ) -> Float[Tensor, "batch channel height width"]:
         batch, width, rows, columns = x.shape
-        split = self.qkv(self.norm(x)).reshape(batch, 3, self.heads, width // self.heads, rows * columns)
+        split = self.qkv(self.norm(x)).reshape(
+            batch, 3, self.heads, width // self.heads, rows * columns
+        )
         q, k, v = split.transpose(-1, -2).unbind(1)  # [batch, head, token, channel]
         mixed = F.scaled_dot_product_attention(q, k, v).transpose(-1, -2)
         return x + self.out(mixed.reshape(batch, width, rows, columns))
@@ -144,16 +190,20 @@ def zero_conv(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 def upsample_to(
-    x: Float[Tensor, "batch channel height width"], like: Float[Tensor, "batch other height2 width2"]
+    x: Float[Tensor, "batch channel height width"],
+    like: Float[Tensor, "batch other height2 width2"],
 ) -> Float[Tensor, "batch channel height2 width2"]:
     """Resize `x` bilinearly to the grid of `like`."""
     return bilinear(x, like.shape[-2:])
 
 
 def convex_upsample(
-    values: Float[Tensor, "batch channel height width"], logits: Float[Tensor, "batch 36 height width"]
+    values: Float[Tensor, "batch channel height width"],
+    logits: Float[Tensor, "batch 36 height width"],
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Double the size; each fine pixel is a convex mix of 3x3 coarse neighbours (Teed and Deng 2020, section 3.3)."""
+    """Double the size; each fine pixel is a convex mix of 3x3 coarse neighbours (Teed and Deng
+    2020, section 3.3).
+    """
     batch, channels, rows, columns = values.shape
     weights = logits.reshape(batch, 1, 9, 4, rows, columns).softmax(2)
     neighbours = F.unfold(F.pad(values, (1, 1, 1, 1), mode="replicate"), 3)
@@ -165,4 +215,6 @@ def convex_upsample(
 def convex_upsample_start(conv: Conv2d, first: int) -> None:
     """Bias the 36 outputs from `first` on towards the coarse pixel each fine pixel lies in."""
     with torch.no_grad():
-        conv.bias[first + 16 : first + 20] = 3.0  # neighbour 4 (the centre) of all four fine pixels
+        conv.bias[first + 16 : first + 20] = (
+            3.0  # neighbour 4 (the centre) of all four fine pixels
+        )

@@ -1,4 +1,6 @@
-"""Covariances that follow the surface: flat discs, one a pixel, whose short axis is the normal that the depths show."""
+"""Covariances that follow the surface: flat discs, one a pixel, whose short axis is the normal that
+the depths show.
+"""
 
 from dataclasses import replace
 
@@ -7,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.types import Gaussians
+from edit3r.contract.types import Gaussians
 
 __all__ = ["discs", "surface_normals"]
 
@@ -15,8 +17,11 @@ _SMOOTH = 5
 """Side of the square of pixels over which normals are averaged: depths come in steps."""
 
 
-def discs(gaussians: Gaussians, grid: tuple[int, int, int], thickness: float) -> Gaussians:
-    """Flatten round pixel-aligned Gaussians of `grid` (views, height, width) to `thickness` along the normal.
+def discs(
+    gaussians: Gaussians, grid: tuple[int, int, int], thickness: float
+) -> Gaussians:
+    """Flatten round pixel-aligned Gaussians of `grid` (views, height, width) to `thickness` along
+    the normal.
 
     No gradient goes through the normals; means and scales stay differentiable.
     """
@@ -29,12 +34,22 @@ def discs(gaussians: Gaussians, grid: tuple[int, int, int], thickness: float) ->
     return replace(gaussians, scales=gaussians.scales * shape, quats=quats)
 
 
-def surface_normals(points: Float[Tensor, "batch view height width 3"]) -> Float[Tensor, "batch view height width 3"]:
-    """Return unit normals of maps of points, on the side of positive z; (0, 0, 1) where neighbours tell nothing."""
+def surface_normals(
+    points: Float[Tensor, "batch view height width 3"],
+) -> Float[Tensor, "batch view height width 3"]:
+    """Return unit normals of maps of points, on the side of positive z; (0, 0, 1) where neighbours
+    tell nothing.
+    """
     across, down = (_nearer_difference(points, axis) for axis in (3, 2))
-    maps = F.normalize(_facing(torch.linalg.cross(across, down)), dim=-1).flatten(0, 1).movedim(-1, 1)
+    maps = (
+        F.normalize(_facing(torch.linalg.cross(across, down)), dim=-1)
+        .flatten(0, 1)
+        .movedim(-1, 1)
+    )
     padded = F.pad(maps, (_SMOOTH // 2,) * 4, mode="replicate")
-    smooth = F.avg_pool2d(padded, _SMOOTH, 1).movedim(1, -1).unflatten(0, points.shape[:2])
+    smooth = (
+        F.avg_pool2d(padded, _SMOOTH, 1).movedim(1, -1).unflatten(0, points.shape[:2])
+    )
     upright = smooth.new_tensor([0.0, 0.0, 1e-6])
     return F.normalize(smooth + upright, dim=-1)
 
@@ -42,11 +57,17 @@ def surface_normals(points: Float[Tensor, "batch view height width 3"]) -> Float
 def _nearer_difference(
     points: Float[Tensor, "batch view height width 3"], axis: int
 ) -> Float[Tensor, "batch view height width 3"]:
-    """Difference to the nearer of the two neighbours along `axis`, so that no edge of an object is bridged."""
+    """Difference to the nearer of the two neighbours along `axis`, so that no edge of an object is
+    bridged.
+    """
     steps = points.diff(dim=axis)
     ahead = torch.cat((steps, steps.narrow(axis, -1, 1)), axis)
     behind = torch.cat((steps.narrow(axis, 0, 1), steps), axis)
-    return torch.where(ahead.norm(dim=-1, keepdim=True) < behind.norm(dim=-1, keepdim=True), ahead, behind)
+    return torch.where(
+        ahead.norm(dim=-1, keepdim=True) < behind.norm(dim=-1, keepdim=True),
+        ahead,
+        behind,
+    )
 
 
 def _facing(normals: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:

@@ -1,9 +1,10 @@
 """Transformer blocks of the encoder and of the two decoders, with rotary positions.
 
-Pre-norm, exact GELU, no dropout, no layer scale. Linear layers start with Xavier-uniform weights and zero bias.
-Positions are the two-dimensional rotary embedding of CroCo (Weinzaepfel et al. 2022): half of each head's channels
-are rotated by the token's row, half by its column. Inside a half, channel j is paired with channel j + d/4 (not with
-its neighbour), and the pair is rotated by the angle `position * base^(-4j/d)`, d being the width of a head.
+Pre-norm, exact GELU, no dropout, no layer scale. Linear layers start with Xavier-uniform weights
+and zero bias. Positions are the two-dimensional rotary embedding of CroCo (Weinzaepfel et al.
+2022): half of each head's channels are rotated by the token's row, half by its column. Inside a
+half, channel j is paired with channel j + d/4 (not with its neighbour), and the pair is rotated by
+the angle `position * base^(-4j/d)`, d being the width of a head.
 """
 
 from dataclasses import dataclass
@@ -23,28 +24,39 @@ class Rotation:
     cos: Float[Tensor, "token 1 channel"]
     sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
 
-    def __call__(self, x: Float[Tensor, "batch token head channel"]) -> Float[Tensor, "batch token head channel"]:
+    def __call__(
+        self, x: Float[Tensor, "batch token head channel"]
+    ) -> Float[Tensor, "batch token head channel"]:
         """Rotate queries or keys; the dtype of `x` is kept."""
         partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
         return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
 
 
 def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
-    """Return (row, column) of every patch, row-major; an extra token is placed first in the row below the grid."""
+    """Return (row, column) of every patch, row-major; an extra token is placed first in the row
+    below the grid.
+    """
     rows, columns = grid
-    positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).reshape(-1, 2)
+    positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).reshape(
+        -1, 2
+    )
     if not extra_token:
         return positions
     return torch.cat((positions, torch.tensor([[rows, 0]])))
 
 
 def make_rotation(
-    positions: Int[Tensor, "token 2"], head_width: int, base: float, device: torch.device | str = "cpu"
+    positions: Int[Tensor, "token 2"],
+    head_width: int,
+    base: float,
+    device: torch.device | str = "cpu",
 ) -> Rotation:
     """Build the tables for tokens at `positions`, computed in float64 and kept in float32."""
     pairs = head_width // 4
     frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
-    angles = positions.double()[:, None, :, None, None] * frequencies  # [token, 1, axis, 1, pair]
+    angles = (
+        positions.double()[:, None, :, None, None] * frequencies
+    )  # [token, 1, axis, 1, pair]
     cos = angles.cos().expand(-1, -1, -1, 2, -1)
     sin = torch.cat((-angles.sin(), angles.sin()), -2)
     return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))
@@ -73,7 +85,9 @@ def layer_norm(width: int) -> nn.LayerNorm:
 
 
 class SelfAttention(nn.Module):
-    """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each [head, channel]."""
+    """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each
+    [head, channel].
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -81,17 +95,24 @@ class SelfAttention(nn.Module):
         self.qkv = XavierLinear(width, 3 * width)
         self.proj = XavierLinear(width, width)
 
-    def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
-        query_key, value = self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
-        query, key = rotation(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
+    def forward(
+        self, x: Float[Tensor, "batch token width"], rotation: Rotation
+    ) -> Float[Tensor, "batch token width"]:
+        query_key, value = (
+            self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
+        )
+        query, key = (
+            rotation(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
+        )
         return self.proj(attend(query, key, value.squeeze(2)))
 
 
 class CrossAttention(nn.Module):
     """Multi-head attention from each view's tokens to the tokens of other views.
 
-    Keys and values depend on the token read alone, so they are computed once per view and gathered, which is cheaper
-    than projecting a concatenated memory for every reader and gives the same numbers.
+    Keys and values depend on the token read alone, so they are computed once per view and gathered,
+    which is cheaper than projecting a concatenated memory for every reader and gives the same
+    numbers.
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -108,11 +129,20 @@ class CrossAttention(nn.Module):
         reads: Int[Tensor, "reader read"],
         rotation: Rotation,
     ) -> Float[Tensor, "batch reader token width"]:
-        """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory` that reader i sees."""
+        """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory`
+        that reader i sees.
+        """
         batch, readers = x.shape[:2]
         query = rotation(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
-        key, value = self.key_value(memory).flatten(0, 1).unflatten(-1, (2, self.heads, -1)).unbind(2)
-        key, value = (_gather(tokens, reads, batch) for tokens in (rotation(key), value))
+        key, value = (
+            self.key_value(memory)
+            .flatten(0, 1)
+            .unflatten(-1, (2, self.heads, -1))
+            .unbind(2)
+        )
+        key, value = (
+            _gather(tokens, reads, batch) for tokens in (rotation(key), value)
+        )
         return self.proj(attend(query, key, value)).unflatten(0, (batch, readers))
 
 
@@ -124,7 +154,9 @@ class Mlp(nn.Module):
         self.fc1 = XavierLinear(width, hidden)
         self.fc2 = XavierLinear(hidden, width)
 
-    def forward(self, x: Float[Tensor, "*batch width"]) -> Float[Tensor, "*batch width"]:
+    def forward(
+        self, x: Float[Tensor, "*batch width"]
+    ) -> Float[Tensor, "*batch width"]:
         return self.fc2(F.gelu(self.fc1(x)))
 
 
@@ -138,7 +170,9 @@ class EncoderBlock(nn.Module):
         self.norm2 = layer_norm(width)
         self.mlp = Mlp(width, hidden)
 
-    def forward(self, x: Float[Tensor, "batch token width"], rotation: Rotation) -> Float[Tensor, "batch token width"]:
+    def forward(
+        self, x: Float[Tensor, "batch token width"], rotation: Rotation
+    ) -> Float[Tensor, "batch token width"]:
         x = x + self.attn(self.norm1(x), rotation)
         return x + self.mlp(self.norm2(x))
 
@@ -163,8 +197,12 @@ class DecoderBlock(nn.Module):
         reads: Int[Tensor, "reader read"],
         rotation: Rotation,
     ) -> Float[Tensor, "batch reader token width"]:
-        x = x + self.attn(self.norm1(x).flatten(0, 1), rotation).unflatten(0, x.shape[:2])
-        x = x + self.cross_attn(self.norm2(x), self.norm_memory(memory), reads, rotation)
+        x = x + self.attn(self.norm1(x).flatten(0, 1), rotation).unflatten(
+            0, x.shape[:2]
+        )
+        x = x + self.cross_attn(
+            self.norm2(x), self.norm_memory(memory), reads, rotation
+        )
         return x + self.mlp(self.norm3(x))
 
 
@@ -174,12 +212,16 @@ def attend(
     value: Float[Tensor, "batch source head channel"],
 ) -> Float[Tensor, "batch token width"]:
     """Attention softmax(q k^T / sqrt(channels)) v per head, by torch's fused kernel."""
-    mixed = F.scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
+    mixed = F.scaled_dot_product_attention(
+        query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
+    )
     return mixed.transpose(1, 2).flatten(2)
 
 
 def _gather(
-    tokens: Float[Tensor, "batch_source token head channel"], reads: Int[Tensor, "reader read"], batch: int
+    tokens: Float[Tensor, "batch_source token head channel"],
+    reads: Int[Tensor, "reader read"],
+    batch: int,
 ) -> Float[Tensor, "batch_reader read_token head channel"]:
     """Join, for each reader, the tokens of all the views that it reads."""
     if reads.shape[0] == 1:  # one reader sees everything: no copy

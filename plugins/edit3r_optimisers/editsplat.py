@@ -1,7 +1,9 @@
-"""The reconstructor `editsplat`: edits are fused across views and redone, attended Gaussians trimmed, then a fit.
+"""The reconstructor `editsplat`: edits are fused across views and redone, attended Gaussians
+trimmed, then a fit.
 
-EditSplat (Lee et al. 2025): section 3.2 projects edited neighbours into a view and blends them; section 3.3 carries
-attention maps of the edit to the Gaussians and prunes a share of the most attended before the second fit.
+EditSplat (Lee et al. 2025): section 3.2 projects edited neighbours into a view and blends them;
+section 3.3 carries attention maps of the edit to the Gaussians and prunes a share of the most
+attended before the second fit.
 """
 
 from dataclasses import replace
@@ -11,19 +13,30 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.interfaces import Editor, Rasterizer
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.harmonics import DC
 from edit3r.geometry.warping import warp
-from edit3r.interfaces import Editor, Rasterizer
 from edit3r.reporting import note, track
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, depths_of, edited, edited_from
+from edit3r_optimisers.method import (
+    FittingMethod,
+    MethodSettings,
+    Scene,
+    depths_of,
+    edited,
+    edited_from,
+)
 
 DEPTH_TOLERANCE = 0.03
-"""Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees another surface."""
+"""Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees
+another surface.
+"""
 OWN_WEIGHT = 0.25
-"""Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no neighbour looks."""
+"""Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no
+neighbour looks.
+"""
 
 
 class EditSplatReconstructor(FittingMethod):
@@ -33,23 +46,44 @@ class EditSplatReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        neighbours: int = Field(5, ge=1, le=64, description="nearest views fused into each (paper: 5)")
-        guidance: float = Field(
-            0.5, ge=0, le=1, description="share of the fused picture that an edit redraws; 0 takes it as it is"
+        neighbours: int = Field(
+            5, ge=1, le=64, description="nearest views fused into each (paper: 5)"
         )
-        trim: float = Field(0.15, ge=0, le=1, description="share of the attended Gaussians that is removed")
+        guidance: float = Field(
+            0.5,
+            ge=0,
+            le=1,
+            description="share of the fused picture that an edit redraws; 0 takes it as it is",
+        )
+        trim: float = Field(
+            0.15,
+            ge=0,
+            le=1,
+            description="share of the attended Gaussians that is removed",
+        )
         attended: float = Field(
-            0.5, ge=0, le=1, description="attention from which a Gaussian counts as attended; the most is 1"
+            0.5,
+            ge=0,
+            le=1,
+            description="attention from which a Gaussian counts as attended; the most is 1",
         )
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
-        first = scene.edited if scene.is_edited else edited(self.editor, scene.photos, scene.request)
+        first = (
+            scene.edited
+            if scene.is_edited
+            else edited(self.editor, scene.photos, scene.request)
+        )
         guided = self._guided(scene, first, gaussians, cameras)
         trimmed = self._trimmed(scene, guided, gaussians, cameras)
-        return self._fit("edits", trimmed, cameras, TargetImages(guided.images[0])), cameras
+        return self._fit(
+            "edits", trimmed, cameras, TargetImages(guided.images[0])
+        ), cameras
 
-    def _guided(self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras) -> Views:
+    def _guided(
+        self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras
+    ) -> Views:
         """Edit every view again from the fusion of its neighbours' first edits."""
         depths, _ = depths_of(gaussians, cameras, self.rasterizer)
         images = first.images.clone()
@@ -57,15 +91,22 @@ class EditSplatReconstructor(FittingMethod):
             around = nearest_views(cameras, view, self.settings.neighbours)
             start = fuse(view, around, first.images[0], depths, cameras)[0][None, None]
             photo, request = scene.photos.select([view]), scene.request.of_views([view])
-            images[:, [view]] = edited_from(self.editor, photo, start, request, self.settings.guidance).images
+            images[:, [view]] = edited_from(
+                self.editor, photo, start, request, self.settings.guidance
+            ).images
         return replace(first, images=images)
 
-    def _trimmed(self, scene: Scene, edits: Views, gaussians: Gaussians, cameras: Cameras) -> Gaussians:
+    def _trimmed(
+        self, scene: Scene, edits: Views, gaussians: Gaussians, cameras: Cameras
+    ) -> Gaussians:
         """Remove the Gaussians that the edit attends to most, which hold back the second fit."""
         maps, told_by = attention_maps(self.editor, scene.photos, edits, scene.request)
         attention = attention_of(gaussians, cameras, maps, self.rasterizer)[0]
         kept = trim(attention, self.settings.trim, self.settings.attended)
-        note("editsplat.trimmed", {"gaussians": int((~kept).sum()), "attention_told_by": told_by})
+        note(
+            "editsplat.trimmed",
+            {"gaussians": int((~kept).sum()), "attention_told_by": told_by},
+        )
         return gaussians.select(kept) if kept.any() else gaussians
 
 
@@ -76,16 +117,20 @@ def fuse(
     depths: Float[Tensor, "view height width"],
     cameras: Cameras,
 ) -> tuple[Float[Tensor, "3 height width"], Float[Tensor, "height width"]]:
-    """Project the edits of `neighbours` into `view` by depth and blend them with its own (section 3.2).
+    """Project the edits of `neighbours` into `view` by depth and blend them with its own (section
+    3.2).
 
-    Returns the image and the summed weights of the neighbours, 0 where only the view's own edit counts. `depths` are
-    camera z of the fitted scene. The paper chooses neighbours by ImageReward and the background by SAM,
-    which need weights; here each counts by how exactly its surface is the one that the view sees.
+    Returns the image and the summed weights of the neighbours, 0 where only the view's own edit
+    counts. `depths` are camera z of the fitted scene. The paper chooses neighbours by ImageReward
+    and the background by SAM, which need weights; here each counts by how exactly its surface is
+    the one that the view sees.
     """
     points = unproject(depths[view], cameras.intrinsics[0, view], cameras.c2w[0, view])
     total, weights = OWN_WEIGHT * edits[view], torch.full_like(depths[view], OWN_WEIGHT)
     for other in neighbours:
-        colours, weight = _seen_from(points, edits[other], depths[other], cameras.select([other]))
+        colours, weight = _seen_from(
+            points, edits[other], depths[other], cameras.select([other])
+        )
         total, weights = total + weight * colours, weights + weight
     return total / weights, weights - OWN_WEIGHT
 
@@ -103,8 +148,12 @@ def _seen_from(
     depth: Float[Tensor, "height width"],
     camera: Cameras,
 ) -> tuple[Float[Tensor, "3 height width"], Float[Tensor, "height width"]]:
-    """Return what one neighbour shows at the points of another view's pixels, and a weight in [0, 1]."""
-    coordinates, z = project(points.flatten(0, 1), camera.intrinsics[0, 0], camera.c2w[0, 0])
+    """Return what one neighbour shows at the points of another view's pixels, and a weight in [0,
+    1].
+    """
+    coordinates, z = project(
+        points.flatten(0, 1), camera.intrinsics[0, 0], camera.c2w[0, 0]
+    )
     coordinates, z = coordinates.view(*depth.shape, 2), z.view(depth.shape)
     sampled = warp(torch.cat((edit, depth[None])), coordinates)
     inside = (z > 0) & ((coordinates >= 0) & (coordinates <= 1)).all(-1)
@@ -120,21 +169,31 @@ def attention_maps(
     That is the editor's own attention; else the masks; else how much each pixel changed.
     """
     if editor.gives_attention:
-        maps, told_by = editor.attention(photos, request), "the editor's cross-attention"
+        maps, told_by = (
+            editor.attention(photos, request),
+            "the editor's cross-attention",
+        )
     elif request.masks is not None:
         maps, told_by = request.masks, "the masks, the editor gives no attention"
     else:
-        maps, told_by = (edits.images - photos.images).abs().mean(2), "the change of each pixel, no attention or masks"
+        maps, told_by = (
+            (edits.images - photos.images).abs().mean(2),
+            "the change of each pixel, no attention or masks",
+        )
     return maps / maps.amax().clamp(min=1e-12), told_by
 
 
 def attention_of(
-    gaussians: Gaussians, cameras: Cameras, maps: Float[Tensor, "batch view h w"], rasterizer: Rasterizer
+    gaussians: Gaussians,
+    cameras: Cameras,
+    maps: Float[Tensor, "batch view h w"],
+    rasterizer: Rasterizer,
 ) -> Float[Tensor, "batch gaussian"]:
-    """Return the mean of the maps over the pixels of each Gaussian, weighted by transmittance times alpha.
+    """Return the mean of the maps over the pixels of each Gaussian, weighted by transmittance times
+    alpha.
 
-    It is 0 for a Gaussian that no pixel shows. An image is linear in the colours, so the sum of map and weights and
-    the sum of weights are gradients by the constant harmonic of grey Gaussians.
+    It is 0 for a Gaussian that no pixel shows. An image is linear in the colours, so the sum of map
+    and weights and the sum of weights are gradients by the constant harmonic of grey Gaussians.
     """
     grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
     with torch.enable_grad():
@@ -143,11 +202,17 @@ def attention_of(
         total = (images[:, :, 0] * maps).sum() + images[:, :, 1].sum()
         (gradient,) = torch.autograd.grad(total, grey)
     attended, drawn = gradient[:, :, 0, 0] / DC, gradient[:, :, 0, 1] / DC
-    return torch.where(drawn > 1e-6, attended / drawn.clamp(min=1e-6), torch.zeros_like(drawn))
+    return torch.where(
+        drawn > 1e-6, attended / drawn.clamp(min=1e-6), torch.zeros_like(drawn)
+    )
 
 
-def trim(attention: Float[Tensor, "gaussian"], share: float, threshold: float) -> Bool[Tensor, "gaussian"]:
-    """Tell which to keep: all but the most attended `share` of those whose attention is at least `threshold` (3.3)."""
+def trim(
+    attention: Float[Tensor, "gaussian"], share: float, threshold: float
+) -> Bool[Tensor, "gaussian"]:
+    """Tell which to keep: all but the most attended `share` of those whose attention is at least
+    `threshold` (3.3).
+    """
     attended = attention >= threshold
     count = round(share * int(attended.sum()))
     order = torch.where(attended, attention, -1.0).argsort(descending=True, stable=True)

@@ -1,7 +1,8 @@
-"""Fit Gaussians to images from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al. 2023).
+"""Fit Gaussians to images from known cameras: the loop of 3D Gaussian Splatting (Kerbl et al.
+2023).
 
-One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as in the beginning. The same inputs give
-the same result: everything random is drawn from the seed and the step.
+One view a step, L1 and D-SSIM, Adam; there are as many Gaussians in the end as in the beginning.
+The same inputs give the same result: everything random is drawn from the seed and the step.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,37 +15,59 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.rotations import normalise_quats
-from edit3r.interfaces import Rasterizer
 from edit3r.reporting import progress
-from edit3r.types import Cameras, Gaussians
 
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (0.9, 0.999), 1e-15  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
+BETAS, EPSILON = (
+    (0.9, 0.999),
+    1e-15,
+)  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 
 
 class FitSettings(Settings):
     """One fit. Step sizes are those of 3D Gaussian Splatting (Kerbl et al. 2023, section 7 and the
-    authors' released code) unless the description says otherwise; `extent` is a typical distance to the scene."""
+    authors' released code) unless the description says otherwise; `extent` is a typical distance to
+    the scene.
+    """
 
-    ssim: float = Field(0.2, ge=0, le=1, description="weight of D-SSIM; the rest is the absolute difference")
-    means_rate: float = Field(1.6e-4, ge=0, le=1, description="first step of the centres [extents]")
-    means_rate_end: float = Field(1.6e-6, ge=0, le=1, description="last step of the centres [extents]")
+    ssim: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="weight of D-SSIM; the rest is the absolute difference",
+    )
+    means_rate: float = Field(
+        1.6e-4, ge=0, le=1, description="first step of the centres [extents]"
+    )
+    means_rate_end: float = Field(
+        1.6e-6, ge=0, le=1, description="last step of the centres [extents]"
+    )
     colour_rate: float = Field(
         0.02,
         ge=0,
         le=1,
         description="step of the colours; published 0.0025, for 30000 steps",
     )
-    opacity_rate: float = Field(0.05, ge=0, le=1, description="step of the opacities' logits")
-    scale_rate: float = Field(5e-3, ge=0, le=1, description="step of the scales' logarithms")
-    rotation_rate: float = Field(1e-3, ge=0, le=1, description="step of the quaternions")
+    opacity_rate: float = Field(
+        0.05, ge=0, le=1, description="step of the opacities' logits"
+    )
+    scale_rate: float = Field(
+        5e-3, ge=0, le=1, description="step of the scales' logarithms"
+    )
+    rotation_rate: float = Field(
+        1e-3, ge=0, le=1, description="step of the quaternions"
+    )
 
 
 class TargetImages:
-    """The images that are fitted to. They stay as they are; a subclass may change them while the fit goes on."""
+    """The images that are fitted to. They stay as they are; a subclass may change them while the
+    fit goes on.
+    """
 
     def __init__(self, images: Float[Tensor, "view 3 height width"]) -> None:
         self.images = images
@@ -80,7 +103,9 @@ def fit(
         targets.before_step(step, partial(scene.gaussians, detached=True))
         view = view_at(step, cameras.count, seed)
         with torch.enable_grad():
-            image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[0, 0]
+            image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[
+                0, 0
+            ]
             loss = photometric_loss(image, targets.images[view], settings.ssim)
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
@@ -91,7 +116,8 @@ def fit(
 class TrainableGaussians:
     """The parameters of one scene, and Adam over them with one step size per kind of parameter.
 
-    Scales are logarithms, opacities logits, quaternions of any norm; of the harmonics only the constant one is kept.
+    Scales are logarithms, opacities logits, quaternions of any norm; of the harmonics only the
+    constant one is kept.
     """
 
     def __init__(self, gaussians: Gaussians) -> None:
@@ -104,13 +130,21 @@ class TrainableGaussians:
             "opacities": gaussians.opacities[0].clamp(*OPACITY_RANGE).logit(),
             "colour": gaussians.harmonics[0, :, :1],
         }
-        self.parameters = {name: value.detach().clone().requires_grad_(True) for name, value in values.items()}
-        groups = [{"params": [value], "name": name} for name, value in self.parameters.items()]
+        self.parameters = {
+            name: value.detach().clone().requires_grad_(True)
+            for name, value in values.items()
+        }
+        groups = [
+            {"params": [value], "name": name} for name, value in self.parameters.items()
+        ]
         self.adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
 
     def gaussians(self, detached: bool = False) -> Gaussians:
         """Return a batch of one; differentiable in the parameters unless `detached`."""
-        values = {name: value.detach() if detached else value for name, value in self.parameters.items()}
+        values = {
+            name: value.detach() if detached else value
+            for name, value in self.parameters.items()
+        }
         return Gaussians(
             values["means"][None],
             values["scales"].exp()[None],
@@ -121,7 +155,9 @@ class TrainableGaussians:
         )
 
     def step(self, loss: Float[Tensor, ""], sizes: Mapping[str, float]) -> None:
-        """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the parameter."""
+        """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the
+        parameter.
+        """
         self.adam.zero_grad()
         loss.backward()
         for group in self.adam.param_groups:
@@ -132,14 +168,16 @@ class TrainableGaussians:
 def scene_extent(gaussians: Gaussians, cameras: Cameras) -> float:
     """Return the median distance from cameras to Gaussians of one scene [scene units].
 
-    The paper takes the cameras' distance from their middle, which is the same for cameras around a scene but next to
-    nothing for two photos taken a step apart.
+    The paper takes the cameras' distance from their middle, which is the same for cameras around a
+    scene but next to nothing for two photos taken a step apart.
     """
     centres = cameras.c2w[0, :, :3, 3]
     return max(float(torch.cdist(centres, gaussians.means[0].detach()).median()), 1e-6)
 
 
-def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> dict[str, float]:
+def step_sizes(
+    settings: FitSettings, step: int, steps: int, extent: float
+) -> dict[str, float]:
     """Return Adam's step size of each parameter at `step` in [0, steps).
 
     The centres' falls log-linearly, the others stay (3D Gaussian Splatting, released code).
@@ -157,39 +195,56 @@ def step_sizes(settings: FitSettings, step: int, steps: int, extent: float) -> d
 
 
 def view_at(step: int, views: int, seed: int) -> int:
-    """Return the view that a step renders: every view once a round, each round in its own random order."""
-    generator = torch.Generator().manual_seed((seed * 1_000_003 + step // views) % 2**63)
+    """Return the view that a step renders: every view once a round, each round in its own random
+    order.
+    """
+    generator = torch.Generator().manual_seed(
+        (seed * 1_000_003 + step // views) % 2**63
+    )
     return int(torch.randperm(views, generator=generator)[step % views])
 
 
 def photometric_loss(
-    image: Float[Tensor, "3 height width"], target: Float[Tensor, "3 height width"], ssim: float
+    image: Float[Tensor, "3 height width"],
+    target: Float[Tensor, "3 height width"],
+    ssim: float,
 ) -> Float[Tensor, ""]:
-    """Return (1 - ssim) L1 + ssim D-SSIM, where D-SSIM is (1 - SSIM) / 2 (3D Gaussian Splatting, equation 7).
+    """Return (1 - ssim) L1 + ssim D-SSIM, where D-SSIM is (1 - SSIM) / 2 (3D Gaussian Splatting,
+    equation 7).
 
     It is in [0, 1] for images in [0, 1], and 0 where they are equal.
     """
     difference = (image - target).abs().mean()
     if ssim == 0:
         return difference
-    return (1 - ssim) * difference + ssim * (1 - structural_similarity(image, target)) / 2
+    return (1 - ssim) * difference + ssim * (
+        1 - structural_similarity(image, target)
+    ) / 2
 
 
-def structural_similarity(a: Float[Tensor, "c height width"], b: Float[Tensor, "c height width"]) -> Float[Tensor, ""]:
-    """Return the mean SSIM over all windows inside the image; an image smaller than a window gets a smaller one.
+def structural_similarity(
+    a: Float[Tensor, "c height width"], b: Float[Tensor, "c height width"]
+) -> Float[Tensor, ""]:
+    """Return the mean SSIM over all windows inside the image; an image smaller than a window gets a
+    smaller one.
 
-    Windows are matrix products: on a CPU a tenth of the time of a convolution's gradient, which bounds a whole fit.
+    Windows are matrix products: on a CPU a tenth of the time of a convolution's gradient, which
+    bounds a whole fit.
     """
     rows, columns = (_windows(side, a.dtype, a.device) for side in a.shape[-2:])
     stacked = torch.stack((a, b, a * a, b * b, a * b))
     mean_a, mean_b, aa, bb, ab = (rows @ stacked @ columns.T).unbind(0)
     luminance = (2 * mean_a * mean_b + C1) / (mean_a**2 + mean_b**2 + C1)
-    structure = (2 * (ab - mean_a * mean_b) + C2) / (aa - mean_a**2 + bb - mean_b**2 + C2)
+    structure = (2 * (ab - mean_a * mean_b) + C2) / (
+        aa - mean_a**2 + bb - mean_b**2 + C2
+    )
     return (luminance * structure).mean()
 
 
 @cache
-def _windows(side: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "position side"]:
+def _windows(
+    side: int, dtype: torch.dtype, device: torch.device
+) -> Float[Tensor, "position side"]:
     """Return a matrix whose row k averages pixels k to k + WINDOW with Gaussian weights."""
     length = min(WINDOW, side)
     offsets = torch.arange(length, dtype=torch.float64) - (length - 1) / 2

@@ -1,4 +1,6 @@
-"""The reconstructor `gaussctrl` (Wu et al. 2024): renders are edited together, held by depth, and fitted."""
+"""The reconstructor `gaussctrl` (Wu et al. 2024): renders are edited together, held by depth, and
+fitted.
+"""
 
 from copy import copy
 
@@ -7,12 +9,25 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.interfaces import Editor, MatchedGeometry, Matcher, Rasterizer, Reconstructor
+from edit3r.contract.interfaces import (
+    Editor,
+    MatchedGeometry,
+    Matcher,
+    Rasterizer,
+    Reconstructor,
+)
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.pipeline.checks import component_name
 from edit3r.reporting import note, warn
-from edit3r.stage_checks import component_name
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, depths_of, edited, rendered
+from edit3r_optimisers.method import (
+    FittingMethod,
+    MethodSettings,
+    Scene,
+    depths_of,
+    edited,
+    rendered,
+)
 
 ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
 DEPTH = "edits are not conditioned on the fitted depth"
@@ -29,28 +44,41 @@ class FittedGeometry(Matcher):
 
     def match(self, views: Views) -> MatchedGeometry:
         """Return the geometry of the views it was made for, whatever their images."""
-        registered = torch.ones(1, self.cameras.count, dtype=torch.bool, device=self.depths.device)
+        registered = torch.ones(
+            1, self.cameras.count, dtype=torch.bool, device=self.depths.device
+        )
         confidence = (self.alphas > OPAQUE).to(self.depths)
-        return MatchedGeometry(self.cameras.c2w, self.depths[None], confidence[None], registered)
+        return MatchedGeometry(
+            self.cameras.c2w, self.depths[None], confidence[None], registered
+        )
 
 
 class GaussCtrlReconstructor(FittingMethod):
     """Depth and alignment are the editor's to use: `controlnet-depth` does both.
 
-    With another editor the views are edited as that one edits, and the run says what is missing. It edits by itself:
-    the edited views it is given are not looked at.
+    With another editor the views are edited as that one edits, and the run says what is missing. It
+    edits by itself: the edited views it is given are not looked at.
     """
 
     class Settings(MethodSettings):
         together: int = Field(
-            12, ge=2, description="most views edited in one call, the reference views among them; more need more memory"
+            12,
+            ge=2,
+            description="most views edited in one call, the reference views among them; more "
+            "need more memory",
         )
 
     def __init__(
-        self, settings: Settings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
+        self,
+        settings: Settings,
+        reconstructor: Reconstructor,
+        editor: Editor,
+        rasterizer: Rasterizer,
     ) -> None:
         super().__init__(settings, reconstructor, editor, rasterizer)
-        self._copy: Editor | None = None  # of the editor, to be given other depths; shares the weights
+        self._copy: Editor | None = (
+            None  # of the editor, to be given other depths; shares the weights
+        )
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
@@ -60,21 +88,33 @@ class GaussCtrlReconstructor(FittingMethod):
         return self._fit("edits", gaussians, cameras, TargetImages(images)), cameras
 
     def _edited(
-        self, views: Views, cameras: Cameras, geometry: tuple[Depths, Depths], request: EditRequest
+        self,
+        views: Views,
+        cameras: Cameras,
+        geometry: tuple[Depths, Depths],
+        request: EditRequest,
     ) -> Float[Tensor, "view 3 height width"]:
         """Edit all views, a few at a time, the reference views first in every call."""
         self._warn_of_missing_abilities()
         together = self.settings.together
-        references = reference_views(views.count, min(self.editor.references, together - 1))
+        references = reference_views(
+            views.count, min(self.editor.references, together - 1)
+        )
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
-            editor = self._editor_with(FittedGeometry(cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]))
+            editor = self._editor_with(
+                FittedGeometry(
+                    cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]
+                )
+            )
             answer = edited(editor, views.select(chunk), request.of_views(chunk))
             images[chunk] = answer.images[0]
         return images
 
     def _editor_with(self, geometry: FittedGeometry) -> Editor:
-        """Return a copy of the editor with the fitted scene as matcher; the editor itself where it reads no depth."""
+        """Return a copy of the editor with the fitted scene as matcher; the editor itself where it
+        reads no depth.
+        """
         if not self.editor.takes_depth:
             return self.editor
         self._copy = self._copy or copy(self.editor)
@@ -84,19 +124,33 @@ class GaussCtrlReconstructor(FittingMethod):
     def _warn_of_missing_abilities(self) -> None:
         name = component_name(self.editor)
         aligns, conditioned = self.editor.references > 0, self.editor.takes_depth
-        note("gaussctrl.editor", {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned})
-        missing = [text for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH)) if not done]
+        note(
+            "gaussctrl.editor",
+            {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned},
+        )
+        missing = [
+            text
+            for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH))
+            if not done
+        ]
         if missing:
-            warn(f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor 'controlnet-depth' does both.")
+            warn(
+                f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor "
+                "'controlnet-depth' does both."
+            )
 
 
 def reference_views(count: int, wanted: int) -> list[int]:
     """Choose `wanted` of `count` views, spread evenly; [] for none."""
-    return sorted(set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist()))
+    return sorted(
+        set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist())
+    )
 
 
 def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
-    """List calls of at most `together` views that edit every view between them; the references lead each call."""
+    """List calls of at most `together` views that edit every view between them; the references lead
+    each call.
+    """
     others = [view for view in range(count) if view not in references]
     room = max(1, together - len(references))
     parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]

@@ -1,7 +1,9 @@
-"""The reconstructor `instruct-nerf2nerf`: images are edited one after the other while the scene is fitted to them.
+"""The reconstructor `instruct-nerf2nerf`: images are edited one after the other while the scene is
+fitted to them.
 
-Instruct-NeRF2NeRF's iterative dataset update (Haque et al. 2023, section 4.2): every few steps a view is rendered,
-noised, and denoised with the unedited photo as condition; the result replaces the view's image.
+Instruct-NeRF2NeRF's iterative dataset update (Haque et al. 2023, section 4.2): every few steps a
+view is rendered, noised, and denoised with the unedited photo as condition; the result replaces the
+view's image.
 """
 
 from collections.abc import Callable
@@ -10,36 +12,49 @@ from dataclasses import replace
 import torch
 from pydantic import Field, model_validator
 
-from edit3r.interfaces import Editor, Rasterizer
+from edit3r.contract.interfaces import Editor, Rasterizer
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.reporting import note
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages, view_at
 from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited_from
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
-    """Fits Gaussians instead of a NeRF, and edits by itself: of what it is given it looks at the unedited photos only.
+    """Fits Gaussians instead of a NeRF, and edits by itself: of what it is given it looks at the
+    unedited photos only.
 
-    Real partial denoising needs an editor that can start from a picture (instruct-pix2pix); others are mixed in, which
-    the run says.
+    Real partial denoising needs an editor that can start from a picture (instruct-pix2pix); others
+    are mixed in, which the run says.
     """
 
     class Settings(MethodSettings):
         every: int = Field(10, ge=1, description="steps between edits (paper: 10)")
-        least_strength: float = Field(0.5, ge=0, le=1, description="least share of a render that an edit redraws")
-        most_strength: float = Field(0.98, ge=0, le=1, description="most share of a render that an edit redraws")
+        least_strength: float = Field(
+            0.5, ge=0, le=1, description="least share of a render that an edit redraws"
+        )
+        most_strength: float = Field(
+            0.98, ge=0, le=1, description="most share of a render that an edit redraws"
+        )
 
         @model_validator(mode="after")
         def _ordered(self) -> "InstructNerf2NerfReconstructor.Settings":
             if self.least_strength > self.most_strength:
                 raise ValueError(
-                    f"least_strength ({self.least_strength}) must not be above most_strength ({self.most_strength})"
+                    f"least_strength ({self.least_strength}) must not be above most_strength "
+                    f"({self.most_strength})"
                 )
             return self
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
-        targets = DatasetUpdate(scene.photos, cameras, scene.request, self.settings, self.editor, self.rasterizer)
+        targets = DatasetUpdate(
+            scene.photos,
+            cameras,
+            scene.request,
+            self.settings,
+            self.editor,
+            self.rasterizer,
+        )
         gaussians = self._fit("edits", gaussians, cameras, targets)
         note("refit.edits_of_the_dataset", targets.updates)
         return gaussians, cameras
@@ -58,7 +73,12 @@ class DatasetUpdate(TargetImages):
         rasterizer: Rasterizer,
     ) -> None:
         super().__init__(photos.images[0].clone())
-        self.photos, self.cameras, self.request, self.settings = photos, cameras, request, settings
+        self.photos, self.cameras, self.request, self.settings = (
+            photos,
+            cameras,
+            request,
+            settings,
+        )
         self.editor, self.rasterizer = editor, rasterizer
         self.updates = 0
 
@@ -68,16 +88,24 @@ class DatasetUpdate(TargetImages):
 
     @torch.no_grad()
     def _update(self, gaussians: Gaussians) -> None:
-        """Edit the next view, starting from how the scene shows it now, by another seed for every edit."""
+        """Edit the next view, starting from how the scene shows it now, by another seed for every
+        edit.
+        """
         view = [view_at(self.updates, self.photos.count, self.request.seed)]
         start = self.rasterizer.render(gaussians, self.cameras.select(view)).images
-        request = replace(self.request.of_views(view), seed=self.request.seed + self.updates)
-        answer = edited_from(self.editor, self.photos.select(view), start, request, self._strength())
+        request = replace(
+            self.request.of_views(view), seed=self.request.seed + self.updates
+        )
+        answer = edited_from(
+            self.editor, self.photos.select(view), start, request, self._strength()
+        )
         self.images[view] = answer.images[0]
         self.updates += 1
 
     def _strength(self) -> float:
         """Draw the strength evenly between the limits, by seed and number of the edit."""
-        generator = torch.Generator().manual_seed(self.request.seed * 1_000_003 + self.updates)
+        generator = torch.Generator().manual_seed(
+            self.request.seed * 1_000_003 + self.updates
+        )
         least, most = self.settings.least_strength, self.settings.most_strength
         return least + (most - least) * float(torch.rand((), generator=generator))

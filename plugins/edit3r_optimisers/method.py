@@ -1,4 +1,6 @@
-"""What the four methods share: one scene at a time, a fit to the photos, edits within the masks, a fit to the edits."""
+"""What the four methods share: one scene at a time, a fit to the photos, edits within the masks, a
+fit to the edits.
+"""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -9,30 +11,57 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import PartChoice
+from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r.geometry.pose import estimate_cameras
-from edit3r.interfaces import Editor, Rasterizer, Reconstructor
-from edit3r.pipeline import composite
+from edit3r.pipeline.checks import (
+    check_edit,
+    check_reconstruction,
+    component_name,
+    errors_named_after,
+)
+from edit3r.pipeline.steps import composite
 from edit3r.reporting import note, warn
-from edit3r.stage_checks import check_edit, check_reconstruction, component_name, errors_named_after
-from edit3r.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
-VISIBLE_OPACITY = 0.05  # a fainter first Gaussian has next to no gradient and would never show what it is worth
+# a fainter first Gaussian has next to no gradient and would never show what it is worth
+VISIBLE_OPACITY = 0.05
 
 
 class MethodSettings(FitSettings):
     """A fit of the photos, edits, and a fit of the edits."""
 
     reconstructor: PartChoice = Field(
-        PartChoice(name="classical", settings={"matcher": "posed"}), description="where the first Gaussians come from"
+        PartChoice(name="classical", settings={"matcher": "posed"}),
+        description="where the first Gaussians come from",
     )
-    editor: PartChoice = Field(PartChoice(name="recolor"), description="edits; in a run, the run's own takes its place")
-    rasterizer: PartChoice = Field(PartChoice(name="auto"), description="renders while fitting")
-    prompt: str = Field("", description="what to change; in a run, the run's own takes its place")
-    seed: int = Field(0, ge=0, lt=2**31, description="of the edits, in a run the run's own; and of the order of views")
-    points: int = Field(10_000, ge=1, description="most Gaussians to begin with; a reconstruction is thinned to them")
-    steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the photos")
-    edit_steps: int = Field(300, ge=1, le=1_000_000, description="steps of the fit to the edits")
+    editor: PartChoice = Field(
+        PartChoice(name="recolor"),
+        description="edits; in a run, the run's own takes its place",
+    )
+    rasterizer: PartChoice = Field(
+        PartChoice(name="auto"), description="renders while fitting"
+    )
+    prompt: str = Field(
+        "", description="what to change; in a run, the run's own takes its place"
+    )
+    seed: int = Field(
+        0,
+        ge=0,
+        lt=2**31,
+        description="of the edits, in a run the run's own; and of the order of views",
+    )
+    points: int = Field(
+        10_000,
+        ge=1,
+        description="most Gaussians to begin with; a reconstruction is thinned to them",
+    )
+    steps: int = Field(
+        300, ge=1, le=1_000_000, description="steps of the fit to the photos"
+    )
+    edit_steps: int = Field(
+        300, ge=1, le=1_000_000, description="steps of the fit to the edits"
+    )
 
 
 @dataclass(frozen=True)
@@ -49,30 +78,52 @@ class Scene:
 
 
 class FittingMethod(Reconstructor):
-    """A reconstructor that fits Gaussians scene by scene and edits in between; a method fills in `_reconstruct`."""
+    """A reconstructor that fits Gaussians scene by scene and edits in between; a method fills in
+    `_reconstruct`.
+    """
 
     edits_views = True
 
     def __init__(
-        self, settings: MethodSettings, reconstructor: Reconstructor, editor: Editor, rasterizer: Rasterizer
+        self,
+        settings: MethodSettings,
+        reconstructor: Reconstructor,
+        editor: Editor,
+        rasterizer: Rasterizer,
     ) -> None:
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
 
     @torch.no_grad()
-    def __call__(self, views: Views, source: Views | None = None, request: EditRequest | None = None) -> Reconstruction:
-        """Reconstruct every scene of the batch by itself; without a request, prompt and seed are the settings' own."""
+    def __call__(
+        self,
+        views: Views,
+        source: Views | None = None,
+        request: EditRequest | None = None,
+    ) -> Reconstruction:
+        """Reconstruct every scene of the batch by itself; without a request, prompt and seed are
+        the settings' own.
+        """
         photos = views if source is None else source
         if photos.c2w is None and views.c2w is not None:
             photos = replace(photos, c2w=views.c2w)
         request = request or EditRequest(self.settings.prompt, self.settings.seed)
         results = []
         for item in range(len(views.images)):
-            results.append(self._reconstruct(Scene(photos.scene(item), views.scene(item), request.of_scene(item))))
+            results.append(
+                self._reconstruct(
+                    Scene(photos.scene(item), views.scene(item), request.of_scene(item))
+                )
+            )
         scenes, cameras = zip(*results)
-        c2w, intrinsics = (torch.cat([getattr(c, name) for c in cameras]) for name in ("c2w", "intrinsics"))
+        c2w, intrinsics = (
+            torch.cat([getattr(c, name) for c in cameras])
+            for name in ("c2w", "intrinsics")
+        )
         gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
-        return Reconstruction(gaussians, Cameras(c2w, intrinsics, cameras[0].image_size))
+        return Reconstruction(
+            gaussians, Cameras(c2w, intrinsics, cameras[0].image_size)
+        )
 
     @abstractmethod
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
@@ -80,46 +131,82 @@ class FittingMethod(Reconstructor):
 
     def _fit_photos(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
-        start, cameras = begin(scene.photos, self.reconstructor, self.settings.points, self.settings.seed)
-        return self._fit("photos", start, cameras, TargetImages(scene.photos.images[0])), cameras
+        start, cameras = begin(
+            scene.photos, self.reconstructor, self.settings.points, self.settings.seed
+        )
+        return self._fit(
+            "photos", start, cameras, TargetImages(scene.photos.images[0])
+        ), cameras
 
-    def _fit(self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages) -> Gaussians:
+    def _fit(
+        self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages
+    ) -> Gaussians:
         """Fit the "photos" or the "edits", beginning at `start`."""
         steps = self.settings.steps if what == "photos" else self.settings.edit_steps
         text = f"fit to the {what}"
-        fitted = fit(start, cameras, targets, self.rasterizer, self.settings, steps, self.settings.seed, text)
-        first, last = (sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:]))
-        facts = {"steps": steps, "gaussians": fitted.gaussians.count, "first_loss": first, "last_loss": last}
+        fitted = fit(
+            start,
+            cameras,
+            targets,
+            self.rasterizer,
+            self.settings,
+            steps,
+            self.settings.seed,
+            text,
+        )
+        first, last = (
+            sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:])
+        )
+        facts = {
+            "steps": steps,
+            "gaussians": fitted.gaussians.count,
+            "first_loss": first,
+            "last_loss": last,
+        }
         note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})
         return fitted.gaussians
 
 
-def begin(photos: Views, reconstructor: Reconstructor, most: int, seed: int) -> tuple[Gaussians, Cameras]:
-    """Return at most `most` first Gaussians of one scene's unedited photos (batch 1), and the photos' cameras.
+def begin(
+    photos: Views, reconstructor: Reconstructor, most: int, seed: int
+) -> tuple[Gaussians, Cameras]:
+    """Return at most `most` first Gaussians of one scene's unedited photos (batch 1), and the
+    photos' cameras.
 
-    Both are in view 0's frame. Raises MatchingError where the reconstructor cannot place the photos.
+    Both are in view 0's frame. Raises MatchingError where the reconstructor cannot place the
+    photos.
     """
     with errors_named_after(reconstructor):
         answer = reconstructor(photos, source=photos)
     check_reconstruction(reconstructor, photos, answer)
     cameras = answer.cameras or estimate_cameras(answer.gaussians, photos)
-    gaussians = thinned(answer.gaussians.select(answer.gaussians.opacities[0] > 0), most, seed)
+    gaussians = thinned(
+        answer.gaussians.select(answer.gaussians.opacities[0] > 0), most, seed
+    )
     note("refit.first_gaussians", gaussians.count)
-    return replace(gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY)), cameras
+    return replace(
+        gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY)
+    ), cameras
 
 
 def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
-    """Choose at most `most` Gaussians at random and widen them so that they still cover their surfaces."""
+    """Choose at most `most` Gaussians at random and widen them so that they still cover their
+    surfaces.
+    """
     if gaussians.count <= most:
         return gaussians
-    order = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))
+    order = torch.randperm(
+        gaussians.count, generator=torch.Generator().manual_seed(seed)
+    )
     chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
 
 
 @torch.no_grad()
 def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
-    """Edit the views; the answer is held to the editor's contract and confined to the request's masks."""
+    """Edit the views; the answer is held to the editor's contract and confined to the request's
+    masks.
+    """
     with errors_named_after(editor):
         answer = editor.edit(views, request)
     return _confined(editor, views, answer, request)
@@ -133,16 +220,19 @@ def edited_from(
     request: EditRequest,
     strength: float,
 ) -> Views:
-    """Edit `views`, beginning from the images `start`; `strength` in [0, 1] says how little of them stays.
+    """Edit `views`, beginning from the images `start`; `strength` in [0, 1] says how little of them
+    stays.
 
-    An editor that cannot begin from images edits anew, and its result is mixed with them; the run says so.
+    An editor that cannot begin from images edits anew, and its result is mixed with them; the run
+    says so.
     """
     if editor.starts_from_images:
         with errors_named_after(editor):
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)
     warn(
-        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit is mixed with it: "
+        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit "
+        "is mixed with it: "
         "a stand-in for the partial denoising of the published method."
     )
     anew = edited(editor, views, request)
@@ -150,7 +240,9 @@ def edited_from(
     return _confined(editor, views, replace(views, images=mixed), request)
 
 
-def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest) -> Views:
+def _confined(
+    editor: Editor, views: Views, answer: Views, request: EditRequest
+) -> Views:
     """Check the editor's answer and keep it inside the request's masks."""
     check_edit(editor, views, answer)
     if request.masks is None:
@@ -159,9 +251,15 @@ def _confined(editor: Editor, views: Views, answer: Views, request: EditRequest)
 
 
 @torch.no_grad()
-def rendered(gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer) -> Views:
+def rendered(
+    gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer
+) -> Views:
     """Return the views as the fitted scene shows them."""
-    return replace(photos, images=rasterizer.render(gaussians, cameras).images.clamp(0, 1), c2w=cameras.c2w)
+    return replace(
+        photos,
+        images=rasterizer.render(gaussians, cameras).images.clamp(0, 1),
+        c2w=cameras.c2w,
+    )
 
 
 @torch.no_grad()

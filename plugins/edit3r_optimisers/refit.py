@@ -4,29 +4,42 @@ from typing import Literal
 
 from pydantic import Field
 
-from edit3r.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r_optimisers.fitting import TargetImages
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited, rendered
+from edit3r_optimisers.method import (
+    FittingMethod,
+    MethodSettings,
+    Scene,
+    edited,
+    rendered,
+)
 
 
 class RefitReconstructor(FittingMethod):
     """Fits Gaussians to the unedited photos, then goes on with edited images of the same cameras.
 
-    The edited images are the views it is given, or its own renders of the photos' cameras put through the editor.
-    Nothing makes the edits agree but the one scene they are fitted by.
+    The edited images are the views it is given, or its own renders of the photos' cameras put
+    through the editor. Nothing makes the edits agree but the one scene they are fitted by.
     """
 
     class Settings(MethodSettings):
         edit: Literal["given", "renders"] = Field(
-            "given", description="fit the edited photos it is given, or edit renders of the fitted scene"
+            "given",
+            description="fit the edited photos it is given, or edit renders of the fitted scene",
         )
 
     def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         if self.settings.edit == "renders":
-            views = edited(self.editor, rendered(gaussians, cameras, scene.photos, self.rasterizer), scene.request)
+            views = edited(
+                self.editor,
+                rendered(gaussians, cameras, scene.photos, self.rasterizer),
+                scene.request,
+            )
         elif scene.is_edited:
             views = scene.edited
         else:
             return gaussians, cameras
-        return self._fit("edits", gaussians, cameras, TargetImages(views.images[0])), cameras
+        return self._fit(
+            "edits", gaussians, cameras, TargetImages(views.images[0])
+        ), cameras

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians, Rendering
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer
 from edit3r_rasterizers.settings import RasterizerSettings
 
@@ -23,17 +23,28 @@ class Choice:
 
 
 def choose(device: torch.device, has_gsplat: bool) -> Choice:
-    """Choose gsplat for Gaussians on a CUDA device where it is installed, and numba for all else."""
+    """Choose gsplat for Gaussians on a CUDA device where it is installed, and numba for all
+    else.
+    """
     if device.type == "cpu":
         return Choice("numba", "the Gaussians are on the CPU")
     if device.type == "cuda" and has_gsplat:
-        return Choice("gsplat", f"the Gaussians are on {device} and gsplat is installed")
-    hint = ' (pip install "edit3r[gsplat]" renders there)' if device.type == "cuda" else ""
-    return Choice("numba", f"no rasterizer for {device} is installed{hint}, so the Gaussians are copied to the CPU")
+        return Choice(
+            "gsplat", f"the Gaussians are on {device} and gsplat is installed"
+        )
+    hint = (
+        ' (pip install "edit3r[gsplat]" renders there)' if device.type == "cuda" else ""
+    )
+    return Choice(
+        "numba",
+        f"no rasterizer for {device} is installed{hint}, so the Gaussians are copied to the CPU",
+    )
 
 
 class AutoRasterizer(Rasterizer):
-    """Hands each scene to the rasterizer that `choose` names, and notes name and reason in the run's manifest."""
+    """Hands each scene to the rasterizer that `choose` names, and notes name and reason in the
+    run's manifest.
+    """
 
     Settings = RasterizerSettings
 
@@ -42,18 +53,25 @@ class AutoRasterizer(Rasterizer):
         self._built: dict[str, Rasterizer] = {}
 
     def render(
-        self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        background: Float[Tensor, "*#batch_camera 3"] | None = None,
     ) -> Rendering:
         """Render on the best device at hand; the result is on the Gaussians' own."""
         device = gaussians.means.device
-        choice = choose(device, has_gsplat=importlib.util.find_spec("gsplat") is not None)
+        choice = choose(
+            device, has_gsplat=importlib.util.find_spec("gsplat") is not None
+        )
         reporting.note("rasterizer.picked", choice.name)
         reporting.note("rasterizer.reason", choice.reason)
         rasterizer = self._get(choice.name)
         if choice.name == "gsplat" or device.type == "cpu":
             return rasterizer.render(gaussians, cameras, background)
         reporting.warn(f"rasterizer 'auto' picked 'numba': {choice.reason}.")
-        return rasterizer.render(gaussians.to("cpu"), cameras.to("cpu"), background).to(device)
+        return rasterizer.render(gaussians.to("cpu"), cameras.to("cpu"), background).to(
+            device
+        )
 
     def _get(self, name: str) -> Rasterizer:
         if name not in self._built:

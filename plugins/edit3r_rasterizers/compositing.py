@@ -1,9 +1,10 @@
-"""Composite the splats of each tile front to back, a 4x4 block of pixels at a time, and differentiate that.
+"""Composite the splats of each tile front to back, a 4x4 block of pixels at a time, and
+differentiate that.
 
-The backward pass goes front to back too. Per pixel `rest` starts as (final image . gradient) and loses each splat's
-share as it is passed, so that d loss / d alpha = T * (colour . gradient) - rest / (1 - alpha) needs no list of what was
-drawn. Per entry ten sums over the pixels are written to its own place and added up per splat afterwards: no two threads
-write to one number.
+The backward pass goes front to back too. Per pixel `rest` starts as (final image . gradient) and
+loses each splat's share as it is passed, so that d loss / d alpha = T * (colour . gradient) - rest
+/ (1 - alpha) needs no list of what was drawn. Per entry ten sums over the pixels are written to its
+own place and added up per splat afterwards: no two threads write to one number.
 """
 
 import numpy as np
@@ -11,7 +12,16 @@ import numpy as np
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.layout import BLOCK, LOOKAHEAD, RECORD, SUMS, TILE
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
-from edit3r_rasterizers.simd import broadcast, exp2, flag_negative, lowest_bit, magnitude, maximum, minimum, select
+from edit3r_rasterizers.simd import (
+    broadcast,
+    exp2,
+    flag_negative,
+    lowest_bit,
+    magnitude,
+    maximum,
+    minimum,
+    select,
+)
 from edit3r_rasterizers.simd_memory import flat, load, prefetch, store, store_sums
 from edit3r_rasterizers.tiles import (
     BATCH,
@@ -32,12 +42,21 @@ from edit3r_rasterizers.tiles import (
     write_block,
 )
 
-# Planes after the first three. Forward: sums of red, green, blue and depth. Backward: gradients by red, green, blue and
-# by weighted depth, then what later splats and the background still contribute.
-_RED, _GREEN, _BLUE, _DEPTH = FIRST_FREE, FIRST_FREE + LANES, FIRST_FREE + U(2) * LANES, FIRST_FREE + U(3) * LANES
+# Planes after the first three. Forward: sums of red, green, blue and depth. Backward: gradients by
+# red, green, blue and by weighted depth, then what later splats and the background still
+# contribute.
+_RED, _GREEN, _BLUE, _DEPTH = (
+    FIRST_FREE,
+    FIRST_FREE + LANES,
+    FIRST_FREE + U(2) * LANES,
+    FIRST_FREE + U(3) * LANES,
+)
 _REST = FIRST_FREE + U(4) * LANES
 FORWARD_STRIDE, BACKWARD_STRIDE = FIRST_FREE + U(4) * LANES, FIRST_FREE + U(5) * LANES
-FORWARD_SCRATCH, BACKWARD_SCRATCH = int(BLOCKS * FORWARD_STRIDE), int(BLOCKS * BACKWARD_STRIDE)
+FORWARD_SCRATCH, BACKWARD_SCRATCH = (
+    int(BLOCKS * FORWARD_STRIDE),
+    int(BLOCKS * BACKWARD_STRIDE),
+)
 """Floats of scratch memory that `shade_tiles` and `differentiate_tiles` need."""
 
 
@@ -60,19 +79,35 @@ def shade_tiles(
     depths,
     transmittances,
 ):
-    """Render the tiles [first_tile, last_tile) of one image into images [3, H, W] and three of [H, W].
+    """Render the tiles [first_tile, last_tile) of one image into images [3, H, W] and three of [H,
+    W].
 
     `touched[e]` becomes the blocks that entry e reaches, as bits; the backward pass reads it.
     """
     height, width = alphas.shape
-    offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
+    offsets, entries, records, scratch = (
+        flat(offsets),
+        flat(entries),
+        flat(records),
+        flat(scratch),
+    )
     touched, background = flat(touched), flat(background)
-    images, alphas, depths, transmittances = flat(images), flat(alphas), flat(depths), flat(transmittances)
+    images, alphas, depths, transmittances = (
+        flat(images),
+        flat(alphas),
+        flat(depths),
+        flat(transmittances),
+    )
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
-        live = open_tile(scratch, FORWARD_STRIDE, min(TILE, width - tile_x), min(TILE, height - tile_y))
+        live = open_tile(
+            scratch,
+            FORWARD_STRIDE,
+            min(TILE, width - tile_x),
+            min(TILE, height - tile_y),
+        )
         for block in range(BLOCKS):
             for plane in range(FIRST_FREE, FORWARD_STRIDE, LANES):
                 store(scratch, block * FORWARD_STRIDE + plane, zero)
@@ -83,7 +118,9 @@ def shade_tiles(
             for entry in range(first, last):
                 todo = live & U(touched[entry])
                 start = U(entries[entry]) * U(RECORD)
-                ellipse, red, green, blue, depth = place_splat(records, start, tile_x, tile_y)
+                ellipse, red, green, blue, depth = place_splat(
+                    records, start, tile_x, tile_y
+                )
                 while todo != U(0):
                     place = lowest_bit(todo) * FORWARD_STRIDE
                     todo &= todo - U(1)
@@ -95,24 +132,67 @@ def shade_tiles(
                     covered = exponent >= threshold
                     shown = covered & (after > least)
                     weight = select(shown, weight, zero)
-                    store(scratch, place + TRANSMITTANCE, select(shown, after, flag_negative(covered, before)))
-                    store(scratch, place + _RED, load(scratch, place + _RED) + weight * red)
-                    store(scratch, place + _GREEN, load(scratch, place + _GREEN) + weight * green)
-                    store(scratch, place + _BLUE, load(scratch, place + _BLUE) + weight * blue)
-                    store(scratch, place + _DEPTH, load(scratch, place + _DEPTH) + weight * depth)
+                    store(
+                        scratch,
+                        place + TRANSMITTANCE,
+                        select(shown, after, flag_negative(covered, before)),
+                    )
+                    store(
+                        scratch,
+                        place + _RED,
+                        load(scratch, place + _RED) + weight * red,
+                    )
+                    store(
+                        scratch,
+                        place + _GREEN,
+                        load(scratch, place + _GREEN) + weight * green,
+                    )
+                    store(
+                        scratch,
+                        place + _BLUE,
+                        load(scratch, place + _BLUE) + weight * blue,
+                    )
+                    store(
+                        scratch,
+                        place + _DEPTH,
+                        load(scratch, place + _DEPTH) + weight * depth,
+                    )
             live &= live_blocks(scratch, FORWARD_STRIDE)
             first = last
         _write_tile(
-            scratch, U(tile_x), U(tile_y), U(width), U(height), background, images, alphas, depths, transmittances
+            scratch,
+            U(tile_x),
+            U(tile_y),
+            U(width),
+            U(height),
+            background,
+            images,
+            alphas,
+            depths,
+            transmittances,
         )
 
 
 @inlined
-def _write_tile(scratch, tile_x, tile_y, width, height, background, images, alphas, depths, transmittances):
+def _write_tile(
+    scratch,
+    tile_x,
+    tile_y,
+    width,
+    height,
+    background,
+    images,
+    alphas,
+    depths,
+    transmittances,
+):
     """Composite the background in place and copy a tile's pixels to the images."""
     plane = width * height
     for block in range(BLOCKS):
-        x, y = tile_x + (block % BLOCKS_PER_ROW) * U(BLOCK), tile_y + (block // BLOCKS_PER_ROW) * U(BLOCK)
+        x, y = (
+            tile_x + (block % BLOCKS_PER_ROW) * U(BLOCK),
+            tile_y + (block // BLOCKS_PER_ROW) * U(BLOCK),
+        )
         if x >= width or y >= height:
             continue
         place, target = block * FORWARD_STRIDE, y * width + x
@@ -121,14 +201,22 @@ def _write_tile(scratch, tile_x, tile_y, width, height, background, images, alph
         alpha = broadcast(F(1)) - left
         store(scratch, place + TRANSMITTANCE, left)
         store(scratch, place + PIXEL_X, alpha)
-        store(scratch, place + _DEPTH, load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA)))
-        write_block(scratch, place + TRANSMITTANCE, transmittances, target, width, columns, rows)
+        store(
+            scratch,
+            place + _DEPTH,
+            load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA)),
+        )
+        write_block(
+            scratch, place + TRANSMITTANCE, transmittances, target, width, columns, rows
+        )
         write_block(scratch, place + PIXEL_X, alphas, target, width, columns, rows)
         write_block(scratch, place + _DEPTH, depths, target, width, columns, rows)
         for channel in range(U(3)):
             colour = place + _RED + channel * LANES
             store(scratch, colour, load(scratch, colour) + left * background[channel])
-            write_block(scratch, colour, images, target + channel * plane, width, columns, rows)
+            write_block(
+                scratch, colour, images, target + channel * plane, width, columns, rows
+            )
 
 
 @kernel
@@ -153,9 +241,16 @@ def differentiate_tiles(
     depth_gradients,
     sums,
 ):
-    """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile); without `shapes`, colours."""
+    """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile); without
+    `shapes`, colours.
+    """
     height, width = depths.shape
-    offsets, entries, records, scratch = flat(offsets), flat(entries), flat(records), flat(scratch)
+    offsets, entries, records, scratch = (
+        flat(offsets),
+        flat(entries),
+        flat(records),
+        flat(scratch),
+    )
     touched, sums = flat(touched), flat(sums)
     images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
     image_gradients, alpha_gradients = flat(image_gradients), flat(alpha_gradients)
@@ -165,15 +260,34 @@ def differentiate_tiles(
     plane = U(width) * U(height)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
-        live = open_tile(scratch, BACKWARD_STRIDE, min(TILE, width - tile_x), min(TILE, height - tile_y))
+        live = open_tile(
+            scratch,
+            BACKWARD_STRIDE,
+            min(TILE, width - tile_x),
+            min(TILE, height - tile_y),
+        )
         for block in range(BLOCKS):
-            x, y = U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK), U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK)
+            x, y = (
+                U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK),
+                U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK),
+            )
             if x < U(width) and y < U(height):
                 place, corner = block * BACKWARD_STRIDE, y * U(width) + x
                 shape = U(width), U(width) - x, U(height) - y
-                _read_planes(scratch, place, images, depths, transmittances, corner, plane, shape)
+                _read_planes(
+                    scratch, place, images, depths, transmittances, corner, plane, shape
+                )
                 seen = _load_planes(scratch, place)
-                _read_planes(scratch, place, image_gradients, depth_gradients, alpha_gradients, corner, plane, shape)
+                _read_planes(
+                    scratch,
+                    place,
+                    image_gradients,
+                    depth_gradients,
+                    alpha_gradients,
+                    corner,
+                    plane,
+                    shape,
+                )
                 _start_rest(scratch, place, seen)
         first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
@@ -182,8 +296,17 @@ def differentiate_tiles(
                 prefetch(records, U(entries[entry + U(LOOKAHEAD)]) * U(RECORD))
                 todo = live & U(touched[entry])
                 start = U(entries[entry]) * U(RECORD)
-                ellipse, red, green, blue, depth = place_splat(records, start, tile_x, tile_y)
-                sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = zero, zero, zero, zero, zero, zero
+                ellipse, red, green, blue, depth = place_splat(
+                    records, start, tile_x, tile_y
+                )
+                sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = (
+                    zero,
+                    zero,
+                    zero,
+                    zero,
+                    zero,
+                    zero,
+                )
                 sum_red, sum_green, sum_blue, sum_depth = zero, zero, zero, zero
                 while todo != U(0):
                     place = lowest_bit(todo) * BACKWARD_STRIDE
@@ -197,19 +320,36 @@ def differentiate_tiles(
                     covered = exponent >= threshold
                     shown = covered & (after > least)
                     weight = select(shown, weight, zero)
-                    store(scratch, place + TRANSMITTANCE, select(shown, after, flag_negative(covered, before)))
-                    by_red, by_green = load(scratch, place + _RED), load(scratch, place + _GREEN)
-                    by_blue, by_depth = load(scratch, place + _BLUE), load(scratch, place + _DEPTH)
+                    store(
+                        scratch,
+                        place + TRANSMITTANCE,
+                        select(shown, after, flag_negative(covered, before)),
+                    )
+                    by_red, by_green = (
+                        load(scratch, place + _RED),
+                        load(scratch, place + _GREEN),
+                    )
+                    by_blue, by_depth = (
+                        load(scratch, place + _BLUE),
+                        load(scratch, place + _DEPTH),
+                    )
                     sum_red += weight * by_red
                     sum_green += weight * by_green
                     sum_blue += weight * by_blue
                     sum_depth += weight * by_depth
                     if shapes:
-                        value = by_red * red + by_green * green + by_blue * blue + by_depth * depth
+                        value = (
+                            by_red * red
+                            + by_green * green
+                            + by_blue * blue
+                            + by_depth * depth
+                        )
                         rest = load(scratch, place + _REST) - weight * value
                         store(scratch, place + _REST, rest)
                         by_alpha = before * value - rest / (broadcast(F(1)) - alpha)
-                        v = select(shown & (full_alpha <= limit), alpha * by_alpha, zero)
+                        v = select(
+                            shown & (full_alpha <= limit), alpha * by_alpha, zero
+                        )
                         vs, vt = v * across, v * down
                         sum_v += v
                         sum_vs += vs
@@ -220,7 +360,18 @@ def differentiate_tiles(
                 store_sums(
                     sums,
                     entry * U(SUMS),
-                    (sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt, sum_red, sum_green, sum_blue, sum_depth),
+                    (
+                        sum_v,
+                        sum_vs,
+                        sum_vt,
+                        sum_vss,
+                        sum_vst,
+                        sum_vtt,
+                        sum_red,
+                        sum_green,
+                        sum_blue,
+                        sum_depth,
+                    ),
                 )
             live &= live_blocks(scratch, BACKWARD_STRIDE)
             first = last
@@ -230,27 +381,43 @@ def differentiate_tiles(
 
 @inlined
 def _read_planes(scratch, place, images, depths, alphas, corner, plane, shape):
-    """Copy a block of three colours, depth and a last image to the planes that `_start_rest` works on."""
+    """Copy a block of three colours, depth and a last image to the planes that `_start_rest` works
+    on.
+    """
     width, columns, rows = shape[0], min(U(BLOCK), shape[1]), min(U(BLOCK), shape[2])
     read_block(scratch, place + _RED, images, corner, width, columns, rows)
     read_block(scratch, place + _GREEN, images, corner + plane, width, columns, rows)
-    read_block(scratch, place + _BLUE, images, corner + U(2) * plane, width, columns, rows)
+    read_block(
+        scratch, place + _BLUE, images, corner + U(2) * plane, width, columns, rows
+    )
     read_block(scratch, place + _DEPTH, depths, corner, width, columns, rows)
     read_block(scratch, place + _REST, alphas, corner, width, columns, rows)
 
 
 @inlined
 def _load_planes(scratch, place):
-    red, green, blue = load(scratch, place + _RED), load(scratch, place + _GREEN), load(scratch, place + _BLUE)
+    red, green, blue = (
+        load(scratch, place + _RED),
+        load(scratch, place + _GREEN),
+        load(scratch, place + _BLUE),
+    )
     return red, green, blue, load(scratch, place + _DEPTH), load(scratch, place + _REST)
 
 
 @inlined
 def _start_rest(scratch, place, seen):
-    """Compute the gradient by weighted depth, and `rest`, from a block's images (`seen`) and their gradients."""
+    """Compute the gradient by weighted depth, and `rest`, from a block's images (`seen`) and their
+    gradients.
+    """
     red, green, blue, depth, left = seen
     by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
     by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))
-    rest = red * by_red + green * by_green + blue * by_blue + depth * by_depth - left * by_alpha
+    rest = (
+        red * by_red
+        + green * by_green
+        + blue * by_blue
+        + depth * by_depth
+        - left * by_alpha
+    )
     store(scratch, place + _DEPTH, by_depth)
     store(scratch, place + _REST, rest)

@@ -6,19 +6,25 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.errors import InputError, MissingDependencyError, SettingsError
 from edit3r.geometry.cameras import invert_rigid, to_pixels
 from edit3r.geometry.rotations import normalise_quats
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.settings import RasterizerSettings, check_scene, resolve_background
+from edit3r_rasterizers.settings import (
+    RasterizerSettings,
+    check_scene,
+    resolve_background,
+)
 
 _BUILT_IN = ("max_alpha", "min_alpha", "min_transmittance")
 """Settings that are constants of gsplat's kernels."""
 
 
 class GsplatRasterizer(Rasterizer):
-    """Renders float32 Gaussians on an NVIDIA GPU; sums gradients with atomics, so their last bits vary."""
+    """Renders float32 Gaussians on an NVIDIA GPU; sums gradients with atomics, so their last bits
+    vary.
+    """
 
     Settings = RasterizerSettings
 
@@ -28,24 +34,38 @@ class GsplatRasterizer(Rasterizer):
         self.settings = settings
 
     def render(
-        self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        background: Float[Tensor, "*#batch_camera 3"] | None = None,
     ) -> Rendering:
-        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces the setting.
+        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces
+        the setting.
 
         Raises InputError for input that is not finite or not on a CUDA device.
         """
         if gaussians.means.device.type != "cuda":
             raise InputError(
-                f"rasterizer 'gsplat' renders on a CUDA device, the Gaussians are on {gaussians.means.device}; "
+                "rasterizer 'gsplat' renders on a CUDA device, the Gaussians are on "
+                f"{gaussians.means.device}; "
                 f"move them with .to('cuda'), or use 'numba'."
             )
         check_scene(gaussians, cameras)
-        backgrounds = resolve_background(background, self.settings.background, gaussians, cameras)
-        scenes = [self._render_scene(gaussians, cameras, scene) for scene in range(gaussians.means.shape[0])]
+        backgrounds = resolve_background(
+            background, self.settings.background, gaussians, cameras
+        )
+        scenes = [
+            self._render_scene(gaussians, cameras, scene)
+            for scene in range(gaussians.means.shape[0])
+        ]
         colours, alphas, depths = (torch.stack(images) for images in zip(*scenes))
-        return Rendering(colours + (1 - alphas) * backgrounds[..., None, None], alphas, depths)
+        return Rendering(
+            colours + (1 - alphas) * backgrounds[..., None, None], alphas, depths
+        )
 
-    def _render_scene(self, gaussians: Gaussians, cameras: Cameras, scene: int) -> tuple[Tensor, Tensor, Tensor]:
+    def _render_scene(
+        self, gaussians: Gaussians, cameras: Cameras, scene: int
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Premultiplied colour [C, 3, H, W], alpha and expected depth [C, 1, H, W] of one scene."""
         height, width = cameras.image_size
         dtype = gaussians.means.dtype
@@ -70,7 +90,10 @@ class GsplatRasterizer(Rasterizer):
             sh_degree=gaussians.degree,
             render_mode="RGB+ED",
         )
-        images, alphas = images.movedim(-1, 1).to(dtype), alphas.movedim(-1, 1).to(dtype)
+        images, alphas = (
+            images.movedim(-1, 1).to(dtype),
+            alphas.movedim(-1, 1).to(dtype),
+        )
         return images[:, :3], alphas, images[:, 3:]
 
 
@@ -78,12 +101,14 @@ def _require_cuda() -> None:
     """Raise MissingDependencyError with what to use instead when gsplat cannot run here."""
     if not torch.cuda.is_available():
         raise MissingDependencyError(
-            "rasterizer 'gsplat' needs an NVIDIA GPU with CUDA and this machine has none; use 'numba' instead, "
+            "rasterizer 'gsplat' needs an NVIDIA GPU with CUDA and this machine has none; use "
+            "'numba' instead, "
             "which renders the same pictures on the CPU."
         )
     if importlib.util.find_spec("gsplat") is None:
         raise MissingDependencyError(
-            "rasterizer 'gsplat' needs gsplat; install with: pip install \"edit3r[gsplat]\", or use 'numba'."
+            "rasterizer 'gsplat' needs gsplat; install with: pip install \"edit3r[gsplat]\", or "
+            "use 'numba'."
         )
 
 
@@ -92,6 +117,7 @@ def _require_built_in(settings: RasterizerSettings) -> None:
         fixed = RasterizerSettings.model_fields[name].default
         if getattr(settings, name) != fixed:
             raise SettingsError(
-                f"rasterizer.{name}: gsplat's kernels have {fixed:g} built in, got {getattr(settings, name):g}; "
+                f"rasterizer.{name}: gsplat's kernels have {fixed:g} built in, got "
+                f"{getattr(settings, name):g}; "
                 f"leave it at its default, or use 'numba' or 'torch'."
             )

@@ -9,47 +9,89 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.errors import InputError
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.compositing import BACKWARD_SCRATCH, FORWARD_SCRATCH, differentiate_tiles, shade_tiles
-from edit3r_rasterizers.kernels import aligned_empty, even_bounds, run_slices, scratch, thread_count
+from edit3r_rasterizers.compositing import (
+    BACKWARD_SCRATCH,
+    FORWARD_SCRATCH,
+    differentiate_tiles,
+    shade_tiles,
+)
+from edit3r_rasterizers.kernels import (
+    aligned_empty,
+    even_bounds,
+    run_slices,
+    scratch,
+    thread_count,
+)
 from edit3r_rasterizers.layout import RECORD, SUMS
 from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_camera, project
-from edit3r_rasterizers.projection_backward import PROJECTION_BACKWARD_SCRATCH, project_backward
-from edit3r_rasterizers.settings import BORDER, RasterizerSettings, check_cameras, check_finite, resolve_background
+from edit3r_rasterizers.projection_backward import (
+    PROJECTION_BACKWARD_SCRATCH,
+    project_backward,
+)
+from edit3r_rasterizers.settings import (
+    BORDER,
+    RasterizerSettings,
+    check_cameras,
+    check_finite,
+    resolve_background,
+)
 from edit3r_rasterizers.tile_lists import TileGrid, TileLists, list_tiles
 
 
 class NumbaSettings(RasterizerSettings):
     """The shared settings, and the number of threads."""
 
-    threads: int = Field(0, ge=0, le=256, description="CPU threads; 0: as many as torch and numba are set to use.")
+    threads: int = Field(
+        0,
+        ge=0,
+        le=256,
+        description="CPU threads; 0: as many as torch and numba are set to use.",
+    )
 
 
 class NumbaRasterizer(Rasterizer):
     """Renders float32 Gaussians on the CPU, with the same bits for any number of threads.
 
-    float64 is computed from float32 copies and returned as float64; another device is refused. Cameras get no
-    gradient: use `torch` to differentiate poses.
+    float64 is computed from float32 copies and returned as float64; another device is refused.
+    Cameras get no gradient: use `torch` to differentiate poses.
     """
 
     Settings = NumbaSettings
 
     def render(
-        self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        background: Float[Tensor, "*#batch_camera 3"] | None = None,
     ) -> Rendering:
-        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces the setting.
+        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces
+        the setting.
 
-        Raises InputError for input that is not finite or not on the CPU, or for cameras that ask for a gradient.
+        Raises InputError for input that is not finite or not on the CPU, or for cameras that ask
+        for a gradient.
         """
         _check_device(gaussians)
         check_cameras(gaussians, cameras)
-        if torch.is_grad_enabled() and (cameras.c2w.requires_grad or cameras.intrinsics.requires_grad):
-            raise InputError("rasterizer 'numba' has no gradient for cameras; detach them, or use 'torch'.")
+        if torch.is_grad_enabled() and (
+            cameras.c2w.requires_grad or cameras.intrinsics.requires_grad
+        ):
+            raise InputError(
+                "rasterizer 'numba' has no gradient for cameras; detach them, or use 'torch'."
+            )
         single = gaussians.to(torch.float32)
-        backgrounds = resolve_background(background, self.settings.background, single, cameras)
-        fields = single.means, single.scales, single.quats, single.opacities, single.harmonics
+        backgrounds = resolve_background(
+            background, self.settings.background, single, cameras
+        )
+        fields = (
+            single.means,
+            single.scales,
+            single.quats,
+            single.opacities,
+            single.harmonics,
+        )
         outputs = _Rasterize.apply(self.settings, cameras, *fields, backgrounds)
         return Rendering(*outputs).to(gaussians.means.dtype)
 
@@ -65,7 +107,9 @@ def _check_device(gaussians: Gaussians) -> None:
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32 arrays."""
+    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32
+    arrays.
+    """
 
     means: np.ndarray  # [G, 3]
     scales: np.ndarray  # [G, 3]
@@ -92,7 +136,9 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class Frame:
-    """What `project_scene` prepares for drawing, and the forward pass leaves for the backward pass."""
+    """What `project_scene` prepares for drawing, and the forward pass leaves for the backward
+    pass.
+    """
 
     grid: TileGrid
     camera: np.ndarray  # see layout.CAMERA
@@ -106,21 +152,40 @@ class _Rasterize(torch.autograd.Function):
     """Renders B scenes with C cameras each, one after the other, and differentiates that."""
 
     @staticmethod
-    def forward(ctx, settings, cameras, means, scales, quats, opacities, harmonics, backgrounds):
+    def forward(
+        ctx, settings, cameras, means, scales, quats, opacities, harmonics, backgrounds
+    ):
         batch, count = cameras.c2w.shape[:2]
         grid = TileGrid(*cameras.image_size)
         images = torch.empty(batch, count, 3, grid.height, grid.width)
-        alphas, depths = (torch.empty(batch, count, 1, grid.height, grid.width) for _ in range(2))
+        alphas, depths = (
+            torch.empty(batch, count, 1, grid.height, grid.width) for _ in range(2)
+        )
         threads, frames = thread_count(settings.threads), []
         fields = means, scales, quats, opacities, harmonics
         scenes = [Scene(*(_array(field[b]) for field in fields)) for b in range(batch)]
         for b in range(batch):
             for c in range(count):
-                camera = pack_camera(cameras.c2w[b, c], cameras.intrinsics[b, c], grid, BORDER)
-                frame = project_scene(settings, threads, scenes[b], camera, grid, any(ctx.needs_input_grad))
+                camera = pack_camera(
+                    cameras.c2w[b, c], cameras.intrinsics[b, c], grid, BORDER
+                )
+                frame = project_scene(
+                    settings,
+                    threads,
+                    scenes[b],
+                    camera,
+                    grid,
+                    any(ctx.needs_input_grad),
+                )
                 if frame is None:
                     check_finite(Gaussians(*(field.detach() for field in fields)))
-                draw(settings, threads, frame, _array(backgrounds[b, c]), _images_of((images, alphas, depths), b, c))
+                draw(
+                    settings,
+                    threads,
+                    frame,
+                    _array(backgrounds[b, c]),
+                    _images_of((images, alphas, depths), b, c),
+                )
                 frames += [frame] if any(ctx.needs_input_grad) else []
         ctx.settings, ctx.scenes, ctx.frames = settings, scenes, frames
         ctx.save_for_backward(images, alphas, depths)
@@ -131,20 +196,37 @@ class _Rasterize(torch.autograd.Function):
         outputs = ctx.saved_tensors
         batch, count = outputs[0].shape[:2]
         *by_shapes, by_colours, by_background = ctx.needs_input_grad[2:]
-        by_scenes = [scene.made_by(np.empty_like if count else np.zeros_like) for scene in ctx.scenes]
+        by_scenes = [
+            scene.made_by(np.empty_like if count else np.zeros_like)
+            for scene in ctx.scenes
+        ]
         by_backgrounds = torch.zeros(batch, count, 3) if by_background else None
         for index, frame in enumerate(ctx.frames):
             b, c = divmod(index, count)
             seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
             if any(by_shapes) or by_colours:
                 differentiate(
-                    ctx.settings, ctx.scenes[b], frame, seen, by_seen, by_scenes[b], shapes=any(by_shapes), fresh=c == 0
+                    ctx.settings,
+                    ctx.scenes[b],
+                    frame,
+                    seen,
+                    by_seen,
+                    by_scenes[b],
+                    shapes=any(by_shapes),
+                    fresh=c == 0,
                 )
             if by_background:
                 left = torch.from_numpy(frame.transmittances)
-                by_backgrounds[b, c] = torch.einsum("chw,hw->c", gradients[0][b, c].double(), left.double())
-        stacked = [_stack(arrays) for arrays in zip(*(scene.arrays for scene in by_scenes))] or [None] * 5
-        by_fields = [field if wanted else None for field, wanted in zip(stacked, ctx.needs_input_grad[2:])]
+                by_backgrounds[b, c] = torch.einsum(
+                    "chw,hw->c", gradients[0][b, c].double(), left.double()
+                )
+        stacked = [
+            _stack(arrays) for arrays in zip(*(scene.arrays for scene in by_scenes))
+        ] or [None] * 5
+        by_fields = [
+            field if wanted else None
+            for field, wanted in zip(stacked, ctx.needs_input_grad[2:])
+        ]
         return None, None, *by_fields, by_backgrounds
 
 
@@ -153,7 +235,9 @@ def _stack(arrays: tuple[np.ndarray, ...]) -> Tensor:
     return torch.from_numpy(arrays[0][None] if len(arrays) == 1 else np.stack(arrays))
 
 
-def _images_of(outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int) -> CameraImages:
+def _images_of(
+    outputs: tuple[Tensor, Tensor, Tensor], scene: int, camera: int
+) -> CameraImages:
     """Return one camera's images, as views of the tensors' memory where that is contiguous."""
     image, alpha, depth = (_array(output[scene, camera]) for output in outputs)
     return CameraImages(image, alpha[0], depth[0])
@@ -164,7 +248,12 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 def project_scene(
-    settings: RasterizerSettings, threads: int, scene: Scene, camera: np.ndarray, grid: TileGrid, by_splat: bool = True
+    settings: RasterizerSettings,
+    threads: int,
+    scene: Scene,
+    camera: np.ndarray,
+    grid: TileGrid,
+    by_splat: bool = True,
 ) -> Frame | None:
     """Compute the records and tile lists of one camera; returns None when a Gaussian is not finite.
 
@@ -173,20 +262,47 @@ def project_scene(
     count = len(scene.means)
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
-    limits = (float(grid.width), float(grid.height), settings.near, settings.far, settings.eps2d, settings.min_alpha)
+    limits = (
+        float(grid.width),
+        float(grid.height),
+        settings.near,
+        settings.far,
+        settings.eps2d,
+        settings.min_alpha,
+    )
     work = scratch(PROJECTION_SCRATCH, np.float64)
     sound = run_slices(
-        project, even_bounds(count, threads), threads, *scene.arrays, camera, *limits, work, records, boxes, keys
+        project,
+        even_bounds(count, threads),
+        threads,
+        *scene.arrays,
+        camera,
+        *limits,
+        work,
+        records,
+        boxes,
+        keys,
     )
     if not all(sound):
         return None
     lists = list_tiles(threads, grid, records, boxes, keys, by_splat)
     touched = np.empty(len(lists.entries), np.uint16)
-    return Frame(grid, camera, records, lists, np.empty((grid.height, grid.width), np.float32), touched)
+    return Frame(
+        grid,
+        camera,
+        records,
+        lists,
+        np.empty((grid.height, grid.width), np.float32),
+        touched,
+    )
 
 
 def draw(
-    settings: RasterizerSettings, threads: int, frame: Frame, background: np.ndarray, images: CameraImages
+    settings: RasterizerSettings,
+    threads: int,
+    frame: Frame,
+    background: np.ndarray,
+    images: CameraImages,
 ) -> None:
     """Fill `images` over a background colour [3]."""
     run_slices(
@@ -214,7 +330,8 @@ def differentiate(
     shapes: bool,
     fresh: bool,
 ) -> None:
-    """Add the gradients of one camera's images to those of the scene, which are 0 where they are `fresh`.
+    """Add the gradients of one camera's images to those of the scene, which are 0 where they are
+    `fresh`.
 
     Without `shapes` only those by the harmonics, for which colours alone matter.
     """
@@ -256,7 +373,14 @@ def differentiate(
 
 def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
     limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
-    return frame.grid.columns, frame.lists.offsets, frame.lists.entries, frame.records, *limits, frame.touched
+    return (
+        frame.grid.columns,
+        frame.lists.offsets,
+        frame.lists.entries,
+        frame.records,
+        *limits,
+        frame.touched,
+    )
 
 
 def _tile_bounds(frame: Frame, threads: int) -> list[int]:
@@ -264,6 +388,12 @@ def _tile_bounds(frame: Frame, threads: int) -> list[int]:
     if threads == 1:
         return [0, frame.grid.count]
     slices = min(frame.grid.count, 8 * threads)
-    work = frame.lists.offsets + 16 * np.arange(frame.grid.count + 1)  # opening a tile costs as much as some entries
+    work = frame.lists.offsets + 16 * np.arange(
+        frame.grid.count + 1
+    )  # opening a tile costs as much as some entries
     cuts = np.searchsorted(work, work[-1] * np.arange(1, slices) / slices)
-    return [0, *np.unique(cuts[(cuts > 0) & (cuts < frame.grid.count)]).tolist(), frame.grid.count]
+    return [
+        0,
+        *np.unique(cuts[(cuts > 0) & (cuts < frame.grid.count)]).tolist(),
+        frame.grid.count,
+    ]

@@ -10,10 +10,24 @@ from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers import layout
 from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
-from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, SCALE, U, staged_row
+from edit3r_rasterizers.projection_maths import (
+    GROUP,
+    INPUTS,
+    OPACITY,
+    SCALE,
+    U,
+    staged_row,
+)
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
-from edit3r_rasterizers.simd import broadcast, log2, mask_bits, maximum, minimum, square_root
+from edit3r_rasterizers.simd import (
+    broadcast,
+    log2,
+    mask_bits,
+    maximum,
+    minimum,
+    square_root,
+)
 from edit3r_rasterizers.simd_memory import flat, shifted, store
 from edit3r_rasterizers.tile_lists import TileGrid
 
@@ -24,15 +38,23 @@ _DEVIATIONS = 1 / UNIT
 _X, _Y, _X_PER_Y, _INV_STD_X, _INV_STD_Y, _Y_PER_X, _LOG_OPACITY, _CUTOFF, _DEPTH = (
     INPUTS + U(row) for row in range(9)
 )
-_LEFT, _TOP, _RIGHT, _BOTTOM, _DIRECTION_X, _DIRECTION_Y, _DIRECTION_Z = (INPUTS + U(row) for row in range(9, 16))
+_LEFT, _TOP, _RIGHT, _BOTTOM, _DIRECTION_X, _DIRECTION_Y, _DIRECTION_Z = (
+    INPUTS + U(row) for row in range(9, 16)
+)
 """Rows of the staged results; the last three are the direction seen."""
 _BASIS = INPUTS + U(16)
 PROJECTION_SCRATCH = int(_BASIS * GROUP) + 25
-"""Doubles of scratch memory that `project` needs: the rows above, then one direction's harmonics basis."""
+"""Doubles of scratch memory that `project` needs: the rows above, then one direction's harmonics
+basis.
+"""
 
 
-def pack_camera(c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float) -> np.ndarray:
-    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave the image."""
+def pack_camera(
+    c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float
+) -> np.ndarray:
+    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave
+    the image.
+    """
     pose = c2w.detach().to("cpu", torch.float64).numpy()
     matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
     size = np.array([grid.width, grid.height], dtype=np.float64)
@@ -64,20 +86,38 @@ def project(
     boxes,
     keys,
 ):
-    """Fill `records`, `boxes` (first and last tile column and row) and `keys` (sort by these) for [first, last).
+    """Fill `records`, `boxes` (first and last tile column and row) and `keys` (sort by these) for
+    [first, last).
 
-    A Gaussian that covers no pixel centre gets an empty box. Returns whether all values read were finite.
+    A Gaussian that covers no pixel centre gets an empty box. Returns whether all values read were
+    finite.
     """
     count = U(harmonics.shape[1])
     means, scales, quats = flat(means), flat(scales), flat(quats)
     opacities, harmonics = flat(opacities), flat(harmonics)
-    camera, scratch, records, boxes, keys = flat(camera), flat(scratch), flat(records), flat(boxes), flat(keys)
+    camera, scratch, records, boxes, keys = (
+        flat(camera),
+        flat(scratch),
+        flat(records),
+        flat(boxes),
+        flat(keys),
+    )
     sound = True
     for start in range(U(first), U(last), GROUP):
         end = min(start + GROUP, U(last))
         for lane in range(GROUP):  # a short group repeats its last Gaussian
-            maths.stage(scratch, lane, min(start + lane, end - U(1)), means, scales, quats, opacities)
-        visible, finite = _project_group(scratch, camera, width, height, near, far, eps2d, min_alpha)
+            maths.stage(
+                scratch,
+                lane,
+                min(start + lane, end - U(1)),
+                means,
+                scales,
+                quats,
+                opacities,
+            )
+        visible, finite = _project_group(
+            scratch, camera, width, height, near, far, eps2d, min_alpha
+        )
         for i in range(start, end):
             lane = i - start
             sound = sound and (finite >> lane) & U(1) != U(0)
@@ -85,7 +125,9 @@ def project(
                 keys[i] = scratch[_DEPTH * GROUP + lane]
                 _write_box(boxes, i, scratch, lane)
                 _write_geometry(records, i, scratch, lane)
-                sound = _write_colour(records, i, scratch, lane, harmonics, count) and sound
+                sound = (
+                    _write_colour(records, i, scratch, lane, harmonics, count) and sound
+                )
             else:
                 _write_empty_box(boxes, i)
                 sound = _all_finite(harmonics, i, count) and sound
@@ -109,21 +151,37 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     a, b, c, d, _ = maths.unit_quats(staged)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
     j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0, s1, s2 = staged_row(staged, SCALE), staged_row(staged, SCALE + U(1)), staged_row(staged, SCALE + U(2))
+    s0, s1, s2 = (
+        staged_row(staged, SCALE),
+        staged_row(staged, SCALE + U(1)),
+        staged_row(staged, SCALE + U(2)),
+    )
     a0, b0 = (j0 * r0 + j1 * r3 + j2 * r6) * s0, (k0 * r0 + k1 * r3 + k2 * r6) * s0
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
-    x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(
+        a0, a1, a2, b0, b1, b2, eps2d
+    )
     mean_x = u * camera[layout.FOCAL_X] + camera[layout.CENTRE_X]
     mean_y = v * camera[layout.FOCAL_Y] + camera[layout.CENTRE_Y]
 
     opacity = maximum(opacity, min_alpha)
     log_opacity = log2(opacity)
     cutoff = maximum(log_opacity - log2(broadcast(min_alpha)), 0.0)
-    extent_x, extent_y = square_root(cutoff * variance_x) * _DEVIATIONS, square_root(cutoff * variance_y) * _DEVIATIONS
-    # Bounds in pixel indices, of pixels whose centres lie inside; clamped, so that they fit an integer.
-    left, right = maximum(mean_x - extent_x - 0.5, 0.0), minimum(mean_x + extent_x - 0.5, width - 1.0)
-    top, bottom = maximum(mean_y - extent_y - 0.5, 0.0), minimum(mean_y + extent_y - 0.5, height - 1.0)
+    extent_x, extent_y = (
+        square_root(cutoff * variance_x) * _DEVIATIONS,
+        square_root(cutoff * variance_y) * _DEVIATIONS,
+    )
+    # Bounds in pixel indices, of pixels whose centres lie inside; clamped, so that they fit an
+    # integer.
+    left, right = (
+        maximum(mean_x - extent_x - 0.5, 0.0),
+        minimum(mean_x + extent_x - 0.5, width - 1.0),
+    )
+    top, bottom = (
+        maximum(mean_y - extent_y - 0.5, 0.0),
+        minimum(mean_y + extent_y - 0.5, height - 1.0),
+    )
     seen = seen & (right >= left) & (bottom >= top)
 
     store(staged, _X * GROUP, mean_x)
@@ -157,25 +215,50 @@ def _all_finite(harmonics, i, count):
 @inlined
 def _write_box(boxes, i, results, lane):
     """Write the first and last tile; first > last when no pixel centre lies between the bounds."""
-    left, top = math.ceil(results[_LEFT * GROUP + lane]), math.ceil(results[_TOP * GROUP + lane])
-    right, bottom = math.floor(results[_RIGHT * GROUP + lane]), math.floor(results[_BOTTOM * GROUP + lane])
+    left, top = (
+        math.ceil(results[_LEFT * GROUP + lane]),
+        math.ceil(results[_TOP * GROUP + lane]),
+    )
+    right, bottom = (
+        math.floor(results[_RIGHT * GROUP + lane]),
+        math.floor(results[_BOTTOM * GROUP + lane]),
+    )
     if left > right or top > bottom:
         _write_empty_box(boxes, i)
         return
-    boxes[U(4) * i], boxes[U(4) * i + U(1)] = U(left) // U(layout.TILE), U(top) // U(layout.TILE)
-    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = U(right) // U(layout.TILE), U(bottom) // U(layout.TILE)
+    boxes[U(4) * i], boxes[U(4) * i + U(1)] = (
+        U(left) // U(layout.TILE),
+        U(top) // U(layout.TILE),
+    )
+    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = (
+        U(right) // U(layout.TILE),
+        U(bottom) // U(layout.TILE),
+    )
 
 
 @inlined
 def _write_empty_box(boxes, i):
-    boxes[U(4) * i], boxes[U(4) * i + U(1)], boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = 1, 1, 0, 0
+    (
+        boxes[U(4) * i],
+        boxes[U(4) * i + U(1)],
+        boxes[U(4) * i + U(2)],
+        boxes[U(4) * i + U(3)],
+    ) = 1, 1, 0, 0
 
 
 @inlined
 def _write_geometry(records, i, results, lane):
     record = i * U(layout.RECORD)
-    x, y, x_per_y = results[_X * GROUP + lane], results[_Y * GROUP + lane], results[_X_PER_Y * GROUP + lane]
-    records[record + U(layout.X)], records[record + U(layout.Y)], records[record + U(layout.X_PER_Y)] = x, y, x_per_y
+    x, y, x_per_y = (
+        results[_X * GROUP + lane],
+        results[_Y * GROUP + lane],
+        results[_X_PER_Y * GROUP + lane],
+    )
+    (
+        records[record + U(layout.X)],
+        records[record + U(layout.Y)],
+        records[record + U(layout.X_PER_Y)],
+    ) = x, y, x_per_y
     records[record + U(layout.X_REST)] = x - np.float64(np.float32(x))
     records[record + U(layout.Y_REST)] = y - np.float64(np.float32(y))
     records[record + U(layout.X_PER_Y_REST)] = x_per_y - np.float64(np.float32(x_per_y))
@@ -195,7 +278,10 @@ def _write_colour(records, i, results, lane, harmonics, count):
     green = DC * np.float64(harmonics[first + U(1)])
     blue = DC * np.float64(harmonics[first + U(2)])
     if count > U(1):
-        east, down = results[_DIRECTION_X * GROUP + lane], results[_DIRECTION_Y * GROUP + lane]
+        east, down = (
+            results[_DIRECTION_X * GROUP + lane],
+            results[_DIRECTION_Y * GROUP + lane],
+        )
         ahead = results[_DIRECTION_Z * GROUP + lane]
         basis = shifted(results, _BASIS * GROUP)
         evaluate_basis(east, down, ahead, count, basis)

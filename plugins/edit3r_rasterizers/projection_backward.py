@@ -1,4 +1,6 @@
-"""Turn a splat's sums over its pixels into gradients of its Gaussian, eight at a time, in float64."""
+"""Turn a splat's sums over its pixels into gradients of its Gaussian, eight at a time, in
+float64.
+"""
 
 import math
 
@@ -9,7 +11,14 @@ from edit3r_rasterizers import layout
 from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
-from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, SCALE, U, staged_row
+from edit3r_rasterizers.projection_maths import (
+    GROUP,
+    INPUTS,
+    OPACITY,
+    SCALE,
+    U,
+    staged_row,
+)
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
@@ -22,8 +31,9 @@ _MEAN, _SCALE, _QUAT, _OPACITY = INPUTS, INPUTS + U(3), INPUTS + U(6), INPUTS + 
 _TOTALS = INPUTS + U(11)
 _BASIS = _TOTALS + U(layout.SUMS)
 _WEIGHTS = _BASIS + U(4)
-"""Rows of the scratch memory after the staged inputs, one lane per Gaussian: gradients, then sums over pixels. The last
-two hold one direction's harmonics basis, and the gradient by it."""
+"""Rows of the scratch memory after the staged inputs, one lane per Gaussian: gradients, then sums
+over pixels. The last two hold one direction's harmonics basis, and the gradient by it.
+"""
 PROJECTION_BACKWARD_SCRATCH = int((_WEIGHTS + U(4)) * GROUP)
 """Doubles of scratch memory that `project_backward` needs."""
 
@@ -55,9 +65,9 @@ def project_backward(
 ):
     """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
 
-    Without `shapes` only those by the harmonics, as colours. `fresh` arrays hold nothing yet, and start from 0.
-    `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that belong to Gaussian i.
-    `scratch` and `group` (eight indices): work space.
+    Without `shapes` only those by the harmonics, as colours. `fresh` arrays hold nothing yet, and
+    start from 0. `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that
+    belong to Gaussian i. `scratch` and `group` (eight indices): work space.
     """
     count = U(harmonics.shape[1])
     means, scales, quats = flat(means), flat(scales), flat(quats)
@@ -67,18 +77,38 @@ def project_backward(
     scratch, group = flat(scratch), flat(group)
     mean_gradients, scale_gradients = flat(mean_gradients), flat(scale_gradients)
     quat_gradients = flat(quat_gradients)
-    opacity_gradients, harmonic_gradients = flat(opacity_gradients), flat(harmonic_gradients)
+    opacity_gradients, harmonic_gradients = (
+        flat(opacity_gradients),
+        flat(harmonic_gradients),
+    )
     found = U(0)
     for i in range(U(first), U(last)):
         if fresh:
-            _clear(i, count, mean_gradients, scale_gradients, quat_gradients, opacity_gradients, harmonic_gradients)
+            _clear(
+                i,
+                count,
+                mean_gradients,
+                scale_gradients,
+                quat_gradients,
+                opacity_gradients,
+                harmonic_gradients,
+            )
         if splat_offsets[i] < splat_offsets[i + U(1)]:
             group[found] = i
             maths.stage(scratch, found, i, means, scales, quats, opacities)
-            _add_up(scratch, found, splat_offsets[i], splat_offsets[i + U(1)], positions, sums)
+            _add_up(
+                scratch,
+                found,
+                splat_offsets[i],
+                splat_offsets[i + U(1)],
+                positions,
+                sums,
+            )
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
-            for lane in range(found, GROUP):  # lanes of a short group hold some sound Gaussian, and are not read
+            for lane in range(
+                found, GROUP
+            ):  # lanes of a short group hold some sound Gaussian, and are not read
                 maths.stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
             if shapes:
                 _differentiate_group(scratch, camera, eps2d)
@@ -86,20 +116,45 @@ def project_backward(
                 k = group[lane]
                 if shapes:
                     for axis in range(U(3)):
-                        mean_gradients[U(3) * k + axis] += scratch[(_MEAN + axis) * GROUP + lane]
-                        scale_gradients[U(3) * k + axis] += scratch[(_SCALE + axis) * GROUP + lane]
+                        mean_gradients[U(3) * k + axis] += scratch[
+                            (_MEAN + axis) * GROUP + lane
+                        ]
+                        scale_gradients[U(3) * k + axis] += scratch[
+                            (_SCALE + axis) * GROUP + lane
+                        ]
                     for axis in range(U(4)):
-                        quat_gradients[U(4) * k + axis] += scratch[(_QUAT + axis) * GROUP + lane]
+                        quat_gradients[U(4) * k + axis] += scratch[
+                            (_QUAT + axis) * GROUP + lane
+                        ]
                     opacity_gradients[k] += scratch[_OPACITY * GROUP + lane]
                 _differentiate_colour(
-                    k, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
+                    k,
+                    lane,
+                    count,
+                    scratch,
+                    records,
+                    means,
+                    camera,
+                    harmonics,
+                    mean_gradients,
+                    harmonic_gradients,
                 )
             found = U(0)
 
 
 @inlined
-def _clear(i, count, mean_gradients, scale_gradients, quat_gradients, opacity_gradients, harmonic_gradients):
-    """Set the gradients of one Gaussian to 0, just before they are added to: cheaper than passing over them twice."""
+def _clear(
+    i,
+    count,
+    mean_gradients,
+    scale_gradients,
+    quat_gradients,
+    opacity_gradients,
+    harmonic_gradients,
+):
+    """Set the gradients of one Gaussian to 0, just before they are added to: cheaper than passing
+    over them twice.
+    """
     for axis in range(U(3)):
         mean_gradients[U(3) * i + axis] = scale_gradients[U(3) * i + axis] = F(0)
     for axis in range(U(4)):
@@ -123,7 +178,9 @@ def _add_up(totals, lane, start, end, positions, sums):
 
 @inlined
 def _differentiate_group(staged, camera, eps2d):
-    """Compute gradients of eight Gaussians' geometry by the chain rule through projection and covariance."""
+    """Compute gradients of eight Gaussians' geometry by the chain rule through projection and
+    covariance.
+    """
     dx, dy, dz = maths.offset_from_camera(staged, camera)
     x, y, z = maths.camera_position(camera, dx, dy, dz)
     per_z = 1.0 / z
@@ -131,21 +188,36 @@ def _differentiate_group(staged, camera, eps2d):
     a, b, c, d, inverse = maths.unit_quats(staged)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
     j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0, s1, s2 = staged_row(staged, SCALE), staged_row(staged, SCALE + U(1)), staged_row(staged, SCALE + U(2))
+    s0, s1, s2 = (
+        staged_row(staged, SCALE),
+        staged_row(staged, SCALE + U(1)),
+        staged_row(staged, SCALE + U(2)),
+    )
     # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
     m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
     m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
     m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
-    x_per_y, inv_std_x, inv_std_y, _, _ = maths.factorised_conic(a0, a1, a2, b0, b1, b2, eps2d)
+    x_per_y, inv_std_x, inv_std_y, _, _ = maths.factorised_conic(
+        a0, a1, a2, b0, b1, b2, eps2d
+    )
 
-    # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened second moments.
+    # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened
+    # second moments.
     ss = staged_row(staged, _TOTALS + U(layout.SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
     st = staged_row(staged, _TOTALS + U(layout.SUM_VST)) * (_PER_UNIT * _PER_UNIT)
     tt = staged_row(staged, _TOTALS + U(layout.SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
-    p0, p1, p2 = inv_std_x * (a0 - x_per_y * b0), inv_std_x * (a1 - x_per_y * b1), inv_std_x * (a2 - x_per_y * b2)
+    p0, p1, p2 = (
+        inv_std_x * (a0 - x_per_y * b0),
+        inv_std_x * (a1 - x_per_y * b1),
+        inv_std_x * (a2 - x_per_y * b2),
+    )
     q0, q1, q2 = inv_std_y * b0, inv_std_y * b1, inv_std_y * b2
-    f0, f1, f2 = inv_std_x * (ss * p0 + st * q0), inv_std_x * (ss * p1 + st * q1), inv_std_x * (ss * p2 + st * q2)
+    f0, f1, f2 = (
+        inv_std_x * (ss * p0 + st * q0),
+        inv_std_x * (ss * p1 + st * q1),
+        inv_std_x * (ss * p2 + st * q2),
+    )
     g0 = inv_std_y * (st * p0 + tt * q0) - x_per_y * f0
     g1 = inv_std_y * (st * p1 + tt * q1) - x_per_y * f1
     g2 = inv_std_y * (st * p2 + tt * q2) - x_per_y * f2
@@ -154,16 +226,33 @@ def _differentiate_group(staged, camera, eps2d):
     store(staged, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
     f0, f1, f2, g0, g1, g2 = f0 * s0, f1 * s1, f2 * s2, g0 * s0, g1 * s1, g2 * s2
 
-    h0, h1, h2 = j0 * f0 + k0 * g0, j0 * f1 + k0 * g1, j0 * f2 + k0 * g2  # by the rotation matrix
+    h0, h1, h2 = (
+        j0 * f0 + k0 * g0,
+        j0 * f1 + k0 * g1,
+        j0 * f2 + k0 * g2,
+    )  # by the rotation matrix
     h3, h4, h5 = j1 * f0 + k1 * g0, j1 * f1 + k1 * g1, j1 * f2 + k1 * g2
     h6, h7, h8 = j2 * f0 + k2 * g0, j2 * f1 + k2 * g1, j2 * f2 + k2 * g2
-    _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8)
+    _store_quat_gradients(
+        staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8
+    )
 
     # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
-    f0, f1, f2 = f0 * r0 + f1 * r1 + f2 * r2, f0 * r3 + f1 * r4 + f2 * r5, f0 * r6 + f1 * r7 + f2 * r8
-    g0, g1, g2 = g0 * r0 + g1 * r1 + g2 * r2, g0 * r3 + g1 * r4 + g2 * r5, g0 * r6 + g1 * r7 + g2 * r8
+    f0, f1, f2 = (
+        f0 * r0 + f1 * r1 + f2 * r2,
+        f0 * r3 + f1 * r4 + f2 * r5,
+        f0 * r6 + f1 * r7 + f2 * r8,
+    )
+    g0, g1, g2 = (
+        g0 * r0 + g1 * r1 + g2 * r2,
+        g0 * r3 + g1 * r4 + g2 * r5,
+        g0 * r6 + g1 * r7 + g2 * r8,
+    )
     by_x = inv_std_x * staged_row(staged, _TOTALS + U(layout.SUM_VS)) * _PER_UNIT
-    by_y = inv_std_y * staged_row(staged, _TOTALS + U(layout.SUM_VT)) * _PER_UNIT - x_per_y * by_x
+    by_y = (
+        inv_std_y * staged_row(staged, _TOTALS + U(layout.SUM_VT)) * _PER_UNIT
+        - x_per_y * by_x
+    )
     by_u, by_v = by_x * camera[layout.FOCAL_X], by_y * camera[layout.FOCAL_Y]
     inside_x = (u >= camera[layout.LOW_X]) & (u <= camera[layout.HIGH_X])
     inside_y = (v >= camera[layout.LOW_Y]) & (v <= camera[layout.HIGH_Y])
@@ -175,9 +264,16 @@ def _differentiate_group(staged, camera, eps2d):
     tilt_v = by_v - select(inside_y, along_g * per_z * camera[layout.FOCAL_Y], 0.0)
     jacobian = j0 * f0 + j1 * f1 + j2 * f2 + k0 * g0 + k1 * g1 + k2 * g2
     gx, gy = tilt_u * per_z, tilt_v * per_z
-    gz = staged_row(staged, _TOTALS + U(layout.SUM_DEPTH)) - (tilt_u * u + tilt_v * v + jacobian) * per_z
+    gz = (
+        staged_row(staged, _TOTALS + U(layout.SUM_DEPTH))
+        - (tilt_u * u + tilt_v * v + jacobian) * per_z
+    )
     for axis in range(U(3)):
-        world = gx * camera[U(3) * axis] + gy * camera[U(3) * axis + U(1)] + gz * camera[U(3) * axis + U(2)]
+        world = (
+            gx * camera[U(3) * axis]
+            + gy * camera[U(3) * axis + U(1)]
+            + gz * camera[U(3) * axis + U(2)]
+        )
         store(staged, (_MEAN + axis) * GROUP, world)
     store(
         staged,
@@ -187,8 +283,12 @@ def _differentiate_group(staged, camera, eps2d):
 
 
 @inlined
-def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8):
-    """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken as the identity."""
+def _store_quat_gradients(
+    staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8
+):
+    """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken
+    as the identity.
+    """
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
     gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
     gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
@@ -202,13 +302,33 @@ def _store_quat_gradients(staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h
 
 @inlined
 def _differentiate_colour(
-    i, lane, count, scratch, records, means, camera, harmonics, mean_gradients, harmonic_gradients
+    i,
+    lane,
+    count,
+    scratch,
+    records,
+    means,
+    camera,
+    harmonics,
+    mean_gradients,
+    harmonic_gradients,
 ):
-    """Add the gradients by the harmonics, and those by the mean through the direction in which it is seen."""
+    """Add the gradients by the harmonics, and those by the mean through the direction in which it
+    is seen.
+    """
     record, first = i * U(layout.RECORD), U(3) * count * i
-    red = _unless_clamped(records[record + U(layout.RED)], scratch[(_TOTALS + U(layout.SUM_RED)) * GROUP + lane])
-    green = _unless_clamped(records[record + U(layout.GREEN)], scratch[(_TOTALS + U(layout.SUM_GREEN)) * GROUP + lane])
-    blue = _unless_clamped(records[record + U(layout.BLUE)], scratch[(_TOTALS + U(layout.SUM_BLUE)) * GROUP + lane])
+    red = _unless_clamped(
+        records[record + U(layout.RED)],
+        scratch[(_TOTALS + U(layout.SUM_RED)) * GROUP + lane],
+    )
+    green = _unless_clamped(
+        records[record + U(layout.GREEN)],
+        scratch[(_TOTALS + U(layout.SUM_GREEN)) * GROUP + lane],
+    )
+    blue = _unless_clamped(
+        records[record + U(layout.BLUE)],
+        scratch[(_TOTALS + U(layout.SUM_BLUE)) * GROUP + lane],
+    )
     harmonic_gradients[first] += DC * red
     harmonic_gradients[first + U(1)] += DC * green
     harmonic_gradients[first + U(2)] += DC * blue
@@ -219,14 +339,19 @@ def _differentiate_colour(
     dz = np.float64(means[U(3) * i + U(2)]) - camera[layout.CENTRE + 2]
     shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx * shorten, dy * shorten, dz * shorten
-    basis, weights = shifted(scratch, _BASIS * GROUP), shifted(scratch, _WEIGHTS * GROUP)
+    basis, weights = (
+        shifted(scratch, _BASIS * GROUP),
+        shifted(scratch, _WEIGHTS * GROUP),
+    )
     evaluate_basis(x, y, z, count, basis)
     for k in range(U(1), count):
         place = first + U(3) * k
         harmonic_gradients[place] += basis[k] * red
         harmonic_gradients[place + U(1)] += basis[k] * green
         harmonic_gradients[place + U(2)] += basis[k] * blue
-        weight = red * np.float64(harmonics[place]) + green * np.float64(harmonics[place + U(1)])
+        weight = red * np.float64(harmonics[place]) + green * np.float64(
+            harmonics[place + U(1)]
+        )
         weights[k] = weight + blue * np.float64(harmonics[place + U(2)])
     gx, gy, gz = basis_gradient(x, y, z, weights, count)
     along = gx * x + gy * y + gz * z

@@ -1,6 +1,8 @@
-"""Maths of the projection for eight Gaussians at a time, in float64, shared by the forward and the backward pass.
+"""Maths of the projection for eight Gaussians at a time, in float64, shared by the forward and the
+backward pass.
 
-Gaussians are staged first: eight of them side by side in scratch memory, one row per number, so that a row is a vector.
+Gaussians are staged first: eight of them side by side in scratch memory, one row per number, so
+that a row is a vector.
 """
 
 import numpy as np
@@ -38,7 +40,9 @@ def staged_row(staged, row):
 
 @inlined
 def offset_from_camera(staged, camera):
-    """Return the offset of the means from the camera's centre; subtracting first is exact far from the origin."""
+    """Return the offset of the means from the camera's centre; subtracting first is exact far from
+    the origin.
+    """
     x = staged_row(staged, MEAN) - camera[layout.CENTRE]
     y = staged_row(staged, MEAN + U(1)) - camera[layout.CENTRE + 1]
     z = staged_row(staged, MEAN + U(2)) - camera[layout.CENTRE + 2]
@@ -56,32 +60,62 @@ def camera_position(camera, dx, dy, dz):
 
 @inlined
 def image_rows(camera, u, v, per_z):
-    """Return the Jacobian of the image position by the world position [pixels / scene unit], tangents clamped."""
+    """Return the Jacobian of the image position by the world position [pixels / scene unit],
+    tangents clamped.
+    """
     u = minimum(maximum(u, camera[layout.LOW_X]), camera[layout.HIGH_X])
     v = minimum(maximum(v, camera[layout.LOW_Y]), camera[layout.HIGH_Y])
     gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
-    j0, j1, j2 = (camera[0] - u * camera[2]) * gx, (camera[3] - u * camera[5]) * gx, (camera[6] - u * camera[8]) * gx
-    k0, k1, k2 = (camera[1] - v * camera[2]) * gy, (camera[4] - v * camera[5]) * gy, (camera[7] - v * camera[8]) * gy
+    j0, j1, j2 = (
+        (camera[0] - u * camera[2]) * gx,
+        (camera[3] - u * camera[5]) * gx,
+        (camera[6] - u * camera[8]) * gx,
+    )
+    k0, k1, k2 = (
+        (camera[1] - v * camera[2]) * gy,
+        (camera[4] - v * camera[5]) * gy,
+        (camera[7] - v * camera[8]) * gy,
+    )
     return j0, j1, j2, k0, k1, k2
 
 
 @inlined
 def unit_quats(staged):
-    """Return unit quaternions and 1 / norm; the identity and 0 for one not longer than SHORTEST_QUAT."""
+    """Return unit quaternions and 1 / norm; the identity and 0 for one not longer than
+    SHORTEST_QUAT.
+    """
     a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
     c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
     norm = square_root(a * a + b * b + c * c + d * d)
     sound = norm > SHORTEST_QUAT
     inverse = select(sound, 1.0 / maximum(norm, SHORTEST_QUAT), broadcast(0.0))
-    return select(sound, a * inverse, broadcast(1.0)), b * inverse, c * inverse, d * inverse, inverse
+    return (
+        select(sound, a * inverse, broadcast(1.0)),
+        b * inverse,
+        c * inverse,
+        d * inverse,
+        inverse,
+    )
 
 
 @inlined
 def rotation_matrix(a, b, c, d):
     """Return the rotation matrix, row-major, of a unit wxyz quaternion."""
-    r0, r1, r2 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
-    r3, r4, r5 = 2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)
-    r6, r7, r8 = 2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)
+    r0, r1, r2 = (
+        1.0 - 2.0 * (c * c + d * d),
+        2.0 * (b * c - a * d),
+        2.0 * (b * d + a * c),
+    )
+    r3, r4, r5 = (
+        2.0 * (b * c + a * d),
+        1.0 - 2.0 * (b * b + d * d),
+        2.0 * (c * d - a * b),
+    )
+    r6, r7, r8 = (
+        2.0 * (b * d - a * c),
+        2.0 * (c * d + a * b),
+        1.0 - 2.0 * (b * b + c * c),
+    )
     return r0, r1, r2, r3, r4, r5, r6, r7, r8
 
 
@@ -89,8 +123,8 @@ def rotation_matrix(a, b, c, d):
 def factorised_conic(a0, a1, a2, b0, b1, b2, eps2d):
     """Factorise the conic of the covariance of rows a (x) and b (y).
 
-    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `layout`.
-    The variance of x given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
+    Returns (x_per_y, inv_std_x, inv_std_y, variance_x, variance_y), see `layout`. The variance of x
+    given y is det / variance_y, with the determinant as a sum of squares: |a x b|^2 + ...
     """
     square = a0 * a0 + a1 * a1 + a2 * a2
     variance_x, variance_y = square + eps2d, b0 * b0 + b1 * b1 + b2 * b2 + eps2d

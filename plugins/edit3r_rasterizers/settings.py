@@ -1,4 +1,6 @@
-"""What every rasterizer shares: the settings, which are the rendering convention, and what it refuses."""
+"""What every rasterizer shares: the settings, which are the rendering convention, and what it
+refuses.
+"""
 
 import torch
 from jaxtyping import Float, Shaped
@@ -6,11 +8,13 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
-from edit3r.types import Cameras, Gaussians
 
 BORDER = 0.3
-"""Tangents in the projection's Jacobian are clamped this far beyond the image's border [half image widths]."""
+"""Tangents in the projection's Jacobian are clamped this far beyond the image's border [half image
+widths].
+"""
 MAX_COLOUR = 1e30
 """Colours are clamped to [0, MAX_COLOUR], so that no finite input makes an infinite image."""
 GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
@@ -19,18 +23,48 @@ MIN_TOTAL_ALPHA = 1e-10
 
 
 class RasterizerSettings(Settings):
-    """How Gaussians become pixels; the defaults are those of 3D Gaussian Splatting with a `max_alpha` of 0.999."""
+    """How Gaussians become pixels; the defaults are those of 3D Gaussian Splatting with a
+    `max_alpha` of 0.999.
+    """
 
-    near: float = Field(0.01, ge=1e-6, le=1e10, description="Gaussians with camera z below are culled [scene units].")
-    far: float = Field(1e10, ge=1e-6, le=1e15, description="Gaussians with camera z above are culled [scene units].")
+    near: float = Field(
+        0.01,
+        ge=1e-6,
+        le=1e10,
+        description="Gaussians with camera z below are culled [scene units].",
+    )
+    far: float = Field(
+        1e10,
+        ge=1e-6,
+        le=1e15,
+        description="Gaussians with camera z above are culled [scene units].",
+    )
     background: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="sRGB colour behind everything, each in [0, 1]."
     )
-    eps2d: float = Field(0.3, ge=1e-3, le=100, description="Added to the variances in the picture [pixels^2].")
-    max_alpha: float = Field(0.999, ge=0.01, le=0.9999, description="No Gaussian hides more of a pixel than this.")
-    min_alpha: float = Field(1 / 255, ge=1e-5, le=0.5, description="A Gaussian is skipped where its alpha is below.")
+    eps2d: float = Field(
+        0.3,
+        ge=1e-3,
+        le=100,
+        description="Added to the variances in the picture [pixels^2].",
+    )
+    max_alpha: float = Field(
+        0.999,
+        ge=0.01,
+        le=0.9999,
+        description="No Gaussian hides more of a pixel than this.",
+    )
+    min_alpha: float = Field(
+        1 / 255,
+        ge=1e-5,
+        le=0.5,
+        description="A Gaussian is skipped where its alpha is below.",
+    )
     min_transmittance: float = Field(
-        1e-4, ge=1e-6, le=0.5, description="A pixel ends before the Gaussian that takes its transmittance to or below."
+        1e-4,
+        ge=1e-6,
+        le=0.5,
+        description="A pixel ends before the Gaussian that takes its transmittance to or below.",
     )
 
     @model_validator(mode="after")
@@ -38,12 +72,16 @@ class RasterizerSettings(Settings):
         if self.far <= self.near:
             raise ValueError(f"far ({self.far}) must be above near ({self.near})")
         if not all(0 <= channel <= 1 for channel in self.background):
-            raise ValueError(f"background must be three numbers in [0, 1], got {self.background}")
+            raise ValueError(
+                f"background must be three numbers in [0, 1], got {self.background}"
+            )
         return self
 
 
 def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
-    """Raise InputError unless Gaussians and cameras are finite, of one batch, and the focal lengths positive."""
+    """Raise InputError unless Gaussians and cameras are finite, of one batch, and the focal lengths
+    positive.
+    """
     check_cameras(gaussians, cameras)
     check_finite(gaussians)
 
@@ -59,19 +97,28 @@ def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
     _check_finite("Cameras.intrinsics", cameras.intrinsics)
     focal = torch.stack((cameras.intrinsics[..., 0, 0], cameras.intrinsics[..., 1, 1]))
     if bool((focal <= 0).any()):
-        raise InputError(f"Cameras.intrinsics: focal lengths must be positive, got {focal.min().item():g}.")
+        raise InputError(
+            f"Cameras.intrinsics: focal lengths must be positive, got {focal.min().item():g}."
+        )
 
 
 def check_finite(gaussians: Gaussians) -> None:
-    """Raise InputError that names the first field with values that are not finite, and how many it has."""
+    """Raise InputError that names the first field with values that are not finite, and how many it
+    has.
+    """
     for name in GAUSSIAN_FIELDS:
         _check_finite(f"Gaussians.{name}", getattr(gaussians, name))
 
 
 def resolve_background(
-    background: Tensor | None, default: tuple[float, float, float], gaussians: Gaussians, cameras: Cameras
+    background: Tensor | None,
+    default: tuple[float, float, float],
+    gaussians: Gaussians,
+    cameras: Cameras,
 ) -> Float[Tensor, "batch camera 3"]:
-    """Return the background in the Gaussians' dtype, from a tensor that broadcasts to its shape, or the setting."""
+    """Return the background in the Gaussians' dtype, from a tensor that broadcasts to its shape, or
+    the setting.
+    """
     means = gaussians.means
     value = means.new_tensor(default) if background is None else background.to(means)
     _check_finite("background", value)
@@ -79,7 +126,9 @@ def resolve_background(
     try:
         return value.expand(shape)
     except RuntimeError:
-        raise InputError(f"background: expected a shape that fits {list(shape)}, got {list(value.shape)}.") from None
+        raise InputError(
+            f"background: expected a shape that fits {list(shape)}, got {list(value.shape)}."
+        ) from None
 
 
 def _check_finite(name: str, values: Shaped[Tensor, "*shape"]) -> None:
@@ -87,5 +136,6 @@ def _check_finite(name: str, values: Shaped[Tensor, "*shape"]) -> None:
     if wrong:
         verb = "is" if wrong == 1 else "are"
         raise InputError(
-            f"{name}: {wrong} of {values.numel()} values {verb} not finite (NaN or infinite); give finite numbers."
+            f"{name}: {wrong} of {values.numel()} values {verb} not finite (NaN or infinite); "
+            "give finite numbers."
         )

@@ -1,8 +1,9 @@
 """Moving vectors between registers and memory.
 
-Kernels take contiguous arrays and turn them into bare pointers with `flat`: indexing one is a plain load or store, and
-passing one on costs nothing, where an array would be reference-counted (an atomic operation) at every turn. Nothing is
-checked, and memory that a kernel allocates itself would be freed too early: scratch memory is an argument too.
+Kernels take contiguous arrays and turn them into bare pointers with `flat`: indexing one is a plain
+load or store, and passing one on costs nothing, where an array would be reference-counted (an
+atomic operation) at every turn. Nothing is checked, and memory that a kernel allocates itself would
+be freed too early: scratch memory is an argument too.
 """
 
 from llvmlite import ir
@@ -37,9 +38,9 @@ def flat(typing, array):
 @intrinsic
 def shifted(typing, pointer, offset):
     """Pointer to the element at flat index `offset`."""
-    return pointer(pointer, types.uint64), lambda context, builder, signature, values: builder.gep(
-        *values[:1], values[1:]
-    )
+    return pointer(
+        pointer, types.uint64
+    ), lambda context, builder, signature, values: builder.gep(*values[:1], values[1:])
 
 
 @intrinsic
@@ -59,7 +60,9 @@ def store(typing, pointer, offset, value):
     kind = _KINDS[pointer.dtype]
 
     def emit(context, builder, signature, values):
-        builder.store(values[2], _pointer(builder, *values[:2], kind.ir), align=_align(kind))
+        builder.store(
+            values[2], _pointer(builder, *values[:2], kind.ir), align=_align(kind)
+        )
         return context.get_dummy_value()
 
     return types.void(pointer, types.uint64, kind), emit
@@ -67,7 +70,9 @@ def store(typing, pointer, offset, value):
 
 @intrinsic
 def load_block(typing, pointer, offset, stride):
-    """A 4x4 block of a float32 image: four rows of four from flat index `offset`, `stride` apart."""
+    """A 4x4 block of a float32 image: four rows of four from flat index `offset`, `stride`
+    apart.
+    """
     quarter = ir.VectorType(ir.FloatType(), _PARTS)
 
     def emit(context, builder, signature, values):
@@ -107,14 +112,18 @@ def store_sums(typing, pointer, offset, vectors):
         group = FLOATS.width // 2
         while group:
             level += [constant(FLOATS, 0.0)] * (len(level) % 2)
-            level = [_fold(builder, a, b, group) for a, b in zip(level[::2], level[1::2])]
+            level = [
+                _fold(builder, a, b, group) for a, b in zip(level[::2], level[1::2])
+            ]
             group //= 2
         done = 0
         while done < count:  # in pieces whose lengths are powers of two
             length = 1 << ((count - done).bit_length() - 1)
             piece = _part(builder, level[0], done, length)
             place = builder.add(values[1], ir.Constant(INT64, done))
-            builder.store(piece, _pointer(builder, values[0], place, piece.type), align=4)
+            builder.store(
+                piece, _pointer(builder, values[0], place, piece.type), align=4
+            )
             done += length
         return context.get_dummy_value()
 
@@ -128,8 +137,13 @@ def prefetch(typing, pointer, offset):
     def emit(context, builder, signature, values):
         line = _pointer(builder, *values, ir.IntType(8))
         kind = ir.FunctionType(ir.VoidType(), [line.type, INT32, INT32, INT32])
-        hint = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-        builder.call(hint, [line, ir.Constant(INT32, 0), ir.Constant(INT32, 3), ir.Constant(INT32, 1)])
+        hint = cgutils.get_or_insert_function(
+            builder.module, kind, "llvm.prefetch.p0i8"
+        )
+        builder.call(
+            hint,
+            [line, ir.Constant(INT32, 0), ir.Constant(INT32, 3), ir.Constant(INT32, 1)],
+        )
         return context.get_dummy_value()
 
     return types.void(pointer, types.uint64), emit
@@ -149,8 +163,12 @@ def _part(builder, lanes, start: int, length: int):
 
 
 def _fold(builder, first, second, group: int):
-    """One step of a transposed sum: groups of 2 * `group` lanes become groups of `group`, those of `first` first."""
+    """One step of a transposed sum: groups of 2 * `group` lanes become groups of `group`, those of
+    `first` first.
+    """
     starts = [lane for lane in range(2 * FLOATS.width) if lane % (2 * group) < group]
     low = builder.shuffle_vector(first, second, _indices(starts))
-    high = builder.shuffle_vector(first, second, _indices(lane + group for lane in starts))
+    high = builder.shuffle_vector(
+        first, second, _indices(lane + group for lane in starts)
+    )
     return builder.fadd(low, high)

@@ -1,4 +1,6 @@
-"""List the splats that each tile has to draw: sort them by depth, then distribute them over the tiles."""
+"""List the splats that each tile has to draw: sort them by depth, then distribute them over the
+tiles.
+"""
 
 from dataclasses import dataclass
 
@@ -45,16 +47,26 @@ class TileLists:
 
     offsets: np.ndarray  # [tiles + 1], where each tile's entries begin
     entries: np.ndarray  # [E + layout.LOOKAHEAD], splat of each entry
-    positions: np.ndarray  # [E + layout.LOOKAHEAD], entries grouped by splat; empty where no gradients are wanted
-    splat_offsets: np.ndarray  # [G + 1], where each splat's positions begin; empty like these
+    # [E + layout.LOOKAHEAD], entries grouped by splat; empty where no gradients are wanted
+    positions: np.ndarray
+    splat_offsets: (
+        np.ndarray
+    )  # [G + 1], where each splat's positions begin; empty like these
 
 
 def list_tiles(
-    threads: int, grid: TileGrid, records: np.ndarray, boxes: np.ndarray, keys: np.ndarray, by_splat: bool = True
+    threads: int,
+    grid: TileGrid,
+    records: np.ndarray,
+    boxes: np.ndarray,
+    keys: np.ndarray,
+    by_splat: bool = True,
 ) -> TileLists:
-    """Sort the splats by depth and distribute them over the tiles, in the same order for any number of threads.
+    """Sort the splats by depth and distribute them over the tiles, in the same order for any number
+    of threads.
 
-    Each chunk of the depth order is counted first, so that it knows where its part of every tile's list begins.
+    Each chunk of the depth order is counted first, so that it knows where its part of every tile's
+    list begins.
     """
     order = _sort(keys, boxes)
     chunks = np.array(even_bounds(len(order), threads), np.int64)
@@ -73,7 +85,16 @@ def list_tiles(
     entries = np.empty(total + layout.LOOKAHEAD, np.int32)
     positions = np.empty(len(entries) if by_splat else 0, np.int32)
     entries[-layout.LOOKAHEAD :] = positions[-layout.LOOKAHEAD :] = 0
-    run_slices(list_entries, slices, threads, *shared, cursors, splat_offsets, entries, positions)
+    run_slices(
+        list_entries,
+        slices,
+        threads,
+        *shared,
+        cursors,
+        splat_offsets,
+        entries,
+        positions,
+    )
     return TileLists(offsets, entries, positions, splat_offsets)
 
 
@@ -83,24 +104,30 @@ def _sort(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
         np.empty(len(keys), kind) for kind in (np.int32, np.uint32, np.int32, np.uint32)
     )
     counts = np.empty(COUNTS, np.int64)
-    length, swapped = sort_by_depth(keys.view(np.uint32), boxes, index, values, other_index, other_values, counts)
+    length, swapped = sort_by_depth(
+        keys.view(np.uint32), boxes, index, values, other_index, other_values, counts
+    )
     return (other_index if swapped else index)[:length]
 
 
 def _check_total(total: int) -> None:
     if total > MAX_ENTRIES:
         raise RunError(
-            f"rasterizer 'numba': {total} pairs of Gaussian and tile, at most {MAX_ENTRIES} can be listed; "
-            f"the Gaussians cover the picture too many times over. Use fewer, smaller ones, or a smaller picture."
+            f"rasterizer 'numba': {total} pairs of Gaussian and tile, at most {MAX_ENTRIES} can "
+            "be listed; "
+            "the Gaussians cover the picture too many times over. Use fewer, smaller ones, or a "
+            "smaller picture."
         )
 
 
 @kernel
 def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts):
-    """Sort the splats that have a box by ascending key, equal keys in index order (radix sort, a byte a pass).
+    """Sort the splats that have a box by ascending key, equal keys in index order (radix sort, a
+    byte a pass).
 
-    `keys`: the bits of positive float32, which order as the numbers do. Returns how many there are and whether the
-    result is in `other_index` instead of `index`: a pass over a byte that all keys share is left out.
+    `keys`: the bits of positive float32, which order as the numbers do. Returns how many there are
+    and whether the result is in `other_index` instead of `index`: a pass over a byte that all keys
+    share is left out.
     """
     size = U(len(keys))
     keys, boxes, counts = flat(keys), flat(boxes), flat(counts)
@@ -138,7 +165,9 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
 
 @inlined
 def touches_tile(record, column, row):
-    """Tell whether the splat's ellipse reaches the pixel centres of a tile, by the smallest exponent over them."""
+    """Tell whether the splat's ellipse reaches the pixel centres of a tile, by the smallest
+    exponent over them.
+    """
     left = np.float64(column * U(layout.TILE)) + 0.5 - np.float64(record[layout.X])
     top = np.float64(row * U(layout.TILE)) + 0.5 - np.float64(record[layout.Y])
     right, bottom = left + (layout.TILE - 1), top + (layout.TILE - 1)
@@ -150,7 +179,10 @@ def touches_tile(record, column, row):
 
 @inlined
 def _exponent(record, x, y):
-    across, down = record[layout.INV_STD_X] * (x - record[layout.X_PER_Y] * y), record[layout.INV_STD_Y] * y
+    across, down = (
+        record[layout.INV_STD_X] * (x - record[layout.X_PER_Y] * y),
+        record[layout.INV_STD_Y] * y,
+    )
     return across * across + down * down
 
 
@@ -158,11 +190,16 @@ def _exponent(record, x, y):
 def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
     """Count for the chunks [first, last) the splats on each tile, and the tiles of each splat.
 
-    Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts` [chunks, tiles] and
-    `numbers` [splats], which may be empty.
+    Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts`
+    [chunks, tiles] and `numbers` [splats], which may be empty.
     """
     tiles, columns, by_splat = U(counts.shape[1]), U(columns), len(numbers) > 0
-    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
+    bounds, order, boxes, records = (
+        flat(bounds),
+        flat(order),
+        flat(boxes),
+        flat(records),
+    )
     counts, numbers = flat(counts), flat(numbers)
     for chunk in range(U(first), U(last)):
         table = shifted(counts, chunk * tiles)
@@ -186,16 +223,38 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
 
 
 @kernel
-def list_entries(first, last, bounds, order, boxes, records, columns, cursors, splat_offsets, entries, positions):
+def list_entries(
+    first,
+    last,
+    bounds,
+    order,
+    boxes,
+    records,
+    columns,
+    cursors,
+    splat_offsets,
+    entries,
+    positions,
+):
     """Put each splat of the chunks [first, last) at the end of its tiles' lists.
 
-    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`: splat of entry e,
-    entries grouped by tile, front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat
-    i; not where it is empty.
+    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`:
+    splat of entry e, entries grouped by tile, front to back. `positions[splat_offsets[i] :
+    splat_offsets[i + 1]]`: the entries of splat i; not where it is empty.
     """
     tiles, columns, by_splat = U(cursors.shape[1]), U(columns), len(positions) > 0
-    bounds, order, boxes, records = flat(bounds), flat(order), flat(boxes), flat(records)
-    cursors, splat_offsets, entries, positions = flat(cursors), flat(splat_offsets), flat(entries), flat(positions)
+    bounds, order, boxes, records = (
+        flat(bounds),
+        flat(order),
+        flat(boxes),
+        flat(records),
+    )
+    cursors, splat_offsets, entries, positions = (
+        flat(cursors),
+        flat(splat_offsets),
+        flat(entries),
+        flat(positions),
+    )
     for chunk in range(U(first), U(last)):
         table = shifted(cursors, chunk * tiles)
         end = U(bounds[chunk + U(1)])
@@ -221,4 +280,9 @@ def list_entries(first, last, bounds, order, boxes, records, columns, cursors, s
 
 @inlined
 def _box(boxes, i):
-    return U(boxes[U(4) * i]), U(boxes[U(4) * i + U(1)]), U(boxes[U(4) * i + U(2)]), U(boxes[U(4) * i + U(3)])
+    return (
+        U(boxes[U(4) * i]),
+        U(boxes[U(4) * i + U(1)]),
+        U(boxes[U(4) * i + U(2)]),
+        U(boxes[U(4) * i + U(3)]),
+    )

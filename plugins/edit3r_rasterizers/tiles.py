@@ -1,16 +1,31 @@
-"""What the forward and the backward kernel share: the blocks of a tile, and the splats at their pixels.
+"""What the forward and the backward kernel share: the blocks of a tile, and the splats at their
+pixels.
 
-A tile's state lies in a scratch buffer that stays in the L1 cache: per block `stride` floats, that is planes of sixteen
-lanes. Plane 0 is the transmittance left, negative once the pixel has ended; 1 and 2 are the pixel centres' x and y
-in the tile.
+A tile's state lies in a scratch buffer that stays in the L1 cache: per block `stride` floats, that
+is planes of sixteen lanes. Plane 0 is the transmittance left, negative once the pixel has ended; 1
+and 2 are the pixel centres' x and y in the tile.
 """
 
 import numpy as np
 
 from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined
-from edit3r_rasterizers.simd import broadcast, lane_columns, lane_rows, mask_bits, maximum, minimum, select
-from edit3r_rasterizers.simd_memory import load, load_block, prefetch, store, store_block
+from edit3r_rasterizers.simd import (
+    broadcast,
+    lane_columns,
+    lane_rows,
+    mask_bits,
+    maximum,
+    minimum,
+    select,
+)
+from edit3r_rasterizers.simd_memory import (
+    load,
+    load_block,
+    prefetch,
+    store,
+    store_block,
+)
 
 F = np.float32
 U = np.uint64
@@ -27,7 +42,9 @@ LOWEST_EXPONENT = F(-60)
 
 @inlined
 def open_tile(scratch, stride, width, height):
-    """Prepare the first three planes for a tile of width x height pixels; returns the blocks that have any."""
+    """Prepare the first three planes for a tile of width x height pixels; returns the blocks that
+    have any.
+    """
     live = U(0)
     for block in range(BLOCKS):
         columns = lane_columns() + F((block % BLOCKS_PER_ROW) * U(layout.BLOCK))
@@ -54,46 +71,92 @@ def live_blocks(scratch, stride):
 
 @inlined
 def place_splat(records, start, tile_x, tile_y):
-    """Read the splat whose record begins at flat index `start`, for positions (x, y) relative to a tile.
+    """Read the splat whose record begins at flat index `start`, for positions (x, y) relative to a
+    tile.
 
-    Returns its ellipse, red, green, blue and depth. The ellipse is (inv_std_x, shear, shift_x, inv_std_y, shift_y,
-    log_opacity): log2(alpha) is log_opacity minus the squares of inv_std_x * x - shear * y + shift_x and of
-    inv_std_y * y + shift_y. Computed in float64, as the mean may be far away.
+    Returns its ellipse, red, green, blue and depth. The ellipse is (inv_std_x, shear, shift_x,
+    inv_std_y, shift_y, log_opacity): log2(alpha) is log_opacity minus the squares of inv_std_x * x
+    - shear * y + shift_x and of inv_std_y * y + shift_y. Computed in float64, as the mean may be
+    far away.
     """
-    x = (np.float64(records[start + U(layout.X)]) - tile_x) + np.float64(records[start + U(layout.X_REST)])
-    y = (np.float64(records[start + U(layout.Y)]) - tile_y) + np.float64(records[start + U(layout.Y_REST)])
-    x_per_y = np.float64(records[start + U(layout.X_PER_Y)]) + np.float64(records[start + U(layout.X_PER_Y_REST)])
-    inv_std_x, inv_std_y = records[start + U(layout.INV_STD_X)], records[start + U(layout.INV_STD_Y)]
-    shift_x, shift_y = F(np.float64(inv_std_x) * (x_per_y * y - x)), F(-np.float64(inv_std_y) * y)
-    ellipse = inv_std_x, inv_std_x * F(x_per_y), shift_x, inv_std_y, shift_y, records[start + U(layout.LOG_OPACITY)]
-    red, green, blue = records[start + U(layout.RED)], records[start + U(layout.GREEN)], records[start + U(layout.BLUE)]
+    x = (np.float64(records[start + U(layout.X)]) - tile_x) + np.float64(
+        records[start + U(layout.X_REST)]
+    )
+    y = (np.float64(records[start + U(layout.Y)]) - tile_y) + np.float64(
+        records[start + U(layout.Y_REST)]
+    )
+    x_per_y = np.float64(records[start + U(layout.X_PER_Y)]) + np.float64(
+        records[start + U(layout.X_PER_Y_REST)]
+    )
+    inv_std_x, inv_std_y = (
+        records[start + U(layout.INV_STD_X)],
+        records[start + U(layout.INV_STD_Y)],
+    )
+    shift_x, shift_y = (
+        F(np.float64(inv_std_x) * (x_per_y * y - x)),
+        F(-np.float64(inv_std_y) * y),
+    )
+    ellipse = (
+        inv_std_x,
+        inv_std_x * F(x_per_y),
+        shift_x,
+        inv_std_y,
+        shift_y,
+        records[start + U(layout.LOG_OPACITY)],
+    )
+    red, green, blue = (
+        records[start + U(layout.RED)],
+        records[start + U(layout.GREEN)],
+        records[start + U(layout.BLUE)],
+    )
     return ellipse, red, green, blue, records[start + U(layout.DEPTH)]
 
 
 @inlined
 def splat_exponent(scratch, place, ellipse):
-    """Return the terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the block at `place`."""
+    """Return the terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the
+    block at `place`.
+    """
     inv_std_x, shear, shift_x, inv_std_y, shift_y, log_opacity = ellipse
     pixel_y = load(scratch, place + PIXEL_Y)
-    across = load(scratch, place + PIXEL_X) * inv_std_x + (broadcast(shift_x) - pixel_y * shear)
+    across = load(scratch, place + PIXEL_X) * inv_std_x + (
+        broadcast(shift_x) - pixel_y * shear
+    )
     down = pixel_y * inv_std_y + shift_y
-    return across, down, maximum((broadcast(log_opacity) - across * across) - down * down, LOWEST_EXPONENT)
+    return (
+        across,
+        down,
+        maximum(
+            (broadcast(log_opacity) - across * across) - down * down, LOWEST_EXPONENT
+        ),
+    )
 
 
 @inlined
 def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
-    """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as bits in `touched`.
+    """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as
+    bits in `touched`.
 
-    One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean, where x nearest or
-    y nearest is given and the other follows from the ellipse's axes.
+    One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean,
+    where x nearest or y nearest is given and the other follows from the ellipse's axes.
     """
     for entry in range(first, last):
         prefetch(records, U(entries[entry + U(layout.LOOKAHEAD)]) * U(layout.RECORD))
         start = U(entries[entry]) * U(layout.RECORD)
-        x = (records[start + U(layout.X)] - F(tile_x)) + records[start + U(layout.X_REST)]
-        y = (records[start + U(layout.Y)] - F(tile_y)) + records[start + U(layout.Y_REST)]
-        x_per_y, y_per_x = records[start + U(layout.X_PER_Y)], records[start + U(layout.Y_PER_X)]
-        inv_std_x, inv_std_y = records[start + U(layout.INV_STD_X)], records[start + U(layout.INV_STD_Y)]
+        x = (records[start + U(layout.X)] - F(tile_x)) + records[
+            start + U(layout.X_REST)
+        ]
+        y = (records[start + U(layout.Y)] - F(tile_y)) + records[
+            start + U(layout.Y_REST)
+        ]
+        x_per_y, y_per_x = (
+            records[start + U(layout.X_PER_Y)],
+            records[start + U(layout.Y_PER_X)],
+        )
+        inv_std_x, inv_std_y = (
+            records[start + U(layout.INV_STD_X)],
+            records[start + U(layout.INV_STD_Y)],
+        )
         left = lane_columns() * F(layout.BLOCK) + (F(0.5) - x)
         top = lane_rows() * F(layout.BLOCK) + (F(0.5) - y)
         right, bottom = left + F(layout.BLOCK - 1), top + F(layout.BLOCK - 1)
@@ -102,7 +165,9 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
         down = minimum(maximum(near_x * y_per_x, top), bottom)
         by_column = _squares(near_x - down * x_per_y, down, inv_std_x, inv_std_y)
         axis = near_y * x_per_y
-        by_row = _squares(minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y)
+        by_row = _squares(
+            minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y
+        )
         limit = broadcast(records[start + U(layout.CUTOFF)] * F(1.001) + F(1e-2))
         touched[entry] = mask_bits(minimum(by_column, by_row) <= limit)
 
@@ -121,16 +186,22 @@ def write_block(scratch, place, image, target, width, columns, rows):
         return
     for row in range(rows):
         for column in range(columns):
-            image[target + row * width + column] = scratch[place + row * U(layout.BLOCK) + column]
+            image[target + row * width + column] = scratch[
+                place + row * U(layout.BLOCK) + column
+            ]
 
 
 @inlined
 def read_block(scratch, place, image, source, width, columns, rows):
-    """Copy columns x rows pixels of an image `width` wide from flat index `source` to a plane, zero elsewhere."""
+    """Copy columns x rows pixels of an image `width` wide from flat index `source` to a plane, zero
+    elsewhere.
+    """
     if columns == U(layout.BLOCK) and rows == U(layout.BLOCK):
         store(scratch, place, load_block(image, source, width))
         return
     store(scratch, place, broadcast(F(0)))
     for row in range(rows):
         for column in range(columns):
-            scratch[place + row * U(layout.BLOCK) + column] = image[source + row * width + column]
+            scratch[place + row * U(layout.BLOCK) + column] = image[
+                source + row * width + column
+            ]

@@ -1,6 +1,8 @@
-"""The readable reference: EWA splatting (Zwicker et al. 2001), composited front to back with plain tensor operations.
+"""The readable reference: EWA splatting (Zwicker et al. 2001), composited front to back with plain
+tensor operations.
 
-Projection is computed in float64 where the device has it: positions in a wide image and needles need more than 24 bits.
+Projection is computed in float64 where the device has it: positions in a wide image and needles
+need more than 24 bits.
 """
 
 from dataclasses import dataclass, fields
@@ -10,10 +12,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.geometry.harmonics import basis
 from edit3r.geometry.rotations import quats_to_matrices
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians, Rendering
 from edit3r_rasterizers.settings import (
     BORDER,
     MAX_COLOUR,
@@ -33,9 +35,10 @@ CHUNK = 4096
 class Splats:
     """The Gaussians that one camera sees, projected, front to back.
 
-    With d = pixel - mean the exponent is (inv_std_x * (d_x - x_per_y * d_y))^2 / 2 + (inv_std_y * d_y)^2 / 2: the conic
-    (inverse of the 2D covariance [[a, b], [b, c]]) in factors, d_y with variance c and d_x given d_y with variance
-    a - b^2 / c. No large terms cancel, which they do in the usual quadratic form of a needle.
+    With d = pixel - mean the exponent is (inv_std_x * (d_x - x_per_y * d_y))^2 / 2 + (inv_std_y *
+    d_y)^2 / 2: the conic (inverse of the 2D covariance [[a, b], [b, c]]) in factors, d_y with
+    variance c and d_x given d_y with variance a - b^2 / c. No large terms cancel, which they do in
+    the usual quadratic form of a needle.
     """
 
     means: Float[Tensor, "splat 2"]  # [pixels]
@@ -44,7 +47,9 @@ class Splats:
     inv_std_y: Float[Tensor, "splat"]  # 1 / sqrt(c) [1 / pixels]
     opacities: Float[Tensor, "splat"]
     features: Float[Tensor, "splat 4"]  # colour >= 0, then camera z [scene units]
-    extents: Float[Tensor, "splat 2"]  # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
+    extents: Float[
+        Tensor, "splat 2"
+    ]  # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
 
 
 class TorchRasterizer(Rasterizer):
@@ -53,21 +58,34 @@ class TorchRasterizer(Rasterizer):
     Settings = RasterizerSettings
 
     def render(
-        self, gaussians: Gaussians, cameras: Cameras, background: Float[Tensor, "*#batch_camera 3"] | None = None
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        background: Float[Tensor, "*#batch_camera 3"] | None = None,
     ) -> Rendering:
-        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces the setting.
+        """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces
+        the setting.
 
         Raises InputError for input that is not finite.
         """
         check_scene(gaussians, cameras)
-        backgrounds = resolve_background(background, self.settings.background, gaussians, cameras)
+        backgrounds = resolve_background(
+            background, self.settings.background, gaussians, cameras
+        )
         images = [
-            [self._render_one(gaussians, cameras, scene, camera) for camera in range(cameras.count)]
+            [
+                self._render_one(gaussians, cameras, scene, camera)
+                for camera in range(cameras.count)
+            ]
             for scene in range(gaussians.means.shape[0])
         ]
         height, width = cameras.image_size
         empty = gaussians.means.new_zeros(*cameras.c2w.shape[:2], 5, height, width)
-        sums = torch.stack([torch.stack(row) for row in images]) if empty.numel() else empty
+        sums = (
+            torch.stack([torch.stack(row) for row in images])
+            if empty.numel()
+            else empty
+        )
         transmittance = sums[:, :, 4:]
         alphas = 1 - transmittance
         return Rendering(
@@ -81,12 +99,21 @@ class TorchRasterizer(Rasterizer):
     ) -> Float[Tensor, "5 height width"]:
         """Weighted sums of colour and depth, then the transmittance left."""
         c2w, intrinsics = cameras.c2w[scene, camera], cameras.intrinsics[scene, camera]
-        splats = project_scene(gaussians, scene, c2w, intrinsics, cameras.image_size, self.settings)
+        splats = project_scene(
+            gaussians, scene, c2w, intrinsics, cameras.image_size, self.settings
+        )
         dtype = gaussians.means.dtype
         height, width = cameras.image_size
         rows = [
             [
-                self._tile(splats, left, top, min(TILE, width - left), min(TILE, height - top), dtype)
+                self._tile(
+                    splats,
+                    left,
+                    top,
+                    min(TILE, width - left),
+                    min(TILE, height - top),
+                    dtype,
+                )
                 for left in range(0, width, TILE)
             ]
             for top in range(0, height, TILE)
@@ -94,17 +121,31 @@ class TorchRasterizer(Rasterizer):
         return torch.cat([torch.cat(row, -1) for row in rows], -2)
 
     def _tile(
-        self, splats: Splats, left: int, top: int, width: int, height: int, dtype: torch.dtype
+        self,
+        splats: Splats,
+        left: int,
+        top: int,
+        width: int,
+        height: int,
+        dtype: torch.dtype,
     ) -> Float[Tensor, "5 height width"]:
-        """Composite the splats that touch one tile in `dtype`; recomputed in the backward pass instead of kept."""
+        """Composite the splats that touch one tile in `dtype`; recomputed in the backward pass
+        instead of kept.
+        """
         origin = splats.means.new_tensor([left, top])
         size = splats.means.new_tensor([width, height])
         offsets = splats.means.detach() - origin
-        touches = ((offsets + splats.extents >= 0) & (offsets - splats.extents <= size)).all(-1)
+        touches = (
+            (offsets + splats.extents >= 0) & (offsets - splats.extents <= size)
+        ).all(-1)
         index = touches.nonzero().squeeze(-1)
         values = [getattr(splats, field.name)[index] for field in fields(Splats)[:-1]]
-        values[0] = values[0] - origin  # before rounding to dtype, so that a wide image costs no accuracy
-        ys, xs = torch.meshgrid(_centres(height, origin), _centres(width, origin), indexing="ij")
+        values[0] = (
+            values[0] - origin
+        )  # before rounding to dtype, so that a wide image costs no accuracy
+        ys, xs = torch.meshgrid(
+            _centres(height, origin), _centres(width, origin), indexing="ij"
+        )
         pixels = torch.stack((xs.flatten(), ys.flatten()), -1).to(dtype)
         values = [value.to(dtype) for value in values]
         if torch.is_grad_enabled():
@@ -113,16 +154,22 @@ class TorchRasterizer(Rasterizer):
             sums = self._composite(pixels, *values)
         return sums.reshape(5, height, width)
 
-    def _composite(self, pixels: Float[Tensor, "pixel 2"], *values: Tensor) -> Float[Tensor, "5 pixel"]:
+    def _composite(
+        self, pixels: Float[Tensor, "pixel 2"], *values: Tensor
+    ) -> Float[Tensor, "5 pixel"]:
         """Front-to-back sums of one tile over all its splats, chunk by chunk."""
         sums = pixels.new_zeros(4, len(pixels))
         transmittance = pixels.new_ones(len(pixels))
         open_pixels = torch.ones_like(transmittance, dtype=torch.bool)
-        for start in range(0, max(len(values[0]), 1), CHUNK):  # once for no splats too: the result keeps its graph
+        for start in range(
+            0, max(len(values[0]), 1), CHUNK
+        ):  # once for no splats too: the result keeps its graph
             chunk = [value[start : start + CHUNK] for value in values]
             alphas = self._alphas(pixels, *chunk[:-1])
             after = transmittance[:, None] * (1 - alphas).cumprod(-1)
-            kept = open_pixels[:, None] & (after.detach() > self.settings.min_transmittance)
+            kept = open_pixels[:, None] & (
+                after.detach() > self.settings.min_transmittance
+            )
             alphas = torch.where(kept, alphas, torch.zeros_like(alphas))
             through = transmittance[:, None] * (1 - alphas).cumprod(-1)
             through = torch.cat((transmittance[:, None], through), -1)
@@ -140,11 +187,17 @@ class TorchRasterizer(Rasterizer):
         inv_std_y: Float[Tensor, "splat"],
         opacities: Float[Tensor, "splat"],
     ) -> Float[Tensor, "pixel splat"]:
-        """Alpha of every splat at every pixel, 0 where it is skipped (see `Splats` for the exponent)."""
+        """Alpha of every splat at every pixel, 0 where it is skipped (see `Splats` for the
+        exponent).
+        """
         x, y = (pixels[:, None] - means).unbind(-1)
-        exponent = 0.5 * ((inv_std_x * (x - x_per_y * y)).square() + (inv_std_y * y).square())
+        exponent = 0.5 * (
+            (inv_std_x * (x - x_per_y * y)).square() + (inv_std_y * y).square()
+        )
         alphas = (opacities * torch.exp(-exponent)).clamp(max=self.settings.max_alpha)
-        return torch.where(alphas.detach() >= self.settings.min_alpha, alphas, torch.zeros_like(alphas))
+        return torch.where(
+            alphas.detach() >= self.settings.min_alpha, alphas, torch.zeros_like(alphas)
+        )
 
 
 def _centres(count: int, like: Tensor) -> Float[Tensor, "count"]:
@@ -160,15 +213,25 @@ def project_scene(
     image_size: tuple[int, int],
     settings: RasterizerSettings,
 ) -> Splats:
-    """Project one scene into one camera with normalised intrinsics; differentiable in all fields of `gaussians`."""
+    """Project one scene into one camera with normalised intrinsics; differentiable in all fields of
+    `gaussians`.
+    """
     work = working_dtype(gaussians.means)
-    offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(work)  # subtracting first is exact far from the origin
+    offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(
+        work
+    )  # subtracting first is exact far from the origin
     rotation = c2w[:3, :3].to(work)
     depth = (offsets.detach() @ rotation)[:, 2]
     opacities = gaussians.opacities[scene].to(work)
-    kept = (depth >= settings.near) & (depth <= settings.far) & (opacities.detach() >= settings.min_alpha)
+    kept = (
+        (depth >= settings.near)
+        & (depth <= settings.far)
+        & (opacities.detach() >= settings.min_alpha)
+    )
     index = kept.nonzero().squeeze(-1)
-    index = index[depth[index].argsort(stable=True)]  # front to back, ties in index order
+    index = index[
+        depth[index].argsort(stable=True)
+    ]  # front to back, ties in index order
 
     camera = offsets[index] @ rotation
     height, width = image_size
@@ -177,13 +240,19 @@ def project_scene(
     centre = intrinsics.to(work)[:2, 2] * size
     tangents = camera[:, :2] / camera[:, 2:]
     rows = _image_rows(tangents, camera[:, 2], focal, centre, size, rotation)
-    shape = quats_to_matrices(gaussians.quats[scene, index].to(work)) * gaussians.scales[scene, index, None].to(work)
-    across, down = (rows @ shape).unbind(-2)  # covariance a = |across|^2 + eps2d, b = across . down, ...
+    shape = quats_to_matrices(
+        gaussians.quats[scene, index].to(work)
+    ) * gaussians.scales[scene, index, None].to(work)
+    across, down = (rows @ shape).unbind(
+        -2
+    )  # covariance a = |across|^2 + eps2d, b = across . down, ...
     variance_x = across.square().sum(-1) + settings.eps2d
     variance_y = down.square().sum(-1) + settings.eps2d
     down = down / variance_y.sqrt()[:, None]
     spread = torch.linalg.cross(across, down).square().sum(-1)
-    variance_given_y = spread + settings.eps2d * (1 + across.square().sum(-1) / variance_y)
+    variance_given_y = spread + settings.eps2d * (
+        1 + across.square().sum(-1) / variance_y
+    )
     cutoff = 2 * (opacities[index] / settings.min_alpha).log()
     variances = torch.stack((variance_x, variance_y), -1)
     colours = seen_colours(gaussians.harmonics[scene, index].to(work), offsets[index])
@@ -206,12 +275,16 @@ def _image_rows(
     size: Float[Tensor, "2"],
     rotation: Float[Tensor, "3 3"],
 ) -> Float[Tensor, "splat 2 3"]:
-    """Return the Jacobian of the image position by the world position, at tangents clamped near the image's border."""
+    """Return the Jacobian of the image position by the world position, at tangents clamped near the
+    image's border.
+    """
     margin = BORDER * 0.5 * size / focal
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
     x, y = tangents.clamp(low, high).unbind(-1)
     zero, one = torch.zeros_like(x), torch.ones_like(x)
-    rows = torch.stack((torch.stack((one, zero, -x), -1), torch.stack((zero, one, -y), -1)), -2)
+    rows = torch.stack(
+        (torch.stack((one, zero, -x), -1), torch.stack((zero, one, -y), -1)), -2
+    )
     return (focal[:, None] * rows / depth[:, None, None]) @ rotation.T
 
 

@@ -1,4 +1,6 @@
-"""Recolouring as an editor and as a command; what other plugins may use of it is `edit3r_recolor.api`."""
+"""Recolouring as an editor and as a command; what other plugins may use of it is
+`edit3r_recolor.api`.
+"""
 
 from edit3r import Component, hookimpl
 

@@ -1,4 +1,5 @@
-"""What other plugins may import from this one: region-wise recolouring (section 3.2) and the sets it leaves.
+"""What other plugins may import from this one: region-wise recolouring (section 3.2) and the sets
+it leaves.
 
 - `recolored` changes every region of some views by one `RecolorParameters` each; `visible_parameters` draws them.
 - `draw_outline`, `with_outline` and `perturbed` give an edit the faults of a 2D editor (section 4.4).

@@ -1,11 +1,11 @@
 """The folder of a recoloured multi-view set, and the masks that data sets bring along.
 
-images/NAME.png      every used photo, recoloured alike: the target
-augmented/NAME.png   the same edit with an editor's faults (where asked for): the input
-masks/ID/NAME.png    soft masks of each region, white inside, greys at soft edges; no file: the photo does not show it
-recolor.json         regions, parameters, faults, views left out: enough to replay
-cameras.json         intrinsics and poses of images/, where a camera file beside the photos has them all
-sheet.png            photo, regions and result of each view
+images/NAME.png      every used photo, recoloured alike: the target augmented/NAME.png   the same
+edit with an editor's faults (where asked for): the input masks/ID/NAME.png    soft masks of each
+region, white inside, greys at soft edges; no file: the photo does not show it recolor.json
+regions, parameters, faults, views left out: enough to replay cameras.json         intrinsics and
+poses of images/, where a camera file beside the photos has them all sheet.png            photo,
+regions and result of each view
 
 NAME is the photo's name without suffix.
 """
@@ -19,12 +19,12 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from edit3r.contract.types import Cameras
 from edit3r.errors import InputError
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.images import LoadedPhotos, Photo, evenly, save_image, save_pixels
 from edit3r.io.masks import read_mask
 from edit3r.io.sheet import draw_sheet
-from edit3r.types import Cameras
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
 
 RECIPE = "recolor.json"
@@ -33,9 +33,16 @@ MOST_ROWS = 12  # views on the sheet
 
 
 def write_folder(
-    folder: Path, photos: LoadedPhotos, masks: Masks, recipe: SceneRecipe, images: Images, augmented: Images | None
+    folder: Path,
+    photos: LoadedPhotos,
+    masks: Masks,
+    recipe: SceneRecipe,
+    images: Images,
+    augmented: Images | None,
 ) -> None:
-    """Write everything into an existing folder; `images` and `augmented` are of the processed views alone."""
+    """Write everything into an existing folder; `images` and `augmented` are of the processed views
+    alone.
+    """
     used = recipe.processed
     names = [recipe.views[view].name for view in used]
     for kind, written in (("images", images), ("augmented", augmented)):
@@ -43,31 +50,51 @@ def write_folder(
             (folder / kind).mkdir()
             for name, image in zip(names, written):
                 save_image(image, folder / kind / f"{name}.png")
-    write_masks(folder / MASKS, names, [region.id for region in recipe.regions], masks[:, used])
+    write_masks(
+        folder / MASKS, names, [region.id for region in recipe.regions], masks[:, used]
+    )
     recipe.save(folder / RECIPE)
     if photos.views.c2w is not None:
-        cameras = Cameras(photos.views.c2w, photos.views.intrinsics, photos.views.image_size).select(used)
-        write_cameras(folder / "cameras.json", posed_cameras(cameras, [f"images/{name}.png" for name in names]))
+        cameras = Cameras(
+            photos.views.c2w, photos.views.intrinsics, photos.views.image_size
+        ).select(used)
+        write_cameras(
+            folder / "cameras.json",
+            posed_cameras(cameras, [f"images/{name}.png" for name in names]),
+        )
     shown = evenly(range(len(used)), MOST_ROWS)
     originals = photos.views.images[0, used][shown]
-    columns = {"photo": originals, "regions": _painted(originals, masks[:, used][:, shown]), "result": images[shown]}
+    columns = {
+        "photo": originals,
+        "regions": _painted(originals, masks[:, used][:, shown]),
+        "result": images[shown],
+    }
     if augmented is not None:
         columns["augmented"] = augmented[shown]
-    save_pixels(np.asarray(draw_sheet(columns, names=[names[view] for view in shown])), folder / "sheet.png")
+    save_pixels(
+        np.asarray(draw_sheet(columns, names=[names[view] for view in shown])),
+        folder / "sheet.png",
+    )
 
 
-def write_masks(folder: Path, names: list[str], numbers: list[int], masks: Masks) -> None:
+def write_masks(
+    folder: Path, names: list[str], numbers: list[int], masks: Masks
+) -> None:
     """Write one folder per object, named by its number; views that do not show it get no file."""
     for number, of_object in zip(numbers, masks):
         own = folder / str(number)
         own.mkdir(parents=True, exist_ok=True)
         for name, mask in zip(names, of_object):
             if mask.any():
-                Image.fromarray((mask * 255).round().to(torch.uint8).cpu().numpy()).save(own / f"{name}.png")
+                Image.fromarray(
+                    (mask * 255).round().to(torch.uint8).cpu().numpy()
+                ).save(own / f"{name}.png")
 
 
 def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
-    """Read masks in [0, 1] of every object in every photo, on their views. Raises InputError when there are none."""
+    """Read masks in [0, 1] of every object in every photo, on their views. Raises InputError when
+    there are none.
+    """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of masks.")
     objects = sorted((p for p in folder.iterdir() if p.is_dir()), key=_by_number)
@@ -75,7 +102,8 @@ def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
     if not masks:
         name = photos[0].name
         raise InputError(
-            f"{folder}: no masks for these photos; expected a folder per object with files such as {name}.png."
+            f"{folder}: no masks for these photos; expected a folder per object with files such "
+            f"as {name}.png."
         )
     return torch.stack(masks)
 
@@ -84,17 +112,32 @@ def read_masks_of(folder: Path, photos: tuple[Photo, ...], numbers: list[int]) -
     """Read the masks of the objects with these numbers, as `write_masks` left them."""
     for number in numbers:
         if not (folder / str(number)).is_dir():
-            raise InputError(f"{folder}: lacks the folder {number} with that object's masks.")
-    return torch.stack([_one_object(folder / str(number), photos) for number in numbers])
+            raise InputError(
+                f"{folder}: lacks the folder {number} with that object's masks."
+            )
+    return torch.stack(
+        [_one_object(folder / str(number), photos) for number in numbers]
+    )
 
 
 def _by_number(path: Path) -> tuple:
     return (0, int(path.name), "") if path.name.isdecimal() else (1, 0, path.name)
 
 
-def _one_object(folder: Path, photos: tuple[Photo, ...]) -> Float[Tensor, "view height width"]:
-    files = {path.stem: path for path in sorted(folder.iterdir(), reverse=True) if path.is_file()}
-    masks = (read_mask(files[p.name], p.frame) if p.name in files else torch.zeros(p.frame.target) for p in photos)
+def _one_object(
+    folder: Path, photos: tuple[Photo, ...]
+) -> Float[Tensor, "view height width"]:
+    files = {
+        path.stem: path
+        for path in sorted(folder.iterdir(), reverse=True)
+        if path.is_file()
+    }
+    masks = (
+        read_mask(files[p.name], p.frame)
+        if p.name in files
+        else torch.zeros(p.frame.target)
+        for p in photos
+    )
     return torch.stack(list(masks))
 
 
@@ -102,6 +145,10 @@ def _painted(photos: Images, masks: Masks) -> Images:
     """Draw grey photos with every region in a colour of its own, the same in all views."""
     shown = 0.6 * photos.mean(1, keepdim=True).expand(-1, 3, -1, -1)
     for number, mask in enumerate(masks):
-        colour = shown.new_tensor(colorsys.hsv_to_rgb((number * 0.381966) % 1, 0.8, 1.0))  # golden ratio: far apart
-        shown = torch.lerp(shown, colour[:, None, None].expand_as(shown), 0.6 * mask[:, None])
+        colour = shown.new_tensor(
+            colorsys.hsv_to_rgb((number * 0.381966) % 1, 0.8, 1.0)
+        )  # golden ratio: far apart
+        shown = torch.lerp(
+            shown, colour[:, None, None].expand_as(shown), 0.6 * mask[:, None]
+        )
     return shown

@@ -1,8 +1,9 @@
-"""The colour transform of one region, its blend into the photo, and the faults of an editor (section 3.2 and 4.4).
+"""The colour transform of one region, its blend into the photo, and the faults of an editor
+(section 3.2 and 4.4).
 
-Every step of the transform maps a pixel's colour by itself, never by statistics of its image: only so does a surface
-keep one colour in all views, whatever else each of them shows. (The usual contrast jitter turns around the image's own
-mean and would not do.)
+Every step of the transform maps a pixel's colour by itself, never by statistics of its image: only
+so does a surface keep one colour in all views, whatever else each of them shows. (The usual
+contrast jitter turns around the image's own mean and would not do.)
 """
 
 import math
@@ -26,31 +27,59 @@ Outline = Literal["exact", "grown", "shrunk", "leaking"]
 
 JITTERS = ("brightness", "contrast", "saturation", "hue")
 
-# Principal components of ImageNet's RGB values in [0, 1], one row each. The offset is the sum of direction times
-# eigenvalue times a normal weight (Krizhevsky et al. 2012, section 4.1).
+# Principal components of ImageNet's RGB values in [0, 1], one row each. The offset is the sum of
+# direction times eigenvalue times a normal weight (Krizhevsky et al. 2012, section 4.1).
 PCA_EIGENVALUES = (0.2175, 0.0188, 0.0045)
-PCA_DIRECTIONS = ((-0.5675, -0.5808, -0.5836), (0.7192, -0.0045, -0.6948), (0.4009, -0.8140, 0.4203))
+PCA_DIRECTIONS = (
+    (-0.5675, -0.5808, -0.5836),
+    (0.7192, -0.0045, -0.6948),
+    (0.4009, -0.8140, 0.4203),
+)
 
 EPSILON = 1e-6  # added to the sum that overlapping masks are divided by
 
 FAULTS: tuple[Outline, ...] = ("grown", "shrunk", "leaking")
-REACH = 1 / 64  # how far a faulty outline moves [longer sides of the image], at least a pixel; leakage twice as far
+REACH = (
+    1 / 64
+    # how far a faulty outline moves [longer sides of the image], at least a pixel; leakage twice as
+    # far
+)
 LEAK = 0.5  # largest weight of the edit outside its object
 
 
 class RecolorRanges(Settings):
-    """How strongly `sample_parameters` changes colours; factors are drawn from [1 - x, 1 + x] (gamma: [1/g, g])."""
+    """How strongly `sample_parameters` changes colours; factors are drawn from [1 - x, 1 + x]
+    (gamma: [1/g, g]).
+    """
 
-    brightness: float = Field(0.3, ge=0, le=1, description="largest change of brightness [factor - 1]")
-    contrast: float = Field(0.3, ge=0, le=1, description="largest change of contrast [factor - 1]")
-    saturation: float = Field(0.5, ge=0, le=1, description="largest change of saturation [factor - 1]")
-    hue: float = Field(0.5, ge=0, le=0.5, description="largest rotation of hue [turns]")
-    gamma: float = Field(1.5, ge=1, le=4, description="largest gamma g; drawn from [1/g, g], evenly in its logarithm")
-    lighting: float = Field(
-        0.4, ge=0, le=2, description="standard deviation of the PCA lighting weights; 0.1 is barely visible"
+    brightness: float = Field(
+        0.3, ge=0, le=1, description="largest change of brightness [factor - 1]"
     )
-    permute_probability: float = Field(0.5, ge=0, le=1, description="how often RGB channels change places")
-    greyscale_probability: float = Field(0.1, ge=0, le=1, description="how often all colour is taken away")
+    contrast: float = Field(
+        0.3, ge=0, le=1, description="largest change of contrast [factor - 1]"
+    )
+    saturation: float = Field(
+        0.5, ge=0, le=1, description="largest change of saturation [factor - 1]"
+    )
+    hue: float = Field(0.5, ge=0, le=0.5, description="largest rotation of hue [turns]")
+    gamma: float = Field(
+        1.5,
+        ge=1,
+        le=4,
+        description="largest gamma g; drawn from [1/g, g], evenly in its logarithm",
+    )
+    lighting: float = Field(
+        0.4,
+        ge=0,
+        le=2,
+        description="standard deviation of the PCA lighting weights; 0.1 is barely visible",
+    )
+    permute_probability: float = Field(
+        0.5, ge=0, le=1, description="how often RGB channels change places"
+    )
+    greyscale_probability: float = Field(
+        0.1, ge=0, le=1, description="how often all colour is taken away"
+    )
 
 
 DEFAULT_RANGES = RecolorRanges()
@@ -58,7 +87,9 @@ DEFAULT_RANGES = RecolorRanges()
 
 @dataclass(frozen=True)
 class RecolorParameters:
-    """Theta_r: one region's colour transform, sampled once and reused in every view, at any size."""
+    """Theta_r: one region's colour transform, sampled once and reused in every view, at any
+    size.
+    """
 
     brightness: float = 1.0  # factor on RGB
     contrast: float = 1.0  # factor on the distance from mid-grey
@@ -66,23 +97,42 @@ class RecolorParameters:
     hue: float = 0.0  # rotation [turns]
     order: tuple[str, ...] = JITTERS  # of the four jitters above
     gamma: float = 1.0  # exponent
-    lighting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # PCA offset, as added to RGB
-    permutation: tuple[int, int, int] = (0, 1, 2)  # output channel c is input channel permutation[c]
+    lighting: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # PCA offset, as added to RGB
+    permutation: tuple[int, int, int] = (
+        0,
+        1,
+        2,
+    )  # output channel c is input channel permutation[c]
     greyscale: bool = False
-    __pydantic_config__ = ConfigDict(extra="forbid")  # of a recipe that is read from a file
+    __pydantic_config__ = ConfigDict(
+        extra="forbid"
+    )  # of a recipe that is read from a file
 
     def __post_init__(self) -> None:
         if sorted(self.order) != sorted(JITTERS):
-            raise ValueError(f"RecolorParameters.order: expected each of {JITTERS} once, got {self.order}")
+            raise ValueError(
+                f"RecolorParameters.order: expected each of {JITTERS} once, got {self.order}"
+            )
         if sorted(self.permutation) != [0, 1, 2]:
-            raise ValueError(f"RecolorParameters.permutation: expected an order of 0, 1, 2, got {self.permutation}")
+            raise ValueError(
+                "RecolorParameters.permutation: expected an order of 0, 1, 2, got "
+                f"{self.permutation}"
+            )
 
 
-def sample_parameters(generator: torch.Generator, ranges: RecolorRanges) -> RecolorParameters:
+def sample_parameters(
+    generator: torch.Generator, ranges: RecolorRanges
+) -> RecolorParameters:
     """Draw Theta_r for one region; the generator alone decides, whatever the images are."""
 
     def around(centre: float, width: float) -> float:
-        return centre + width * (2 * torch.rand((), generator=generator, dtype=torch.float64).item() - 1)
+        return centre + width * (
+            2 * torch.rand((), generator=generator, dtype=torch.float64).item() - 1
+        )
 
     def chance(probability: float) -> bool:
         return torch.rand((), generator=generator).item() < probability
@@ -97,7 +147,9 @@ def sample_parameters(generator: torch.Generator, ranges: RecolorRanges) -> Reco
         order=tuple(JITTERS[index] for index in order),
         gamma=ranges.gamma ** around(0, 1),
         lighting=_lighting_offset(generator, ranges.lighting),
-        permutation=tuple(permutation) if chance(ranges.permute_probability) else (0, 1, 2),
+        permutation=tuple(permutation)
+        if chance(ranges.permute_probability)
+        else (0, 1, 2),
         greyscale=chance(ranges.greyscale_probability),
     )
 
@@ -110,7 +162,9 @@ def visible_parameters(
     tries: int = 8,
     ranges: RecolorRanges = DEFAULT_RANGES,
 ) -> RecolorParameters:
-    """Draw parameters whose mean absolute change inside `masks` is at least `least`, or the strongest of `tries`."""
+    """Draw parameters whose mean absolute change inside `masks` is at least `least`, or the
+    strongest of `tries`.
+    """
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     images, masks = images[..., ::4, ::4], masks[..., ::4, ::4]  # enough to judge by
     weight = masks[:, None] / (3 * masks.sum()).clamp(min=1e-6)
@@ -126,7 +180,9 @@ def visible_parameters(
 
 
 def recolor(image: Image, parameters: RecolorParameters) -> Image:
-    """C_Theta: jitters in their order, gamma, lighting offset, channel permutation, greyscale; sRGB in [0, 1]."""
+    """C_Theta: jitters in their order, gamma, lighting offset, channel permutation, greyscale; sRGB
+    in [0, 1].
+    """
     for name in parameters.order:
         image = _JITTER[name](image, getattr(parameters, name)).clamp(0, 1)
     image = image**parameters.gamma
@@ -141,7 +197,9 @@ def recolored(
     parameters: Sequence[RecolorParameters],
 ) -> Float[Tensor, "view 3 height width"]:
     """Recolour region r of every view with `parameters[r]` and blend it softly."""
-    return blend_regions(images, torch.stack([recolor(images, p) for p in parameters]), masks).clamp(0, 1)
+    return blend_regions(
+        images, torch.stack([recolor(images, p) for p in parameters]), masks
+    ).clamp(0, 1)
 
 
 def blend_regions(
@@ -149,16 +207,20 @@ def blend_regions(
     recolored: Float[Tensor, "region *batch 3 height width"],
     masks: Float[Tensor, "region *batch height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """I' = sum_r a_r C_r(I) + (1 - sum_r a_r) I (section 3.2); pixels no mask touches keep their exact value."""
+    """I' = sum_r a_r C_r(I) + (1 - sum_r a_r) I (section 3.2); pixels no mask touches keep their
+    exact value.
+    """
     weights = renormalize(masks).unsqueeze(-3)
     return (weights * recolored).sum(0) + (1 - weights.sum(0)) * image
 
 
-def renormalize(masks: Float[Tensor, "region *batch height width"]) -> Float[Tensor, "region *batch height width"]:
+def renormalize(
+    masks: Float[Tensor, "region *batch height width"],
+) -> Float[Tensor, "region *batch height width"]:
     """Scale the masks of every pixel so that they sum to at most one.
 
-    The paper divides by the sum "when regions overlap" and states that a single region is plain alpha blending, so
-    a sum below one is left alone: the soft edge of a mask stays soft.
+    The paper divides by the sum "when regions overlap" and states that a single region is plain
+    alpha blending, so a sum below one is left alone: the soft edge of a mask stays soft.
     """
     total = masks.sum(0)
     return torch.where(total > 1, masks / (total + EPSILON), masks)
@@ -190,10 +252,17 @@ def _hue(image: Image, turns: float) -> Image:
     return adjust_hue(image, 2 * math.pi * turns) if turns else image
 
 
-_JITTER = {"brightness": _brightness, "contrast": adjust_contrast, "saturation": adjust_saturation, "hue": _hue}
+_JITTER = {
+    "brightness": _brightness,
+    "contrast": adjust_contrast,
+    "saturation": adjust_saturation,
+    "hue": _hue,
+}
 
 
-def _lighting_offset(generator: torch.Generator, deviation: float) -> tuple[float, float, float]:
+def _lighting_offset(
+    generator: torch.Generator, deviation: float
+) -> tuple[float, float, float]:
     weights = deviation * torch.randn(3, generator=generator, dtype=torch.float64)
     scaled = weights * torch.tensor(PCA_EIGENVALUES, dtype=torch.float64)
     return tuple((scaled @ torch.tensor(PCA_DIRECTIONS, dtype=torch.float64)).tolist())
@@ -202,14 +271,16 @@ def _lighting_offset(generator: torch.Generator, deviation: float) -> tuple[floa
 def draw_outline(rng: np.random.Generator) -> Outline:
     """Draw one of the three faults of an outline, evenly.
 
-    Section 4.4 names "SAM2-derived mask jittering (dilation/erosion), palette perturbation, and limited background
-    leakage" without amounts; the amounts here are this project's own.
+    Section 4.4 names "SAM2-derived mask jittering (dilation/erosion), palette perturbation, and
+    limited background leakage" without amounts; the amounts here are this project's own.
     """
     return FAULTS[rng.integers(3)]
 
 
 def with_outline(masks: Masks, outline: Outline) -> Masks:
-    """Grow or shrink masks, or let a little of the edit leak into the background; soft edges stay soft."""
+    """Grow or shrink masks, or let a little of the edit leak into the background; soft edges stay
+    soft.
+    """
     reach = max(1, round(REACH * max(masks.shape[-2:])))
     if outline == "grown":
         return dilate(masks, reach)
@@ -217,14 +288,22 @@ def with_outline(masks: Masks, outline: Outline) -> Masks:
         return -dilate(-masks, reach)
     if outline == "leaking":
         flat = masks.reshape(-1, 1, *masks.shape[-2:])
-        blurred = F.avg_pool2d(flat, 4 * reach + 1, stride=1, padding=2 * reach).reshape(masks.shape)
+        blurred = F.avg_pool2d(
+            flat, 4 * reach + 1, stride=1, padding=2 * reach
+        ).reshape(masks.shape)
         return torch.maximum(masks, LEAK * blurred)
     return masks
 
 
-def perturbed(parameters: RecolorParameters, rng: np.random.Generator, amount: float = 0.08) -> RecolorParameters:
-    """Shift an edit's palette a little: factors times 1 +- `amount`, hue by at most amount / 4 turns."""
-    brightness, contrast, saturation, gamma, hue = rng.uniform(-amount, amount, 5).tolist()
+def perturbed(
+    parameters: RecolorParameters, rng: np.random.Generator, amount: float = 0.08
+) -> RecolorParameters:
+    """Shift an edit's palette a little: factors times 1 +- `amount`, hue by at most amount / 4
+    turns.
+    """
+    brightness, contrast, saturation, gamma, hue = rng.uniform(
+        -amount, amount, 5
+    ).tolist()
     return replace(
         parameters,
         brightness=parameters.brightness * (1 + brightness),

@@ -1,7 +1,8 @@
-"""SAM2-style recolouring of a multi-view set (section 3.2): find objects, follow them, recolour region by region.
+"""SAM2-style recolouring of a multi-view set (section 3.2): find objects, follow them, recolour
+region by region.
 
-first photo --> proposals --> five criteria --> tracks --> views that show the same objects --> one colour transform a
-region, drawn once --> soft blend in every view
+first photo --> proposals --> five criteria --> tracks --> views that show the same objects --> one
+colour transform a region, drawn once --> soft blend in every view
 """
 
 import json
@@ -16,8 +17,8 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.errors import InputError
-from edit3r.interfaces import Proposal, Segmenter, Tracks
 from edit3r.io.atomic import atomic_write
 from edit3r.reporting import progress, track
 from edit3r_recolor import recoloring
@@ -43,15 +44,39 @@ Masks = Float[Tensor, "object view height width"]
 class RecoloringSettings(Settings):
     """How scenes are recoloured."""
 
-    filter: ProposalFilter = Field(ProposalFilter(), description="which proposals become regions")
-    max_objects: int = Field(8, ge=1, le=200, description="how many regions at most, the most salient ones")
-    least_overlap: float = Field(
-        0.5, ge=0, le=1, description="a view whose objects overlap less with the last used view's is left out"
+    filter: ProposalFilter = Field(
+        ProposalFilter(), description="which proposals become regions"
     )
-    ranges: RecolorRanges = Field(RecolorRanges(), description="how strongly colours change")
-    least_change: float = Field(0.08, ge=0, le=1, description="least mean change of a region, where it can be had")
-    mask_jitter: float = Field(0.5, ge=0, le=1, description="augmented: share of outlines grown, shrunk or leaking")
-    palette_jitter: float = Field(0.5, ge=0, le=1, description="augmented: share of regions with colours a bit off")
+    max_objects: int = Field(
+        8, ge=1, le=200, description="how many regions at most, the most salient ones"
+    )
+    least_overlap: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="a view whose objects overlap less with the last used view's is left out",
+    )
+    ranges: RecolorRanges = Field(
+        RecolorRanges(), description="how strongly colours change"
+    )
+    least_change: float = Field(
+        0.08,
+        ge=0,
+        le=1,
+        description="least mean change of a region, where it can be had",
+    )
+    mask_jitter: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="augmented: share of outlines grown, shrunk or leaking",
+    )
+    palette_jitter: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="augmented: share of regions with colours a bit off",
+    )
 
 
 @dataclass(frozen=True)
@@ -59,7 +84,9 @@ class Fault:
     """What an augmented image gets wrong with one region in one view."""
 
     outline: Outline = "exact"
-    parameters: RecolorParameters | None = None  # the region's colours in this view; None: as they should be
+    parameters: RecolorParameters | None = (
+        None  # the region's colours in this view; None: as they should be
+    )
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -72,7 +99,9 @@ class RegionRecipe:
     area: float  # share of the first view
     stability: float
     predicted_iou: float
-    box: tuple[float, float, float, float]  # x, y, width, height on the first view [pixels]
+    box: tuple[
+        float, float, float, float
+    ]  # x, y, width, height on the first view [pixels]
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -84,7 +113,9 @@ class ViewRecipe:
     objects: tuple[int, ...]  # ids
     overlap: float  # of its objects with those of the most recently processed view
     processed: bool  # False: too different, left out
-    faults: dict[int, Fault] = field(default_factory=dict)  # by id; what its augmented image gets wrong
+    faults: dict[int, Fault] = field(
+        default_factory=dict
+    )  # by id; what its augmented image gets wrong
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -96,7 +127,9 @@ class SceneRecipe:
     masks: str  # where they came from, such as "segmenter classical"
     regions: tuple[RegionRecipe, ...]
     views: tuple[ViewRecipe, ...]
-    rejected: dict[str, int] = field(default_factory=dict)  # proposals that failed each criterion
+    rejected: dict[str, int] = field(
+        default_factory=dict
+    )  # proposals that failed each criterion
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
     @property
@@ -107,7 +140,10 @@ class SceneRecipe:
     def save(self, path: Path) -> None:
         """Write as JSON; floats survive exactly."""
         with atomic_write(path) as partial:
-            partial.write_text(json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n", encoding="utf-8")
+            partial.write_text(
+                json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n",
+                encoding="utf-8",
+            )
 
     @staticmethod
     def load(path: Path) -> "SceneRecipe":
@@ -122,8 +158,13 @@ class SceneRecipe:
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             reason: object = error
             if isinstance(error, ValidationError):
-                reason = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:1])
-            raise InputError(f"{path}: not a recipe that `edit3r recolor` wrote ({reason}).") from None
+                reason = "; ".join(
+                    f"{'.'.join(map(str, e['loc']))}: {e['msg']}"
+                    for e in error.errors()[:1]
+                )
+            raise InputError(
+                f"{path}: not a recipe that `edit3r recolor` wrote ({reason})."
+            ) from None
 
 
 @dataclass(frozen=True)
@@ -136,12 +177,20 @@ class FoundRegions:
     rejected: dict[str, int]  # proposals that failed each criterion
 
 
-def find_regions(images: Images, segmenter: Segmenter, settings: RecoloringSettings) -> FoundRegions:
-    """Filter the first view's proposals and follow them through the others. Raises InputError when none passes."""
+def find_regions(
+    images: Images, segmenter: Segmenter, settings: RecoloringSettings
+) -> FoundRegions:
+    """Filter the first view's proposals and follow them through the others. Raises InputError when
+    none passes.
+    """
     progress("find objects", 0, 2)
-    chosen, rejected = _choose(segmenter.propose(images[0]), images.shape[-2:], settings)
+    chosen, rejected = _choose(
+        segmenter.propose(images[0]), images.shape[-2:], settings
+    )
     progress("find objects", 1, 2)
-    tracks = segmenter.track(images, torch.stack([proposal.soft_mask for proposal in chosen]).to(images))
+    tracks = segmenter.track(
+        images, torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
+    )
     progress("find objects", 2, 2)
     return _found(chosen, tracks, rejected)
 
@@ -150,68 +199,126 @@ def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
     """Take the data's own masks under the same criteria. Raises InputError when none passes."""
     proposals = proposals_of_masks(masks[:, 0])
     chosen, rejected = _choose(proposals, masks.shape[-2:], settings)
-    index = [number for number, proposal in enumerate(proposals) if any(proposal is other for other in chosen)]
+    index = [
+        number
+        for number, proposal in enumerate(proposals)
+        if any(proposal is other for other in chosen)
+    ]
     return _found(chosen, tracks_of_masks(masks[index]), rejected)
 
 
 def _choose(
-    proposals: Sequence[Proposal], image_size: tuple[int, int], settings: RecoloringSettings
+    proposals: Sequence[Proposal],
+    image_size: tuple[int, int],
+    settings: RecoloringSettings,
 ) -> tuple[list[Proposal], dict[str, int]]:
     kept, rejected = kept_proposals(proposals, tuple(image_size), settings.filter)
     if not kept:
-        why = ", ".join(f"{name} {count}" for name, count in rejected.items()) or "there are none"
+        why = (
+            ", ".join(f"{name} {count}" for name, count in rejected.items())
+            or "there are none"
+        )
         raise InputError(
-            f"First view: none of {len(proposals)} proposals passes the filter ({why}); loosen it, for example with "
+            f"First view: none of {len(proposals)} proposals passes the filter ({why}); loosen "
+            "it, for example with "
             "--set filter.min_area=0.005 or --set filter.margin=0, or give --masks."
         )
     return kept[: settings.max_objects], rejected
 
 
-def _found(proposals: Sequence[Proposal], tracks: Tracks, rejected: dict[str, int]) -> FoundRegions:
+def _found(
+    proposals: Sequence[Proposal], tracks: Tracks, rejected: dict[str, int]
+) -> FoundRegions:
     masks = (soft_masks(tracks) * 255).round() / 255
     return FoundRegions(tuple(proposals), masks, active_objects(tracks), rejected)
 
 
 def make_recipe(
-    images: Images, names: Sequence[str], found: FoundRegions, settings: RecoloringSettings, seed: int, source: str
+    images: Images,
+    names: Sequence[str],
+    found: FoundRegions,
+    settings: RecoloringSettings,
+    seed: int,
+    source: str,
 ) -> SceneRecipe:
-    """Draw the parameters of every region, and what augmented images get wrong, from `seed` alone."""
+    """Draw the parameters of every region, and what augmented images get wrong, from `seed`
+    alone.
+    """
     used = processed_views(found.active, settings.least_overlap)
     regions = []
     for number, proposal in enumerate(found.proposals, start=1):
         rng = np.random.default_rng((seed, number))
         masks, least = found.masks[number - 1, used], settings.least_change
-        parameters = recoloring.visible_parameters(rng, images[used], masks, least, ranges=settings.ranges)
-        fields = (proposal.area, proposal.stability, proposal.predicted_iou, proposal.box)
+        parameters = recoloring.visible_parameters(
+            rng, images[used], masks, least, ranges=settings.ranges
+        )
+        fields = (
+            proposal.area,
+            proposal.stability,
+            proposal.predicted_iou,
+            proposal.box,
+        )
         regions.append(RegionRecipe(number, parameters, *fields))
     views = []
     for view, name in enumerate(names):
         before = max([other for other in used if other < view], default=view)
         overlap = overlap_ratio(found.active[view], found.active[before])
-        shown = [region for region, here in zip(regions, found.active[view].tolist()) if here]
+        shown = [
+            region for region, here in zip(regions, found.active[view].tolist()) if here
+        ]
         faults = _draw_faults(view, shown, settings, seed) if view in used else {}
-        views.append(ViewRecipe(name, tuple(region.id for region in shown), overlap, view in used, faults))
+        views.append(
+            ViewRecipe(
+                name,
+                tuple(region.id for region in shown),
+                overlap,
+                view in used,
+                faults,
+            )
+        )
     return SceneRecipe(seed, source, tuple(regions), tuple(views), found.rejected)
 
 
-def _draw_faults(view: int, shown: Sequence[RegionRecipe], settings: RecoloringSettings, seed: int) -> dict[int, Fault]:
-    """Draw the faults of the regions that one view shows, by their ids; those without a fault are left out."""
+def _draw_faults(
+    view: int, shown: Sequence[RegionRecipe], settings: RecoloringSettings, seed: int
+) -> dict[int, Fault]:
+    """Draw the faults of the regions that one view shows, by their ids; those without a fault are
+    left out.
+    """
     faults = {}
     for region in shown:
         rng = np.random.default_rng((seed, region.id, view))
-        outline = recoloring.draw_outline(rng) if rng.random() < settings.mask_jitter else "exact"
+        outline = (
+            recoloring.draw_outline(rng)
+            if rng.random() < settings.mask_jitter
+            else "exact"
+        )
         is_off = rng.random() < settings.palette_jitter
-        faults[region.id] = Fault(outline, recoloring.perturbed(region.parameters, rng) if is_off else None)
+        faults[region.id] = Fault(
+            outline, recoloring.perturbed(region.parameters, rng) if is_off else None
+        )
     return {number: fault for number, fault in faults.items() if fault != Fault()}
 
 
-def carry_out(images: Images, masks: Masks, recipe: SceneRecipe, with_faults: bool = False) -> Images:
-    """Recolour the processed views alike; `with_faults` as a 2D editor might have: with every view's own faults."""
+def carry_out(
+    images: Images, masks: Masks, recipe: SceneRecipe, with_faults: bool = False
+) -> Images:
+    """Recolour the processed views alike; `with_faults` as a 2D editor might have: with every
+    view's own faults.
+    """
     views = []
     for view in track(recipe.processed, "augment" if with_faults else "recolour"):
         known = recipe.views[view].faults if with_faults else {}
         faults = [known.get(region.id, Fault()) for region in recipe.regions]
-        own = torch.stack([recoloring.with_outline(m, fault.outline) for m, fault in zip(masks[:, view], faults)])
-        parameters = [fault.parameters or region.parameters for region, fault in zip(recipe.regions, faults)]
+        own = torch.stack(
+            [
+                recoloring.with_outline(m, fault.outline)
+                for m, fault in zip(masks[:, view], faults)
+            ]
+        )
+        parameters = [
+            fault.parameters or region.parameters
+            for region, fault in zip(recipe.regions, faults)
+        ]
         views.append(recoloring.recolored(images[[view]], own[:, None], parameters)[0])
     return torch.stack(views)

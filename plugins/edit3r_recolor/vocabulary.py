@@ -1,4 +1,6 @@
-"""The words that the prompt reader knows: colours, changes and fillers. What is not here it must not guess."""
+"""The words that the prompt reader knows: colours, changes and fillers. What is not here it must
+not guess.
+"""
 
 import colorsys
 import re
@@ -38,14 +40,22 @@ _EVERYDAY_COLOURS = {
     "scarlet": "#ff2400",
     "silvery": "#c0c0c0",
     "terracotta": "#e2725b",
-    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its brown is a red.
+    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its
+    # brown is a red.
     "brown": "#7a4a26",
     "red": "#dc1414",
     "green": "#1e9632",
     "blue": "#1e50dc",
     "yellow": "#ffdc00",
 }
-_TONES = {"light": 0.45, "pale": 0.6, "pastel": 0.55, "bright": 0.12, "dark": -0.4, "deep": -0.25}
+_TONES = {
+    "light": 0.45,
+    "pale": 0.6,
+    "pastel": 0.55,
+    "bright": 0.12,
+    "dark": -0.4,
+    "deep": -0.25,
+}
 
 _ADJUSTMENT_WORDS = {
     ("brightness", 1.0): "brighter lighter brighten lighten bright",
@@ -60,13 +70,19 @@ _ADJUSTMENT_WORDS = {
     ("sepia", 1.0): "sepia",
     ("invert", 1.0): "invert inverted",
 }
-ADJUSTMENTS = {word: Adjust(*step) for step, words in _ADJUSTMENT_WORDS.items() for word in words.split()}
+ADJUSTMENTS = {
+    word: Adjust(*step)
+    for step, words in _ADJUSTMENT_WORDS.items()
+    for word in words.split()
+}
 """Words that say one adjustment each."""
 
 PROPERTIES = {
     **dict.fromkeys(("brightness", "exposure", "light"), "brightness"),
     "contrast": "contrast",
-    **dict.fromkeys(("saturation", "colour", "color", "colours", "colors"), "saturation"),
+    **dict.fromkeys(
+        ("saturation", "colour", "color", "colours", "colors"), "saturation"
+    ),
     "warmth": "warmth",
 }
 """Nouns that "more" and "less" can stand before."""
@@ -86,7 +102,9 @@ TINTS = {
 RECOLOUR = _words("recolor recolour recolored recoloured random randomly")
 """Words that ask for a sampled transform."""
 
-IMPERATIVES = _words("brighten lighten darken dim saturate desaturate invert cool warm recolor recolour")
+IMPERATIVES = _words(
+    "brighten lighten darken dim saturate desaturate invert cool warm recolor recolour"
+)
 """Changes that may stand before what they change: "darken the wall"."""
 
 PAINTING = _words("paint colour color dye spray")
@@ -97,30 +115,41 @@ STRONG = _words("much very lot far strongly extremely really super")
 
 PRONOUNS = _words("it its them this that")
 OBJECT_WORDS = _words("object thing subject foreground main")
-EVERYTHING = _words("everything all whole entire picture pictures image images photo photos scene view views")
+EVERYTHING = _words(
+    "everything all whole entire picture pictures image images photo photos scene view views"
+)
 BACKGROUND = _words("background rest surroundings else")
 DETERMINERS = _words("the my our of every both these those") | PRONOUNS | EVERYTHING
 
 FILLERS = _words(
-    "a an the of to in into with please now make turn paint colour color change give be become look appear let have "
-    "get set render dye tint shade tone tones hue i we you want would like should can could my our so that up down as "
-    "coloured colored painted colours colors at them these those some kind sort also just but is are in made convert "
+    "a an the of to in into with please now make turn paint colour color change give be become "
+    "look appear let have "
+    "get set render dye tint shade tone tones hue i we you want would like should can could my "
+    "our so that up down as "
+    "coloured colored painted colours colors at them these those some kind sort also just but is "
+    "are in made convert "
     "transform spray both"
 )
 """Words that carry neither change nor object in the sentences we read."""
 
 UNSUPPORTED = _words(
-    "remove delete erase replace swap insert put place move wear wearing hold holding style styled stylize stylise "
+    "remove delete erase replace swap insert put place move wear wearing hold holding style "
+    "styled stylize stylise "
     "cartoon painting drawing sketch watercolor watercolour blur sharpen rotate resize "
     "metallic matte"
 )
 """Words that ask for what colours alone cannot do."""
 
-NEGATIONS = _words("not no don't dont never without except neither nor isn't instead rather avoid")
+NEGATIONS = _words(
+    "not no don't dont never without except neither nor isn't instead rather avoid"
+)
 
 _ALL = "|".join((*sorted(EVERYTHING), "rest"))
-EXCEPTION = re.compile(rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b")
-"""What stands before the thing that is left as it is; its group may hold more words for everything."""
+EXCEPTION = re.compile(
+    rf"\b(?:{_ALL})\b(.*?)\b(?:except(?: for)?|apart from|other than|but|besides)\b"
+)
+"""What stands before the thing that is left as it is; its group may hold more words for everything.
+"""
 
 REPLACED = re.compile(r"\breplace(?: the)? (\w+) (?:with|by)\b")
 ALL_AROUND = re.compile(rf"\b(?:the )?(?:{_ALL}|background)\b")
@@ -129,19 +158,26 @@ KEPT_THING = re.compile(
     r"surroundings|original|picture|image)([\w' -]+?) (?:in (?:full )?colou?r|as (?:it|they) (?:is|are)|alone|unchanged"
     r"|untouched|colou?red)[ .!]*$"
 )
-"""What is to stay as it is, at the end of a sentence: "make all black and white but keep the bear in colour"."""
+"""What is to stay as it is, at the end of a sentence: "make all black and white but keep the bear
+in colour".
+"""
 
 POLITENESS = _words("please thanks thank you ok okay")
 
 KEPT_ANYWAY = _words(
-    "keep leave everything else the rest of background surroundings picture image scene unchanged same as is it they "
-    "are was intact untouched original its shape texture shading structure lighting light details all other objects"
+    "keep leave everything else the rest of background surroundings picture image scene "
+    "unchanged same as is it they "
+    "are was intact untouched original its shape texture shading structure lighting light "
+    "details all other objects"
 )
-"""A clause of only these words ("keep the background unchanged") asks for what a recolouring does in any case."""
+"""A clause of only these words ("keep the background unchanged") asks for what a recolouring does
+in any case.
+"""
 
 
 def read_colour(words: list[str]) -> tuple[str, tuple[float, float, float], int] | None:
-    """Read the colour at the start of `words`: its name, sRGB in [0, 1], and how many words it takes; None: none.
+    """Read the colour at the start of `words`: its name, sRGB in [0, 1], and how many words it
+    takes; None: none.
 
     The longest reading wins: "light sea green" is one colour.
     """
@@ -161,12 +197,16 @@ def _toned_colour(words: list[str]) -> tuple[float, float, float] | None:
     if rgb is None:
         return None
     hue, lightness, saturation = colorsys.rgb_to_hls(*rgb)
-    lightness = lightness + tone * (1 - lightness) if tone > 0 else lightness * (1 + tone)
+    lightness = (
+        lightness + tone * (1 - lightness) if tone > 0 else lightness * (1 + tone)
+    )
     return colorsys.hls_to_rgb(hue, lightness, saturation)
 
 
 def _named_colour(name: str) -> tuple[float, float, float] | None:
-    given = _EVERYDAY_COLOURS.get(name) or (name if name in ImageColor.colormap or name.startswith("#") else None)
+    given = _EVERYDAY_COLOURS.get(name) or (
+        name if name in ImageColor.colormap or name.startswith("#") else None
+    )
     if given is None:
         return None
     try:

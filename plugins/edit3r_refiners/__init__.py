@@ -1,4 +1,6 @@
-"""Steps after reconstruction: fewer Gaussians, sharper Gaussians, and nothing changed outside the masks."""
+"""Steps after reconstruction: fewer Gaussians, sharper Gaussians, and nothing changed outside the
+masks.
+"""
 
 from edit3r import Component, hookimpl
 

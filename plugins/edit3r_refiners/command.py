@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edit3r.command import Command, scene_file
+from edit3r.contract.command import Command, scene_file
 
 if TYPE_CHECKING:
     from edit3r_refiners.settings import SimplifySettings
@@ -15,49 +15,92 @@ class SimplifyCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("scene", type=scene_file, metavar="SCENE", help="folder of a run, or Gaussians as 3DGS PLY")
-        add("--cameras", metavar="FILE", help="cameras.json or transforms.json of the views; default: beside the scene")
+        add(
+            "scene",
+            type=scene_file,
+            metavar="SCENE",
+            help="folder of a run, or Gaussians as 3DGS PLY",
+        )
+        add(
+            "--cameras",
+            metavar="FILE",
+            help="cameras.json or transforms.json of the views; default: beside the scene",
+        )
         add(
             "--gaussians",
             default="auto",
             metavar="auto|N",
             help="as many as the scene requires (default), or at most N",
         )
-        add("--rasterizer", default="auto", metavar="NAME", help="rasterizer that judges what is seen (default auto)")
-        add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as simplify.relative_price=2")
-        add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
-        add("--out", metavar="FILE", required=True, help="the simplified scene, also as 3DGS PLY")
+        add(
+            "--rasterizer",
+            default="auto",
+            metavar="NAME",
+            help="rasterizer that judges what is seen (default auto)",
+        )
+        add(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="such as simplify.relative_price=2",
+        )
+        add(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin file",
+        )
+        add(
+            "--out",
+            metavar="FILE",
+            required=True,
+            help="the simplified scene, also as 3DGS PLY",
+        )
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.console import StageConsole
+        from edit3r.cli.console import StageConsole
         from edit3r.io.cameras import read_scene_cameras
         from edit3r.io.ply import load_ply, save_ply
-        from edit3r.registry import default_registry
+        from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
         from edit3r_refiners.simplify import simplify
 
         most, settings = _budget_and_settings(args)
-        rasterizer = default_registry(tuple(args.plugin)).build("rasterizer", args.rasterizer)
-        with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
+        rasterizer = default_registry(tuple(args.plugin)).build(
+            "rasterizer", args.rasterizer
+        )
+        with (
+            StageConsole(quiet=args.quiet) as console,
+            collecting(Report(on_event=console)) as report,
+        ):
             with report.stage("read scene"):
                 gaussians = load_ply(args.scene)
-                cameras, _ = read_scene_cameras(args.cameras or Path(args.scene).parent / "cameras.json")
+                cameras, _ = read_scene_cameras(
+                    args.cameras or Path(args.scene).parent / "cameras.json"
+                )
             with report.stage("simplify"):
                 result = simplify(gaussians, cameras, rasterizer, most, settings)
             with report.stage("write scene"):
                 save_ply(args.out, result.gaussians)
         if not args.quiet:
             print(
-                f"{result.before:,} Gaussians -> {result.gaussians.count:,}: {result.unseen:,} unseen, "
+                f"{result.before:,} Gaussians -> {result.gaussians.count:,}: {result.unseen:,} "
+                "unseen, "
                 f"{result.doubled:,} doubled, {result.merged:,} merged away; "
                 f"the views' pictures agree to {result.psnr:.1f} dB\nwrote {args.out}"
             )
         return 0
 
 
-def _budget_and_settings(args: argparse.Namespace) -> tuple[int | None, "SimplifySettings"]:
-    """Read the most Gaussians that may be left (None: as the scene requires) and the settings of `simplify`."""
+def _budget_and_settings(
+    args: argparse.Namespace,
+) -> tuple[int | None, "SimplifySettings"]:
+    """Read the most Gaussians that may be left (None: as the scene requires) and the settings of
+    `simplify`.
+    """
     from edit3r.config import make_settings, parse_assignments
     from edit3r.errors import SettingsError
     from edit3r_refiners.settings import SimplifySettings, parse_budget
@@ -67,9 +110,15 @@ def _budget_and_settings(args: argparse.Namespace) -> tuple[int | None, "Simplif
     except ValueError as error:
         raise SettingsError(f"--gaussians: {error}, got {args.gaussians!r}.") from None
     if budget == "all":
-        raise SettingsError("--gaussians all: nothing to do; ask for auto or for a number.")
+        raise SettingsError(
+            "--gaussians all: nothing to do; ask for auto or for a number."
+        )
     given = parse_assignments(args.set)
     if set(given) - {"simplify"}:
-        raise SettingsError(f"--set {sorted(given)[0]}: simplify has settings of its own only (simplify.KEY).")
-    settings = make_settings(SimplifySettings, given.get("simplify", {}), where="simplify")
+        raise SettingsError(
+            f"--set {sorted(given)[0]}: simplify has settings of its own only (simplify.KEY)."
+        )
+    settings = make_settings(
+        SimplifySettings, given.get("simplify", {}), where="simplify"
+    )
     return None if budget == "auto" else budget, settings

@@ -3,14 +3,14 @@
 import argparse
 from pathlib import Path
 
-from edit3r.command import Command, scene_file
+from edit3r.contract.command import Command, scene_file
 
 
 class ExportCommand(Command):
     """Write a scene in a format of other programs; a file of such a format can be read as well."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        from edit3r.run_config import FORMATS
+        from edit3r.pipeline.config import FORMATS
 
         add = parser.add_argument
         add(
@@ -19,26 +19,54 @@ class ExportCommand(Command):
             metavar="SCENE",
             help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat",
         )
-        add("--to", required=True, nargs="+", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
-        add("--out", metavar="FILE", help="the file to write, for one format; default: beside the scene")
+        add(
+            "--to",
+            required=True,
+            nargs="+",
+            choices=FORMATS,
+            metavar="FORMAT",
+            help=", ".join(FORMATS),
+        )
+        add(
+            "--out",
+            metavar="FILE",
+            help="the file to write, for one format; default: beside the scene",
+        )
         add("--overwrite", action="store_true", help="replace files that are there")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.console import StageConsole
+        from edit3r.cli.console import StageConsole
         from edit3r.errors import InputError
         from edit3r.io.export import FORMATS, export_scene, load_scene
         from edit3r.reporting import Report, collecting
 
         scene: Path = args.scene
         if args.out and len(args.to) > 1:
-            raise InputError("--out names one file; give one format with it, or leave --out away.")
-        base = scene.name.removesuffix(".ply").removesuffix(".compressed") if scene.suffix == ".ply" else scene.stem
-        made = [(form, Path(args.out) if args.out else scene.with_name(base + FORMATS[form])) for form in args.to]
+            raise InputError(
+                "--out names one file; give one format with it, or leave --out away."
+            )
+        base = (
+            scene.name.removesuffix(".ply").removesuffix(".compressed")
+            if scene.suffix == ".ply"
+            else scene.stem
+        )
+        made = [
+            (
+                form,
+                Path(args.out) if args.out else scene.with_name(base + FORMATS[form]),
+            )
+            for form in args.to
+        ]
         for _, path in made:
             if path.exists() and (not args.overwrite or path.samefile(scene)):
-                raise InputError(f"{path}: is already there; give another --out, or --overwrite.")
-        with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
+                raise InputError(
+                    f"{path}: is already there; give another --out, or --overwrite."
+                )
+        with (
+            StageConsole(quiet=args.quiet) as console,
+            collecting(Report(on_event=console)) as report,
+        ):
             with report.stage("read scene"):
                 gaussians = load_scene(scene)
             for form, path in made:

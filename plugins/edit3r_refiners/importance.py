@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import to_pixels
 from edit3r.geometry.harmonics import DC
 from edit3r.geometry.paths import between_and_around
-from edit3r.interfaces import Rasterizer
-from edit3r.types import Cameras, Gaussians
 
 PATH_CAMERAS = 2  # cameras between and around, per input view
 PATH_REDUCTION = 2  # of the sides of their images
@@ -24,17 +24,25 @@ def contributions(
     rasterizer: Rasterizer,
     pixels: Bool[Tensor, "camera height width"] | None = None,
 ) -> Float[Tensor, "batch gaussian"]:
-    """Sum each Gaussian's blending weight (transmittance times alpha) over the `pixels` of all cameras [pixels].
+    """Sum each Gaussian's blending weight (transmittance times alpha) over the `pixels` of all
+    cameras [pixels].
 
-    A rendered image is linear in the colours, so the weight is the gradient of the summed image by the constant
-    harmonic, divided by the basis function. Grey Gaussians keep every colour away from the clamp at 0.
+    A rendered image is linear in the colours, so the weight is the gradient of the summed image by
+    the constant harmonic, divided by the basis function. Grey Gaussians keep every colour away from
+    the clamp at 0.
     """
     grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
     weight = torch.zeros_like(gaussians.opacities)
-    for camera in range(cameras.count):  # one at a time: all that one keeps for its gradient is a lot of memory
+    for camera in range(
+        cameras.count
+    ):  # one at a time: all that one keeps for its gradient is a lot of memory
         with torch.enable_grad():
-            images = rasterizer.render(replace(gaussians, harmonics=grey), cameras.select([camera])).images
-            counted = images[:, 0, 0] if pixels is None else images[:, 0, 0] * pixels[camera]
+            images = rasterizer.render(
+                replace(gaussians, harmonics=grey), cameras.select([camera])
+            ).images
+            counted = (
+                images[:, 0, 0] if pixels is None else images[:, 0, 0] * pixels[camera]
+            )
             weight += torch.autograd.grad(counted.sum(), grey)[0][:, :, 0, 0]
     return weight / DC
 
@@ -42,8 +50,8 @@ def contributions(
 def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:
     """Return the input cameras, and smaller and wider ones from between and around them.
 
-    What only a new viewpoint uncovers, or what lies past the border of the photos, must stay although no input view
-    needs it.
+    What only a new viewpoint uncovers, or what lies past the border of the photos, must stay
+    although no input view needs it.
     """
     if cameras.count == 1:
         return (cameras,)
@@ -54,8 +62,12 @@ def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:
     return cameras, replace(path, intrinsics=intrinsics, image_size=(height, width))
 
 
-def visible_weight(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Float[Tensor, "gaussian"]:
-    """Return the most that each Gaussian adds to the input views or to the others [pixels of the input views]."""
+def visible_weight(
+    gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
+) -> Float[Tensor, "gaussian"]:
+    """Return the most that each Gaussian adds to the input views or to the others [pixels of the
+    input views].
+    """
     weights = []
     for seen_from in viewpoints(cameras):
         area = (first_focal(cameras) / first_focal(seen_from)) ** 2
@@ -69,19 +81,28 @@ def first_focal(cameras: Cameras) -> float:
 
 
 def drop_unneeded_harmonics(
-    gaussians: Gaussians, cameras: Sequence[Cameras], rasterizer: Rasterizer, tolerance: float
+    gaussians: Gaussians,
+    cameras: Sequence[Cameras],
+    rasterizer: Rasterizer,
+    tolerance: float,
 ) -> Gaussians:
-    """Cut the harmonics to the lowest degree whose images differ nowhere by more than `tolerance` [sRGB].
+    """Cut the harmonics to the lowest degree whose images differ nowhere by more than `tolerance`
+    [sRGB].
 
-    Bands that are zero go without rendering. The others are judged by images: a band may matter to single Gaussians
-    and to no pixel.
+    Bands that are zero go without rendering. The others are judged by images: a band may matter to
+    single Gaussians and to no pixel.
     """
     used = _highest_used_degree(gaussians.harmonics)
-    full = [rasterizer.render(gaussians, seen_from).images for seen_from in cameras] if used else []
+    full = (
+        [rasterizer.render(gaussians, seen_from).images for seen_from in cameras]
+        if used
+        else []
+    )
     for degree in range(used):
         fewer = _cut(gaussians, degree)
         if all(
-            float((rasterizer.render(fewer, seen_from).images - images).abs().amax()) <= tolerance
+            float((rasterizer.render(fewer, seen_from).images - images).abs().amax())
+            <= tolerance
             for seen_from, images in zip(cameras, full)
         ):
             return fewer
@@ -89,10 +110,14 @@ def drop_unneeded_harmonics(
 
 
 def _cut(gaussians: Gaussians, degree: int) -> Gaussians:
-    return replace(gaussians, harmonics=gaussians.harmonics[:, :, : (degree + 1) ** 2].contiguous())
+    return replace(
+        gaussians, harmonics=gaussians.harmonics[:, :, : (degree + 1) ** 2].contiguous()
+    )
 
 
-def _highest_used_degree(harmonics: Float[Tensor, "batch gaussian coefficient 3"]) -> int:
+def _highest_used_degree(
+    harmonics: Float[Tensor, "batch gaussian coefficient 3"],
+) -> int:
     """Return the degree of the last coefficient that is not zero everywhere."""
     used = harmonics.ne(0).any(dim=3).any(dim=1).any(dim=0).nonzero()
     return int(float(used.max()) ** 0.5) if used.numel() else 0

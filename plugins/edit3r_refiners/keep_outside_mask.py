@@ -3,8 +3,8 @@
     Gaussians before --.                    shows outside the region in some view --> stays
     Gaussians after  --+--> each Gaussian:  shows inside only                     --> replaced by the edited ones
 
-Which pixels a Gaussian shows in is read from the rasterizer (its blending weights), so the rule holds for any
-reconstructor's Gaussians.
+Which pixels a Gaussian shows in is read from the rasterizer (its blending weights), so the rule
+holds for any reconstructor's Gaussians.
 """
 
 from dataclasses import replace
@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import Rasterizer, Refiner
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.geometry.cameras import median_scale
-from edit3r.interfaces import Rasterizer, Refiner
 from edit3r.reporting import note, warn
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_refiners.importance import contributions
 from edit3r_refiners.merging import Region, own_pixel_inside
 
@@ -30,34 +30,58 @@ class KeepOutsideMask(Refiner):
     needs_before = True
 
     def __call__(
-        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        views: Views,
+        request: EditRequest,
+        rasterizer: Rasterizer,
     ) -> Gaussians:
-        """Return `request.before` with those Gaussians replaced that show only where `request.masks` are above 0.
+        """Return `request.before` with those Gaussians replaced that show only where
+        `request.masks` are above 0.
 
         Without masks, or where they cover every pixel, `gaussians` come back unchanged.
         """
         if request.masks is None or bool((request.masks > 0).all()):
             return gaussians
         if request.before is None:
-            warn("keep-outside-mask: the scene before the edit is not known; nothing is kept as it was.")
+            warn(
+                "keep-outside-mask: the scene before the edit is not known; nothing is kept as "
+                "it was."
+            )
             return gaussians
         if request.masks.shape[0] != 1:
-            warn("several scenes at once: the Gaussians outside the masks are reconstructed anew, not kept.")
+            warn(
+                "several scenes at once: the Gaussians outside the masks are reconstructed anew, "
+                "not kept."
+            )
             return gaussians
         region = request.masks[0] > 0
         note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
         with torch.no_grad():
-            return insert_edit(request.before, gaussians, region, cameras.at(region.shape[-2:]), rasterizer)
+            return insert_edit(
+                request.before,
+                gaussians,
+                region,
+                cameras.at(region.shape[-2:]),
+                rasterizer,
+            )
 
 
 def insert_edit(
-    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+    before: Gaussians,
+    after: Gaussians,
+    region: Region,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
 ) -> Gaussians:
-    """Replace those Gaussians of `before` (batch 1) that show only inside `region` by those of `after`.
+    """Replace those Gaussians of `before` (batch 1) that show only inside `region` by those of
+    `after`.
 
-    Where both reconstructions have the same structure (as many Gaussians, from the same views: one per pixel), each
-    Gaussian is replaced by its counterpart, and only if neither shows outside. Otherwise those of `before` that show
-    inside alone go, and those of `after` that do so come; a gap may then stay along the border.
+    Where both reconstructions have the same structure (as many Gaussians, from the same views: one
+    per pixel), each Gaussian is replaced by its counterpart, and only if neither shows outside.
+    Otherwise those of `before` that show inside alone go, and those of `after` that do so come; a
+    gap may then stay along the border.
     """
     if same_structure(before, after):
         after = _in_unit_of(before, after, region, cameras)
@@ -67,28 +91,49 @@ def insert_edit(
 
 def same_structure(before: Gaussians, after: Gaussians) -> bool:
     """Tell whether Gaussian i of one scene is the counterpart of Gaussian i of the other."""
-    same = before.count == after.count and before.harmonics.shape == after.harmonics.shape
-    return same and torch.equal(before.view_index, after.view_index) and bool((before.view_index >= 0).all())
+    same = (
+        before.count == after.count and before.harmonics.shape == after.harmonics.shape
+    )
+    return (
+        same
+        and torch.equal(before.view_index, after.view_index)
+        and bool((before.view_index >= 0).all())
+    )
 
 
-def differing(before: Gaussians, after: Gaussians, names: tuple[str, ...] = FIELDS) -> Bool[Tensor, "gaussian"]:
-    """Tell which Gaussians of two scenes (batch 1, same structure) differ in any bit of the named fields."""
+def differing(
+    before: Gaussians, after: Gaussians, names: tuple[str, ...] = FIELDS
+) -> Bool[Tensor, "gaussian"]:
+    """Tell which Gaussians of two scenes (batch 1, same structure) differ in any bit of the named
+    fields.
+    """
     differs = torch.zeros(before.count, dtype=torch.bool, device=before.means.device)
     for name in names:
-        differs |= (getattr(before, name)[0] != getattr(after, name)[0]).reshape(before.count, -1).any(1)
+        differs |= (
+            (getattr(before, name)[0] != getattr(after, name)[0])
+            .reshape(before.count, -1)
+            .any(1)
+        )
     return differs
 
 
 def _replace_counterparts(
-    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+    before: Gaussians,
+    after: Gaussians,
+    region: Region,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
 ) -> Gaussians:
     """Replace Gaussians one by one, for scenes of the same structure."""
     wanted = differing(before, after) & own_pixel_inside(before, region, cameras)
     replaced = wanted & ~_show_in(before, ~region, cameras, rasterizer)
-    # Equal shapes have equal weights. Otherwise the new one may show further out, and what it hid may appear.
+    # Equal shapes have equal weights. Otherwise the new one may show further out, and what it hid
+    # may appear.
     reshaped = bool((replaced & differing(before, after, SHAPE)).any())
     while reshaped and replaced.any():
-        spilling = replaced & _show_in(_mixed(before, after, replaced), ~region, cameras, rasterizer)
+        spilling = replaced & _show_in(
+            _mixed(before, after, replaced), ~region, cameras, rasterizer
+        )
         replaced &= ~spilling
         reshaped = bool(spilling.any())
     note("keep_outside_mask.wanted_gaussians", int(wanted.sum()))
@@ -97,11 +142,16 @@ def _replace_counterparts(
 
 
 def _replace_sets(
-    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+    before: Gaussians,
+    after: Gaussians,
+    region: Region,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
 ) -> Gaussians:
     """Replace all Gaussians that show inside alone, for scenes of different structure."""
     removed, inserted = (
-        _show_in(gaussians, region, cameras, rasterizer) & ~_show_in(gaussians, ~region, cameras, rasterizer)
+        _show_in(gaussians, region, cameras, rasterizer)
+        & ~_show_in(gaussians, ~region, cameras, rasterizer)
         for gaussians in (before, after)
     )
     kept = before.select(~removed)
@@ -123,10 +173,14 @@ def _show_in(
     return contributions(gaussians, cameras, rasterizer, pixels)[0] > 0
 
 
-def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Cameras) -> Gaussians:
-    """Bring `after` to the unit of length of `before`: networks without poses choose one per answer.
+def _in_unit_of(
+    before: Gaussians, after: Gaussians, region: Region, cameras: Cameras
+) -> Gaussians:
+    """Bring `after` to the unit of length of `before`: networks without poses choose one per
+    answer.
 
-    The view-0 camera is the frame of both, so a factor is all there is; the Gaussians outside the region tell it.
+    The view-0 camera is the frame of both, so a factor is all there is; the Gaussians outside the
+    region tell it.
     """
     if not differing(before, after, ("means",)).any():
         return after
@@ -140,8 +194,12 @@ def _in_unit_of(before: Gaussians, after: Gaussians, region: Region, cameras: Ca
     return replace(after, means=after.means * factor, scales=after.scales * factor)
 
 
-def _mixed(before: Gaussians, after: Gaussians, replaced: Bool[Tensor, "gaussian"]) -> Gaussians:
-    """Take the Gaussians of `after` where `replaced`, else those of `before`; both have the same structure."""
+def _mixed(
+    before: Gaussians, after: Gaussians, replaced: Bool[Tensor, "gaussian"]
+) -> Gaussians:
+    """Take the Gaussians of `after` where `replaced`, else those of `before`; both have the same
+    structure.
+    """
 
     def chosen(name: str) -> Float[Tensor, "1 gaussian *field"]:
         old, new = getattr(before, name), getattr(after, name)
@@ -156,6 +214,9 @@ def _concatenated(first: Gaussians, second: Gaussians) -> Gaussians:
 
     def padded(gaussians: Gaussians) -> Gaussians:
         missing = most - gaussians.harmonics.shape[2]
-        return replace(gaussians, harmonics=torch.nn.functional.pad(gaussians.harmonics, (0, 0, 0, missing)))
+        return replace(
+            gaussians,
+            harmonics=torch.nn.functional.pad(gaussians.harmonics, (0, 0, 0, missing)),
+        )
 
     return Gaussians.cat((padded(first), padded(second)))

@@ -1,4 +1,6 @@
-"""Where Gaussians lie on the views, which of them show a surface twice, and one Gaussian in place of a group."""
+"""Where Gaussians lie on the views, which of them show a surface twice, and one Gaussian in place
+of a group.
+"""
 
 from dataclasses import dataclass
 
@@ -6,10 +8,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import covariances, matrices_to_quats
-from edit3r.types import Cameras, Gaussians
 from edit3r_refiners.settings import SimplifySettings
 
 Region = Bool[Tensor, "view height width"]
@@ -26,7 +28,9 @@ class Placement:
     """Pixel, depth and pixel size of each Gaussian of one scene in the view it belongs to."""
 
     view: Int[Tensor, "gaussian"]
-    x: Float[Tensor, "gaussian"]  # [pixels], pixel centres at +0.5; may lie outside the image
+    x: Float[
+        Tensor, "gaussian"
+    ]  # [pixels], pixel centres at +0.5; may lie outside the image
     y: Float[Tensor, "gaussian"]
     depth: Float[Tensor, "gaussian"]  # camera z; behind the camera where <= 0
     pixel_size: Float[Tensor, "gaussian"]  # of a pixel at that depth [scene units]
@@ -41,21 +45,35 @@ class Placement:
 
 
 def place(gaussians: Gaussians, cameras: Cameras) -> Placement:
-    """Project the Gaussians of one scene (batch 1) into their views in float64; one without a view into view 0."""
+    """Project the Gaussians of one scene (batch 1) into their views in float64; one without a view
+    into view 0.
+    """
     view = gaussians.view_index.clamp(0, cameras.count - 1)
-    x, y, depth = (torch.zeros(gaussians.count, dtype=torch.float64, device=view.device) for _ in range(3))
+    x, y, depth = (
+        torch.zeros(gaussians.count, dtype=torch.float64, device=view.device)
+        for _ in range(3)
+    )
     for index in range(cameras.count):
         mine = view == index
-        x[mine], y[mine], depth[mine] = _project_to_view(gaussians.means[0, mine], cameras, index)
+        x[mine], y[mine], depth[mine] = _project_to_view(
+            gaussians.means[0, mine], cameras, index
+        )
     focal = cameras.intrinsics[0, view, 0, 0] * cameras.image_size[1]
     return Placement(view, x, y, depth, depth.clamp(min=0) / focal)
 
 
-def own_pixel_inside(gaussians: Gaussians, region: Region, cameras: Cameras) -> Bool[Tensor, "gaussian"]:
-    """Tell which lie on a pixel of the region in their own view; outside the image the nearest pixel counts."""
+def own_pixel_inside(
+    gaussians: Gaussians, region: Region, cameras: Cameras
+) -> Bool[Tensor, "gaussian"]:
+    """Tell which lie on a pixel of the region in their own view; outside the image the nearest
+    pixel counts.
+    """
     placement = place(gaussians, cameras)
     height, width = cameras.image_size
-    row, column = placement.row.clamp(0, height - 1), placement.column.clamp(0, width - 1)
+    row, column = (
+        placement.row.clamp(0, height - 1),
+        placement.column.clamp(0, width - 1),
+    )
     return region[placement.view, row, column] & (placement.depth > 0)
 
 
@@ -64,29 +82,48 @@ def _project_to_view(
 ) -> tuple[Float[Tensor, "point"], Float[Tensor, "point"], Float[Tensor, "point"]]:
     """Return x and y [pixels] and camera z of world points in one camera of the scene."""
     height, width = cameras.image_size
-    image, z = project(points.double(), cameras.intrinsics[0, view].double(), cameras.c2w[0, view].double())
-    x, y = (image * image.new_tensor([width, height])).clamp(-FAR_OUTSIDE, FAR_OUTSIDE).unbind(-1)
+    image, z = project(
+        points.double(),
+        cameras.intrinsics[0, view].double(),
+        cameras.c2w[0, view].double(),
+    )
+    x, y = (
+        (image * image.new_tensor([width, height]))
+        .clamp(-FAR_OUTSIDE, FAR_OUTSIDE)
+        .unbind(-1)
+    )
     return x, y, z
 
 
 def duplicates(
-    gaussians: Gaussians, cameras: Cameras, placement: Placement, settings: SimplifySettings
+    gaussians: Gaussians,
+    cameras: Cameras,
+    placement: Placement,
+    settings: SimplifySettings,
 ) -> Bool[Tensor, "gaussian"]:
-    """Find Gaussians (batch 1) on a surface that an earlier view shows in the same colour and no coarser.
+    """Find Gaussians (batch 1) on a surface that an earlier view shows in the same colour and no
+    coarser.
 
-    The pixel of the earlier view they fall on must hold an opaque Gaussian that is no duplicate itself, within
-    `duplicate_depth`, and it or one around it must be within `duplicate_colour` (two views do not sample the same
-    points).
+    The pixel of the earlier view they fall on must hold an opaque Gaussian that is no duplicate
+    itself, within `duplicate_depth`, and it or one around it must be within `duplicate_colour` (two
+    views do not sample the same points).
     """
     found = torch.zeros_like(placement.view, dtype=torch.bool)
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     for earlier in range(cameras.count - 1):
         later = ((placement.view > earlier) & ~found).nonzero()[:, 0]
-        nearest = _nearest_per_pixel(placement, (gaussians.opacities[0] > OPAQUE) & ~found, earlier, cameras.image_size)
+        nearest = _nearest_per_pixel(
+            placement,
+            (gaussians.opacities[0] > OPAQUE) & ~found,
+            earlier,
+            cameras.image_size,
+        )
         x, y, depth = _project_to_view(gaussians.means[0, later], cameras, earlier)
         column, row = x.floor().long(), y.floor().long()
         other = _value_at(nearest, row, column)
-        shown = (other >= 0) & ((depth - placement.depth[other]).abs() < settings.duplicate_depth * depth)
+        shown = (other >= 0) & (
+            (depth - placement.depth[other]).abs() < settings.duplicate_depth * depth
+        )
         shown &= placement.pixel_size[other] < AS_FINE * placement.pixel_size[later]
         later, column, row = later[shown], column[shown], row[shown]
         alike = torch.zeros_like(later, dtype=torch.bool)
@@ -99,37 +136,59 @@ def duplicates(
 
 
 def _nearest_per_pixel(
-    placement: Placement, usable: Bool[Tensor, "gaussian"], view: int, size: tuple[int, int]
+    placement: Placement,
+    usable: Bool[Tensor, "gaussian"],
+    view: int,
+    size: tuple[int, int],
 ) -> Int[Tensor, "row column"]:
-    """Return the index of the nearest usable Gaussian at each pixel of `view`, -1 where there is none."""
+    """Return the index of the nearest usable Gaussian at each pixel of `view`, -1 where there is
+    none.
+    """
     height, width = size
     row, column = placement.row, placement.column
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (placement.depth > 0)
+    inside = (
+        (column >= 0)
+        & (column < width)
+        & (row >= 0)
+        & (row < height)
+        & (placement.depth > 0)
+    )
     index = ((placement.view == view) & inside & usable).nonzero()[:, 0]
     index = index[placement.depth[index].argsort(descending=True, stable=True)]
     nearest = torch.full((height * width,), -1, dtype=torch.long, device=index.device)
-    nearest[row[index] * width + column[index]] = index  # of several, the last written is the nearest
+    nearest[row[index] * width + column[index]] = (
+        index  # of several, the last written is the nearest
+    )
     return nearest.view(height, width)
 
 
 def _value_at(
-    table: Int[Tensor, "row column"], row: Int[Tensor, "point"], column: Int[Tensor, "point"]
+    table: Int[Tensor, "row column"],
+    row: Int[Tensor, "point"],
+    column: Int[Tensor, "point"],
 ) -> Int[Tensor, "point"]:
     """Look up the table at the points; -1 outside of it."""
     height, width = table.shape
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    return torch.where(inside, table[row.clamp(0, height - 1), column.clamp(0, width - 1)], -1)
+    return torch.where(
+        inside, table[row.clamp(0, height - 1), column.clamp(0, width - 1)], -1
+    )
 
 
 def merge_groups(
-    gaussians: Gaussians, group: Int[Tensor, "gaussian"], cameras: Cameras, settings: SimplifySettings
+    gaussians: Gaussians,
+    group: Int[Tensor, "gaussian"],
+    cameras: Cameras,
+    settings: SimplifySettings,
 ) -> Gaussians:
-    """Merge each group of Gaussians of one scene (batch 1) into one; those of group -1 stay unchanged.
+    """Merge each group of Gaussians of one scene (batch 1) into one; those of group -1 stay
+    unchanged.
 
-    The result is in the order of the views; of a view, those of group -1 come first.
-    A merged Gaussian has the mean, covariance and harmonics of its members weighted by opacity, and is widened in its
-    plane until neighbours close the surface. It is moved a little away from its camera, because rasterizers draw by
-    depth of the centres: wide ones then fill in behind finer ones on the same surface instead of covering them.
+    The result is in the order of the views; of a view, those of group -1 come first. A merged
+    Gaussian has the mean, covariance and harmonics of its members weighted by opacity, and is
+    widened in its plane until neighbours close the surface. It is moved a little away from its
+    camera, because rasterizers draw by depth of the centres: wide ones then fill in behind finer
+    ones on the same surface instead of covering them.
     """
     alone, members = (group < 0).nonzero()[:, 0], (group >= 0).nonzero()[:, 0]
     if members.numel() == 0:
@@ -140,7 +199,10 @@ def merge_groups(
 
 
 def _merged(
-    gaussians: Gaussians, group: Int[Tensor, "gaussian"], cameras: Cameras, settings: SimplifySettings
+    gaussians: Gaussians,
+    group: Int[Tensor, "gaussian"],
+    cameras: Cameras,
+    settings: SimplifySettings,
 ) -> Gaussians:
     """Return one Gaussian per group by matching moments."""
     groups = int(group.max()) + 1
@@ -149,19 +211,35 @@ def _merged(
 
     def mean(values: Float[Tensor, "gaussian *shape"]) -> Float[Tensor, "group *shape"]:
         share = (weight / total[group]).view(-1, *(1 for _ in values.shape[1:]))
-        return values.new_zeros((groups, *values.shape[1:])).index_add_(0, group, share * values)
+        return values.new_zeros((groups, *values.shape[1:])).index_add_(
+            0, group, share * values
+        )
 
     points = gaussians.means[0].double()
     centre = mean(points)
     offset = points - centre[group]
     own = covariances(gaussians.scales[0].double(), gaussians.quats[0].double())
-    variances, axes = torch.linalg.eigh(mean(offset[:, :, None] * offset[:, None] + own))
+    variances, axes = torch.linalg.eigh(
+        mean(offset[:, :, None] * offset[:, None] + own)
+    )
     axes = axes * torch.linalg.det(axes).sign()[:, None, None]
-    scales = variances.clamp(min=1e-24).sqrt() * variances.new_tensor([1.0, settings.spread, settings.spread])
-    view = gaussians.view_index.new_full((groups,), -1).scatter_reduce_(0, group, gaussians.view_index, "amax")
+    scales = variances.clamp(min=1e-24).sqrt() * variances.new_tensor(
+        [1.0, settings.spread, settings.spread]
+    )
+    view = gaussians.view_index.new_full((groups,), -1).scatter_reduce_(
+        0, group, gaussians.view_index, "amax"
+    )
     camera_centre = cameras.c2w[0, view.clamp(0, cameras.count - 1), :3, 3].double()
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
     centre = centre + settings.behind * scales[:, 2:] * direction
     opacity = mean(gaussians.opacities[0].double())
-    values = centre, scales, matrices_to_quats(axes), 1 - (1 - opacity).square(), mean(gaussians.harmonics[0].double())
-    return Gaussians(*(value[None].to(gaussians.means.dtype) for value in values), view_index=view)
+    values = (
+        centre,
+        scales,
+        matrices_to_quats(axes),
+        1 - (1 - opacity).square(),
+        mean(gaussians.harmonics[0].double()),
+    )
+    return Gaussians(
+        *(value[None].to(gaussians.means.dtype) for value in values), view_index=view
+    )

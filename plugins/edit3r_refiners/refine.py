@@ -1,8 +1,8 @@
 """Refine Gaussians by photometric steps on the input views; the cameras stay.
 
-Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little towards its image. A
-share of the pixels is held back from the loss; the best state by them is returned: it is never worse on them than the
-start.
+Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little
+towards its image. A share of the pixels is held back from the loss; the best state by them is
+returned: it is never worse on them than the start.
 """
 
 import math
@@ -15,38 +15,58 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
+from edit3r.compute.layers import one_thread
 from edit3r.config import Settings
-from edit3r.interfaces import Rasterizer, Refiner
-from edit3r.layers import one_thread
+from edit3r.contract.interfaces import Rasterizer, Refiner
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.reporting import note, progress
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
-CALM, LAST_SHARE = 0.6, 0.2  # share of the steps after which they get shorter, and how short the last one is
+CALM, LAST_SHARE = (
+    0.6,
+    0.2,
+)  # share of the steps after which they get shorter, and how short the last one is
 MORE_STEPS = 16  # most steps for each view beyond two
-SQUARED_BELOW = 0.05  # error of a pixel [sRGB] below which its square counts, and beyond which its size
+# error of a pixel [sRGB] below which its square counts, and beyond which its size
+SQUARED_BELOW = 0.05
 
 
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and what is held back."""
 
     colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
-    opacity: float = Field(0.55, ge=0, le=1, description="step of the opacities' logits")
+    opacity: float = Field(
+        0.55, ge=0, le=1, description="step of the opacities' logits"
+    )
     scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
-    centre: float = Field(0.15, ge=0, le=1, description="step of the centres [own smallest two scales' mean]")
-    held_back: float = Field(0.03, gt=0, lt=1, description="share of pixels out of the loss, to know the best state")
+    centre: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="step of the centres [own smallest two scales' mean]",
+    )
+    held_back: float = Field(
+        0.03,
+        gt=0,
+        lt=1,
+        description="share of pixels out of the loss, to know the best state",
+    )
     seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Better Gaussians, and how the steps went. Mean squared errors are over the input views' pixels, sRGB."""
+    """Better Gaussians, and how the steps went. Mean squared errors are over the input views'
+    pixels, sRGB.
+    """
 
     gaussians: Gaussians
     steps: int  # taken until the state that is returned
-    held_back: tuple[float, float]  # squared error of the held-back pixels before and after
+    held_back: tuple[
+        float, float
+    ]  # squared error of the held-back pixels before and after
     fitted: tuple[float, float]  # the same of the others
 
     @property
@@ -57,7 +77,11 @@ class Refined:
             for before, after in (self.held_back, self.fitted)
         )
         held_back, fitted = (round(gain, 3) for gain in gains)
-        return {"steps": self.steps, "db_gained_on_held_back_pixels": held_back, "db_gained_on_others": fitted}
+        return {
+            "steps": self.steps,
+            "db_gained_on_held_back_pixels": held_back,
+            "db_gained_on_others": fitted,
+        }
 
 
 @one_thread()
@@ -82,10 +106,18 @@ def refine(
         view = [step % cameras.count]
         image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
-            shown = rasterizer.render(variables.gaussians(), cameras.select(view)).images
-            loss = (smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(2) * ~out).mean()
+            shown = rasterizer.render(
+                variables.gaussians(), cameras.select(view)
+            ).images
+            loss = (
+                smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(
+                    2
+                )
+                * ~out
+            ).mean()
         errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
-        # Each view pulls the others' surfaces to itself: shorter steps in the end settle between them.
+        # Each view pulls the others' surfaces to itself: shorter steps in the end settle between
+        # them.
         past = (step / steps - CALM) / (1 - CALM)
         variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
@@ -120,17 +152,27 @@ class RefineRefiner(Refiner):
             28,
             ge=0,
             le=10000,
-            description="most steps for two views, each towards one; a further view adds as many, but at most 16",
+            description="most steps for two views, each towards one; a further view adds as "
+            "many, but at most 16",
         )
 
     def __call__(
-        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        views: Views,
+        request: EditRequest,
+        rasterizer: Rasterizer,
     ) -> Gaussians:
         """Follow `views` alone: photos that were not edited would pull the edit back out."""
         shown = cameras.select(range(views.count)).at(views.image_size)
         # Two photos settle little between them: more steps only make each view show its own photo.
-        steps = self.settings.steps + max(0, views.count - 2) * min(self.settings.steps, MORE_STEPS)
-        refined = refine(gaussians, shown, views.images, rasterizer, steps, self.settings)
+        steps = self.settings.steps + max(0, views.count - 2) * min(
+            self.settings.steps, MORE_STEPS
+        )
+        refined = refine(
+            gaussians, shown, views.images, rasterizer, steps, self.settings
+        )
         note("refine", refined.facts)
         return refined.gaussians
 
@@ -138,25 +180,35 @@ class RefineRefiner(Refiner):
 class Adam:
     """Moves `values` in place by Adam (Kingma and Ba 2015); `rates` are their step sizes.
 
-    `torch.optim` computes the same bits where no gradient is 0, but its first optimizer of a process imports torch's
-    compiler: two seconds, more than all steps of a usual refinement together.
+    `torch.optim` computes the same bits where no gradient is 0, but its first optimizer of a
+    process imports torch's compiler: two seconds, more than all steps of a usual refinement
+    together.
     """
 
     def __init__(self, values: Sequence[Tensor], rates: Sequence[float]) -> None:
         self.values, self.rates, self.steps = list(values), list(rates), 0
-        self.first, self.second = ([torch.zeros_like(value) for value in self.values] for _ in range(2))
+        self.first, self.second = (
+            [torch.zeros_like(value) for value in self.values] for _ in range(2)
+        )
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor], length: float = 1.0) -> None:
-        """One step against the gradients, in the order of the values; `length` is a share of the step sizes."""
+        """One step against the gradients, in the order of the values; `length` is a share of the
+        step sizes.
+        """
         self.steps += 1
         unbiased = [1 - beta**self.steps for beta in BETAS]
-        for value, rate, gradient, first, second in zip(self.values, self.rates, gradients, self.first, self.second):
+        for value, rate, gradient, first, second in zip(
+            self.values, self.rates, gradients, self.first, self.second
+        ):
             first.lerp_(gradient, 1 - BETAS[0])
             second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
             spread = second.sqrt().div_(math.sqrt(unbiased[1])).add_(EPSILON)
-            # What this view does not show stays: else momentum alone would carry it on through all other views' steps.
-            value.addcdiv_(first * (gradient != 0), spread, value=-length * rate / unbiased[0])
+            # What this view does not show stays: else momentum alone would carry it on through all
+            # other views' steps.
+            value.addcdiv_(
+                first * (gradient != 0), spread, value=-length * rate / unbiased[0]
+            )
 
 
 class _Variables:
@@ -168,11 +220,18 @@ class _Variables:
         values = {
             "colour": self.start.harmonics,
             "opacity": self.start.opacities.clamp(*OPACITY_RANGE).logit(),
-            "scale": self.start.scales.clamp(min=torch.finfo(self.start.scales.dtype).tiny).log(),
+            "scale": self.start.scales.clamp(
+                min=torch.finfo(self.start.scales.dtype).tiny
+            ).log(),
             "centre": torch.zeros_like(self.start.means),
         }
-        self.values = {name: value.clone().requires_grad_(True) for name, value in values.items()}
-        self.optimizer = Adam(list(self.values.values()), [getattr(settings, name) for name in self.values])
+        self.values = {
+            name: value.clone().requires_grad_(True) for name, value in values.items()
+        }
+        self.optimizer = Adam(
+            list(self.values.values()),
+            [getattr(settings, name) for name in self.values],
+        )
 
     def gaussians(self) -> Gaussians:
         return replace(
@@ -184,7 +243,9 @@ class _Variables:
         )
 
     def step(self, loss: Float[Tensor, ""], length: float) -> None:
-        self.optimizer.step(torch.autograd.grad(loss, list(self.values.values())), length)
+        self.optimizer.step(
+            torch.autograd.grad(loss, list(self.values.values())), length
+        )
 
 
 def _held_back(
@@ -203,4 +264,6 @@ def _held_back(
 def _detached(gaussians: Gaussians) -> Gaussians:
     """Copy without gradient history; Adam changes values in place."""
     names = ("means", "scales", "quats", "opacities", "harmonics")
-    return replace(gaussians, **{name: getattr(gaussians, name).detach().clone() for name in names})
+    return replace(
+        gaussians, **{name: getattr(gaussians, name).detach().clone() for name in names}
+    )

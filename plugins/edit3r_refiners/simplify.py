@@ -1,4 +1,6 @@
-"""Leave only the Gaussians that a scene requires: drop what no view needs, merge what is flat, polish what is left."""
+"""Leave only the Gaussians that a scene requires: drop what no view needs, merge what is flat,
+polish what is left.
+"""
 
 from dataclasses import dataclass
 from math import isfinite, log10
@@ -7,21 +9,40 @@ from typing import Any
 import torch
 from pydantic import Field, field_validator
 
+from edit3r.compute.layers import one_thread
+from edit3r.contract.interfaces import Rasterizer, Refiner
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.errors import InputError
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.interfaces import Rasterizer, Refiner
-from edit3r.layers import one_thread
 from edit3r.reporting import note
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
-from edit3r_refiners.importance import drop_unneeded_harmonics, first_focal, viewpoints, visible_weight
-from edit3r_refiners.merging import Placement, Region, duplicates, merge_groups, own_pixel_inside, place
-from edit3r_refiners.partition import measure_cells, partition, price_for_count, scene_price
+from edit3r_refiners.importance import (
+    drop_unneeded_harmonics,
+    first_focal,
+    viewpoints,
+    visible_weight,
+)
+from edit3r_refiners.merging import (
+    Placement,
+    Region,
+    duplicates,
+    merge_groups,
+    own_pixel_inside,
+    place,
+)
+from edit3r_refiners.partition import (
+    measure_cells,
+    partition,
+    price_for_count,
+    scene_price,
+)
 from edit3r_refiners.refine import RefineSettings, refine
 from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
 
 # Smaller steps than towards photos: the scene is nearly what it should show.
 POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08, centre=0.04)
-LONE_BASELINE = 0.1  # how far new views of a lone photo are taken to be [its median depth]
+LONE_BASELINE = (
+    0.1  # how far new views of a lone photo are taken to be [its median depth]
+)
 
 
 class SimplifyRefiner(Refiner):
@@ -29,9 +50,12 @@ class SimplifyRefiner(Refiner):
 
     class Settings(SimplifySettings):
         gaussians: Budget = Field(
-            "auto", description="all, auto (only what the scene requires), or the most there may be"
+            "auto",
+            description="all, auto (only what the scene requires), or the most there may be",
         )
-        max_gaussians: int | None = Field(None, ge=1, description="never leave more than this")
+        max_gaussians: int | None = Field(
+            None, ge=1, description="never leave more than this"
+        )
 
         @field_validator("gaussians", mode="before")
         @classmethod
@@ -39,16 +63,28 @@ class SimplifyRefiner(Refiner):
             return parse_budget(value)
 
     def __call__(
-        self, gaussians: Gaussians, cameras: Cameras, views: Views, request: EditRequest, rasterizer: Rasterizer
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        views: Views,
+        request: EditRequest,
+        rasterizer: Rasterizer,
     ) -> Gaussians:
         """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
 
-        A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its border.
+        A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its
+        border.
         """
-        exchanged = request.before is not None and request.masks is not None and not bool((request.masks > 0).all())
+        exchanged = (
+            request.before is not None
+            and request.masks is not None
+            and not bool((request.masks > 0).all())
+        )
         fine = request.masks[0] > 0 if exchanged else None
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
-            gaussians = simplify(gaussians, cameras, rasterizer, most, self.settings, fine).gaussians
+            gaussians = simplify(
+                gaussians, cameras, rasterizer, most, self.settings, fine
+            ).gaussians
             fine = None
         return gaussians
 
@@ -75,18 +111,23 @@ def simplify(
     settings: SimplifySettings | None = None,
     fine: Region | None = None,
 ) -> Simplified:
-    """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of `view_index`.
+    """Simplify one scene (batch 1) as seen from `cameras`, its input views in the order of
+    `view_index`.
 
-    `most` is a budget: the price of a Gaussian is searched so that at most so many are left. With None the price
-    follows from the scene's detail, see `scene_price`, and Gaussians on pixels of `fine` are not merged. Raises
-    InputError for a batch of several scenes.
+    `most` is a budget: the price of a Gaussian is searched so that at most so many are left. With
+    None the price follows from the scene's detail, see `scene_price`, and Gaussians on pixels of
+    `fine` are not merged. Raises InputError for a batch of several scenes.
     """
     settings = settings or SimplifySettings()
     if gaussians.means.shape[0] != 1:
-        raise InputError(f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}.")
+        raise InputError(
+            f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}."
+        )
     if gaussians.count <= (1 if most is None else most):
         return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
-    kept = drop_unneeded_harmonics(gaussians, viewpoints(cameras), rasterizer, settings.harmonics)
+    kept = drop_unneeded_harmonics(
+        gaussians, viewpoints(cameras), rasterizer, settings.harmonics
+    )
     twice = duplicates(kept, cameras, place(kept, cameras), settings)
     kept = kept.select(~twice)
     seen = visible_weight(kept, cameras, rasterizer) >= settings.contribution
@@ -94,14 +135,20 @@ def simplify(
     fewer = _merge(kept, cameras, most, settings, fine)
     if most is not None and fewer.count > most:
         weight = visible_weight(fewer, cameras, rasterizer)
-        fewer = fewer.select(weight.argsort(descending=True, stable=True)[:most].sort().values)
+        fewer = fewer.select(
+            weight.argsort(descending=True, stable=True)[:most].sort().values
+        )
     merged = kept.count - fewer.count
     images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
     if settings.polish:
-        fewer = refine(fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH).gaussians
+        fewer = refine(
+            fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH
+        ).gaussians
     again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
     psnr = _decibels(float((again - images).square().mean()))
-    result = Simplified(fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr)
+    result = Simplified(
+        fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr
+    )
     _note(result)
     return result
 
@@ -114,18 +161,29 @@ def _note(result: Simplified) -> None:
     for name in ("before", "unseen", "doubled", "merged"):
         note(f"simplify.{name}", getattr(result, name))
     note("simplify.left", result.gaussians.count)
-    note("simplify.psnr_of_input_views_against_all", round(result.psnr, 3) if isfinite(result.psnr) else None)
+    note(
+        "simplify.psnr_of_input_views_against_all",
+        round(result.psnr, 3) if isfinite(result.psnr) else None,
+    )
 
 
 def _merge(
-    gaussians: Gaussians, cameras: Cameras, most: int | None, settings: SimplifySettings, fine: Region | None
+    gaussians: Gaussians,
+    cameras: Cameras,
+    most: int | None,
+    settings: SimplifySettings,
+    fine: Region | None,
 ) -> Gaussians:
     """Merge the Gaussians that share a cell of the best partition of the views."""
     placement = place(gaussians, cameras)
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     parallax = _parallax(placement, cameras)
-    cells = measure_cells(placement, colours, gaussians.opacities[0], cameras, parallax, settings)
-    price = scene_price(cells, settings) if most is None else price_for_count(cells, most)
+    cells = measure_cells(
+        placement, colours, gaussians.opacities[0], cameras, parallax, settings
+    )
+    price = (
+        scene_price(cells, settings) if most is None else price_for_count(cells, most)
+    )
     groups = partition(cells, price)
     if fine is not None and most is None:
         groups[own_pixel_inside(gaussians, fine, cameras.at(fine.shape[-2:]))] = -1
@@ -134,7 +192,9 @@ def _merge(
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:
-    """Return focal length times the mean distance between neighbouring views [pixels times scene units]."""
+    """Return focal length times the mean distance between neighbouring views [pixels times scene
+    units].
+    """
     focal = first_focal(cameras)
     centres = cameras.c2w[0, :, :3, 3]
     if cameras.count == 1:

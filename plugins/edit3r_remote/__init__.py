@@ -7,7 +7,10 @@ from edit3r import Component, hookimpl
 EDIT3R_API = 1
 
 _service = partial(
-    Component, licence="Apache-2.0; the service has its own terms", needs_network=True, supports_seed=False
+    Component,
+    licence="Apache-2.0; the service has its own terms",
+    needs_network=True,
+    supports_seed=False,
 )
 
 
@@ -17,14 +20,16 @@ def register_editors():
         _service(
             name="gpt-image",
             target="edit3r_remote.gpt_image:GptImageEditor",
-            summary="OpenAI's image editing service; costs money, needs OPENAI_API_KEY in the environment; no seed",
+            summary="OpenAI's image editing service; costs money, needs OPENAI_API_KEY in the "
+            "environment; no seed",
             requires=("openai",),
             extra="openai",
         ),
         _service(
             name="gemini-image",
             target="edit3r_remote.gemini_image:GeminiImageEditor",
-            summary="Google's Gemini image model; costs money, needs GEMINI_API_KEY in the environment; seed is a hint",
+            summary="Google's Gemini image model; costs money, needs GEMINI_API_KEY in the "
+            "environment; seed is a hint",
             requires=("google.genai",),
             extra="gemini",
         ),

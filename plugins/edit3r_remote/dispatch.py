@@ -10,11 +10,17 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import Edit3rError, InputError, PromptError, RunError
 from edit3r.reporting import note, progress, warn
-from edit3r.types import EditRequest, Views
 from edit3r_remote.frames import Frame, decode, encode_mask, encode_png
-from edit3r_remote.service import Answer, AnswerCache, ImageService, RemoteSettings, Request
+from edit3r_remote.service import (
+    Answer,
+    AnswerCache,
+    ImageService,
+    RemoteSettings,
+    Request,
+)
 
 
 @dataclass(frozen=True)
@@ -29,16 +35,28 @@ class ViewResult:
 
 
 class Dispatcher:
-    """Edits views through `service`; `asked` is what, besides picture and prompt, decides an answer."""
+    """Edits views through `service`; `asked` is what, besides picture and prompt, decides an
+    answer.
+    """
 
-    def __init__(self, service: ImageService, settings: RemoteSettings, asked: dict[str, Any]) -> None:
+    def __init__(
+        self, service: ImageService, settings: RemoteSettings, asked: dict[str, Any]
+    ) -> None:
         self.service, self.settings, self.asked = service, settings, asked
         self.cache = AnswerCache(settings.cache)
 
-    def edit(self, views: Views, request: EditRequest, offered: Sequence[tuple[int, int]], send_masks: bool) -> Views:
+    def edit(
+        self,
+        views: Views,
+        request: EditRequest,
+        offered: Sequence[tuple[int, int]],
+        send_masks: bool,
+    ) -> Views:
         """Edit every view with something to change, sent as large as one of the sizes `offered`."""
         if not request.prompt.strip():
-            raise PromptError(f"{self.service.label} needs an instruction; give one with --prompt.")
+            raise PromptError(
+                f"{self.service.label} needs an instruction; give one with --prompt."
+            )
         frame = Frame.around(views.image_size, offered)
         jobs = {
             index: self._request(views, request, frame, index, send_masks)
@@ -52,23 +70,41 @@ class Dispatcher:
         self._account(jobs, results)
         return replace(views, images=images.view_as(views.images))
 
-    def _request(self, views: Views, request: EditRequest, frame: Frame, index: int, send_masks: bool) -> Request:
+    def _request(
+        self,
+        views: Views,
+        request: EditRequest,
+        frame: Frame,
+        index: int,
+        send_masks: bool,
+    ) -> Request:
         view = index % views.count
         name = views.names[view] if views.names else f"view {view}"
-        image = encode_png(frame.enclose(views.images.flatten(0, 1)[index].cpu().float()))
+        image = encode_png(
+            frame.enclose(views.images.flatten(0, 1)[index].cpu().float())
+        )
         mask = None
         if send_masks and request.masks is not None:
-            mask = encode_mask(frame.enclose(request.masks.flatten(0, 1)[index][None].cpu().float())[0])
+            mask = encode_mask(
+                frame.enclose(request.masks.flatten(0, 1)[index][None].cpu().float())[0]
+            )
         return Request(name, request.prompt, request.seed, image, mask, frame.size)
 
-    def _send_all(self, jobs: dict[int, Request], frame: Frame) -> dict[int, ViewResult]:
-        """Collect all answers, or raise the first error once every view already sent has its answer in the cache."""
+    def _send_all(
+        self, jobs: dict[int, Request], frame: Frame
+    ) -> dict[int, ViewResult]:
+        """Collect all answers, or raise the first error once every view already sent has its answer
+        in the cache.
+        """
         results: dict[int, ViewResult] = {}
         errors: list[Edit3rError] = []
         text = f"asking {self.service.label}"
         progress(text, 0, len(jobs))
         with ThreadPoolExecutor(self.settings.concurrent) as pool:
-            futures = {pool.submit(self._answer, job, frame): index for index, job in jobs.items()}
+            futures = {
+                pool.submit(self._answer, job, frame): index
+                for index, job in jobs.items()
+            }
             for future in as_completed(futures):
                 if future.cancelled():
                     continue
@@ -102,14 +138,20 @@ class Dispatcher:
             if cached:
                 raise
             where, _ = self._keep(key, answer, accepted=False)
-            raise RunError(f"{self.service.label}: {error}{f' It is kept as {where}.' if where else ''}") from None
+            raise RunError(
+                f"{self.service.label}: {error}{f' It is kept as {where}.' if where else ''}"
+            ) from None
         if not cached:
             _, problem = self._keep(key, answer)
             remark = " ".join(filter(None, (remark, problem)))
         return ViewResult(frame.extract(image), remark, cached, seconds, answer)
 
-    def _keep(self, key: str, answer: Answer, accepted: bool = True) -> tuple[Path | None, str]:
-        """Where the answer was kept, or why it was not: a full disk must not cost the picture that was paid for."""
+    def _keep(
+        self, key: str, answer: Answer, accepted: bool = True
+    ) -> tuple[Path | None, str]:
+        """Where the answer was kept, or why it was not: a full disk must not cost the picture that
+        was paid for.
+        """
         try:
             return self.cache.keep(key, answer, accepted), ""
         except (OSError, InputError) as error:
@@ -120,13 +162,22 @@ class Dispatcher:
             return self.service.without_key(self.service.send(request))
         except Edit3rError:
             raise
-        except Exception as error:  # an SDK and its HTTP library raise dozens of types; their texts may hold the key
+        # an SDK and its HTTP library raise dozens of types; their texts may hold the key
+        except Exception as error:
             words = self.service.quote(f"{type(error).__name__}: {error}")
-            raise RunError(f"{self.service.label}: no usable answer for {request.name} ({words}).") from None
+            raise RunError(
+                f"{self.service.label}: no usable answer for {request.name} ({words})."
+            ) from None
 
-    def _account(self, jobs: dict[int, Request], results: dict[int, ViewResult]) -> None:
-        """Note facts for `run.json`: time, tokens and cost of each view; a cached one cost nothing this time."""
-        bills = [self._bill(jobs[index].name, result) for index, result in results.items()]
+    def _account(
+        self, jobs: dict[int, Request], results: dict[int, ViewResult]
+    ) -> None:
+        """Note facts for `run.json`: time, tokens and cost of each view; a cached one cost nothing
+        this time.
+        """
+        bills = [
+            self._bill(jobs[index].name, result) for index, result in results.items()
+        ]
         note("editor.views", bills)
         note("editor.cost_usd", round(sum(bill["cost_usd"] for bill in bills), 6))
         for remark in (result.remark for result in results.values() if result.remark):
@@ -134,7 +185,10 @@ class Dispatcher:
 
     def _bill(self, name: str, result: ViewResult) -> dict[str, Any]:
         tokens = result.answer.input_tokens, result.answer.output_tokens
-        cost = (tokens[0] * self.settings.input_price + tokens[1] * self.settings.output_price) / 1e6
+        cost = (
+            tokens[0] * self.settings.input_price
+            + tokens[1] * self.settings.output_price
+        ) / 1e6
         return {
             "view": name,
             "from_cache": result.cached,

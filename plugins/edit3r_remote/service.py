@@ -1,4 +1,6 @@
-"""What is asked of an image service and what it answers, free of any one service's words, and the answers kept."""
+"""What is asked of an image service and what it answers, free of any one service's words, and the
+answers kept.
+"""
 
 import hashlib
 import json
@@ -19,18 +21,35 @@ QUOTE_LENGTH = 300  # characters of a service's words repeated in an error
 
 
 class RemoteSettings(Settings):
-    """Which service answers, how patiently, and what its tokens cost. Keys come from the environment alone."""
+    """Which service answers, how patiently, and what its tokens cost. Keys come from the
+    environment alone.
+    """
 
     model: str = Field(description="the service's name of the model")
-    base_url: str = Field("", description="address of a compatible service; empty: the service's own")
-    timeout_s: float = Field(180.0, gt=0, le=3600, description="time limit of one attempt [s]")
-    attempts: int = Field(4, ge=1, le=20, description="tries per view when the service is busy or fails (429, 5xx)")
+    base_url: str = Field(
+        "", description="address of a compatible service; empty: the service's own"
+    )
+    timeout_s: float = Field(
+        180.0, gt=0, le=3600, description="time limit of one attempt [s]"
+    )
+    attempts: int = Field(
+        4,
+        ge=1,
+        le=20,
+        description="tries per view when the service is busy or fails (429, 5xx)",
+    )
     concurrent: int = Field(2, ge=1, le=32, description="views sent at the same time")
     cache: str = Field(
-        "~/.cache/edit3r/remote", description="folder of paid answers, used again for equal requests; empty: keep none"
+        "~/.cache/edit3r/remote",
+        description="folder of paid answers, used again for equal requests; empty: keep none",
     )
-    input_price: float = Field(ge=0, description="price of a million input tokens [USD], for the cost in run.json")
-    output_price: float = Field(ge=0, description="price of a million output tokens [USD]")
+    input_price: float = Field(
+        ge=0,
+        description="price of a million input tokens [USD], for the cost in run.json",
+    )
+    output_price: float = Field(
+        ge=0, description="price of a million output tokens [USD]"
+    )
 
 
 @dataclass(frozen=True)
@@ -41,7 +60,9 @@ class Request:
     prompt: str
     seed: int
     image: bytes  # PNG of exactly `size`
-    mask: bytes | None  # PNG of `size`, transparent where the image may change; None: everywhere
+    mask: (
+        bytes | None
+    )  # PNG of `size`, transparent where the image may change; None: everywhere
     size: tuple[int, int]  # (height, width) [pixels], one that the service offers
 
 
@@ -57,7 +78,11 @@ class Answer:
         """Take what is no count as 0: a wrong bill must not cost the picture that was paid for."""
         for name in ("input_tokens", "output_tokens"):
             count = getattr(self, name)
-            plain = isinstance(count, int) and not isinstance(count, bool) and 0 <= count < MOST_TOKENS
+            plain = (
+                isinstance(count, int)
+                and not isinstance(count, bool)
+                and 0 <= count < MOST_TOKENS
+            )
             object.__setattr__(self, name, count if plain else 0)
 
 
@@ -69,7 +94,9 @@ class ImageService(ABC):
 
     @abstractmethod
     def send(self, request: Request) -> Answer:
-        """Ask and wait, with the retries the settings allow. Raises PromptError for a refusal, else RunError."""
+        """Ask and wait, with the retries the settings allow. Raises PromptError for a refusal, else
+        RunError.
+        """
 
     def without_key(self, answer: Answer) -> Answer:
         """The answer, in which nothing is the key: its bytes may be shown and kept."""
@@ -82,23 +109,43 @@ class ImageService(ABC):
 
 
 def key_from_environment(editor: str, *variables: str) -> str:
-    """Read the key from the first of `variables` that is set; raises MissingDependencyError when none is."""
-    key = next((os.environ[name].strip() for name in variables if os.environ.get(name, "").strip()), "")
+    """Read the key from the first of `variables` that is set; raises MissingDependencyError when
+    none is.
+    """
+    key = next(
+        (
+            os.environ[name].strip()
+            for name in variables
+            if os.environ.get(name, "").strip()
+        ),
+        "",
+    )
     if not key:
         names = " or ".join(variables)
-        raise MissingDependencyError(f"{editor} needs an API key; set the environment variable {names}.")
+        raise MissingDependencyError(
+            f"{editor} needs an API key; set the environment variable {names}."
+        )
     return key
 
 
 class AnswerCache:
-    """Every paid answer on disk, so that a broken run goes on without paying twice; no folder: nothing is kept."""
+    """Every paid answer on disk, so that a broken run goes on without paying twice; no folder:
+    nothing is kept.
+    """
 
     def __init__(self, folder: str) -> None:
         self.folder = Path(folder).expanduser() if folder else None
 
     def key(self, request: Request, asked: dict[str, Any]) -> str:
-        """Hash all that decides an answer; `asked` holds the service, model and settings sent with the request."""
-        words = {"prompt": request.prompt, "seed": request.seed, "size": request.size, **asked}
+        """Hash all that decides an answer; `asked` holds the service, model and settings sent with
+        the request.
+        """
+        words = {
+            "prompt": request.prompt,
+            "seed": request.seed,
+            "size": request.size,
+            **asked,
+        }
         digest = hashlib.sha256(json.dumps(words, sort_keys=True).encode())
         for part in (request.image, request.mask or b""):
             digest.update(hashlib.sha256(part).digest())
@@ -116,13 +163,18 @@ class AnswerCache:
             return None
 
     def keep(self, key: str, answer: Answer, accepted: bool = True) -> Path | None:
-        """Write an answer; one that was not accepted is kept beside the others for the user, never found again."""
+        """Write an answer; one that was not accepted is kept beside the others for the user, never
+        found again.
+        """
         if self.folder is None:
             return None
         self.folder.mkdir(parents=True, exist_ok=True)
         if not accepted:
             return self._write(self._path(key, "rejected"), answer.image)
-        usage = {"input_tokens": answer.input_tokens, "output_tokens": answer.output_tokens}
+        usage = {
+            "input_tokens": answer.input_tokens,
+            "output_tokens": answer.output_tokens,
+        }
         path = self._write(self._path(key, "image"), answer.image)
         self._write(self._path(key, "json"), json.dumps(usage).encode())
         return path

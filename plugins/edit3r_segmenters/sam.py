@@ -1,7 +1,9 @@
-"""SAM2 and SAM3: masks of one image by grid, point, box or words, and tracks through the other views.
+"""SAM2 and SAM3: masks of one image by grid, point, box or words, and tracks through the other
+views.
 
-transformers' own mask-generation pipeline returns boolean masks and predicted IoU only, dropping stability and
-logits, which the paper's filter and soft blending need; so the grid of the automatic mask generator is here.
+transformers' own mask-generation pipeline returns boolean masks and predicted IoU only, dropping
+stability and logits, which the paper's filter and soft blending need; so the grid of the automatic
+mask generator is here.
 """
 
 import importlib
@@ -18,9 +20,16 @@ from torch import Tensor
 
 from edit3r.cache import fingerprint, remembered
 from edit3r.config import PartChoice, Settings
+from edit3r.contract.interfaces import (
+    Detector,
+    Marks,
+    Proposal,
+    Segmenter,
+    Tracks,
+    as_proposal,
+)
 from edit3r.errors import PromptError
 from edit3r.geometry.cameras import pixel_grid
-from edit3r.interfaces import Detector, Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.io.pretrained import (
     ChosenWeights,
     foreign,
@@ -35,21 +44,43 @@ from edit3r.reporting import note, progress
 
 STABILITY_OFFSET = 1.0  # logits
 TEXT_LENGTH = 32  # tokens that SAM3's text encoder takes
-MOST_KEPT = 4  # images whose embeddings stay in memory: clicks follow each other on one image
+MOST_KEPT = (
+    4  # images whose embeddings stay in memory: clicks follow each other on one image
+)
 
 
 class SamSettings(Settings):
     """Settings of every generation."""
 
-    revision: str = Field("", description="branch, tag or commit of the model; empty: the declared commit")
+    revision: str = Field(
+        "", description="branch, tag or commit of the model; empty: the declared commit"
+    )
     local_files_only: bool = Field(False, description="never download")
-    device: str = Field("auto", description="cpu, cuda, ...; auto: where the photos are (--device)")
-    prompt: str = Field("", description="what to segment, in words such as 'the bike'; empty: every object")
-    points_per_side: int = Field(32, ge=1, le=128, description="grid of the automatic mask generator")
-    points_per_batch: int = Field(64, ge=1, le=4096, description="grid points at once; lower needs less memory")
-    min_predicted_iou: float = Field(0.8, ge=0, le=1, description="least quality the mask believes it has")
-    min_stability: float = Field(0.95, ge=0, le=1, description="least overlap of the mask cut at logits +1 and -1")
-    max_box_overlap: float = Field(0.7, ge=0, le=1, description="of two boxes that overlap more, the better stays")
+    device: str = Field(
+        "auto", description="cpu, cuda, ...; auto: where the photos are (--device)"
+    )
+    prompt: str = Field(
+        "",
+        description="what to segment, in words such as 'the bike'; empty: every object",
+    )
+    points_per_side: int = Field(
+        32, ge=1, le=128, description="grid of the automatic mask generator"
+    )
+    points_per_batch: int = Field(
+        64, ge=1, le=4096, description="grid points at once; lower needs less memory"
+    )
+    min_predicted_iou: float = Field(
+        0.8, ge=0, le=1, description="least quality the mask believes it has"
+    )
+    min_stability: float = Field(
+        0.95,
+        ge=0,
+        le=1,
+        description="least overlap of the mask cut at logits +1 and -1",
+    )
+    max_box_overlap: float = Field(
+        0.7, ge=0, le=1, description="of two boxes that overlap more, the better stays"
+    )
 
 
 class SamSegmenter(Segmenter):
@@ -68,14 +99,19 @@ class SamSegmenter(Segmenter):
     def __init__(self, settings: SamSettings) -> None:
         self.settings, self.prompt = settings, settings.prompt
         self.weights = ChosenWeights(
-            settings.model, "segmenter.model", settings.revision, local_files_only=settings.local_files_only
+            settings.model,
+            "segmenter.model",
+            settings.revision,
+            local_files_only=settings.local_files_only,
         )
         require_at_hand(self.weights)
         self._models: dict[str, Any] = {}
         self._embeddings: dict[str, list[Tensor]] = {}
 
     @abstractmethod
-    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]: ...
+    def segment_text(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]: ...
 
     @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
@@ -85,50 +121,80 @@ class SamSegmenter(Segmenter):
         model = self._model(self.image_class, image.device)
         with torch.no_grad(), self._memory("segmenting"):
             found = self._candidates(model, self._embed(model, image), size)
-            return tuple(proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found)
+            return tuple(
+                proposal(enlarge(logits[None], size)[0], iou) for logits, iou in found
+            )
 
     @remembered
-    def segment_marks(self, image: Float[Tensor, "3 height width"], marks: Marks) -> Proposal:
-        points, box, (height, width) = [*marks.positive, *marks.negative], marks.box, image.shape[-2:]
-        if box is None and marks.prior is not None:  # where it is expected, as the box around that
+    def segment_marks(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> Proposal:
+        points, box, (height, width) = (
+            [*marks.positive, *marks.negative],
+            marks.box,
+            image.shape[-2:],
+        )
+        if (
+            box is None and marks.prior is not None
+        ):  # where it is expected, as the box around that
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
         model = self._model(self.image_class, image.device)
         prompts: dict[str, Tensor] = {}
         if points:
-            prompts["input_points"] = image.new_tensor([[[list(point) for point in points]]])
+            prompts["input_points"] = image.new_tensor(
+                [[[list(point) for point in points]]]
+            )
         if box is not None:
             x, y, w, h = box
             prompts["input_boxes"] = image.new_tensor([[[x, y, x + w, y + h]]])
         side = model.config.prompt_encoder_config.image_size
-        prompts = {name: (side * prompt).to(model.device, model.dtype) for name, prompt in prompts.items()}
+        prompts = {
+            name: (side * prompt).to(model.device, model.dtype)
+            for name, prompt in prompts.items()
+        }
         if points:
             on = [[[1] * len(marks.positive) + [0] * len(marks.negative)]]
             prompts["input_labels"] = torch.tensor(on, device=model.device)
-        ambiguous = len(points) == 1 and box is None  # one point may mean a part or the whole: ask for all three
+        ambiguous = (
+            len(points) == 1 and box is None
+        )  # one point may mean a part or the whole: ask for all three
         with torch.no_grad(), self._memory("segmenting"):
-            output = model(image_embeddings=self._embed(model, image), multimask_output=ambiguous, **prompts)
+            output = model(
+                image_embeddings=self._embed(model, image),
+                multimask_output=ambiguous,
+                **prompts,
+            )
             best = int(output.iou_scores[0, 0].argmax())
-            logits = enlarge(output.pred_masks[0, 0, best : best + 1], (height, width))[0]
+            logits = enlarge(output.pred_masks[0, 0, best : best + 1], (height, width))[
+                0
+            ]
         return proposal(logits, float(output.iou_scores[0, 0, best]))
 
     @remembered
     def track(
-        self, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "object height width"],
     ) -> Tracks:
         if not len(masks):
             nobody = torch.zeros(len(images), 0, dtype=torch.bool, device=images.device)
             return Tracks(images.new_zeros(len(images), 0, *images.shape[-2:]), nobody)
         model = self._model(self.video_class, images.device)
         with torch.no_grad(), self._memory("tracking objects"):
-            tracks = self._follow(model, images.to(model.device), masks.to(model.device, torch.float32))
+            tracks = self._follow(
+                model, images.to(model.device), masks.to(model.device, torch.float32)
+            )
         return Tracks(tracks.logits.to(images.device), tracks.present.to(images.device))
 
-    def _named(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+    def _named(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]:
         found = self.segment_text(image, text)
         if not found:
             raise PromptError(
-                f"segmenter.prompt: {text!r} was not found on the picture; name it in other words, lower "
+                f"segmenter.prompt: {text!r} was not found on the picture; name it in other "
+                "words, lower "
                 f"{self.threshold_key}, or give masks with --mask."
             )
         return found
@@ -136,60 +202,108 @@ class SamSegmenter(Segmenter):
     def _candidates(
         self, model: Any, embeddings: list[Tensor], image_size: tuple[int, int]
     ) -> list[tuple[Float[Tensor, "h w"], float]]:
-        """Ask for three masks at every point of a grid; keep the sure and stable ones that no better one covers.
+        """Ask for three masks at every point of a grid; keep the sure and stable ones that no
+        better one covers.
 
         Returns small logits and predicted IoU in [0, 1] of each, best first.
         """
         chosen = self.settings
-        grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=embeddings[0]).flatten(0, 1)
+        grid = pixel_grid(
+            (chosen.points_per_side, chosen.points_per_side), like=embeddings[0]
+        ).flatten(0, 1)
         points = grid * model.config.prompt_encoder_config.image_size
         found = []
         for some in points.split(chosen.points_per_batch):
-            output = model(image_embeddings=embeddings, input_points=some[None, :, None], multimask_output=True)
-            logits, iou = output.pred_masks[0].flatten(0, 1), output.iou_scores[0].flatten()
-            logits, iou = (values[iou >= chosen.min_predicted_iou] for values in (logits, iou))
+            output = model(
+                image_embeddings=embeddings,
+                input_points=some[None, :, None],
+                multimask_output=True,
+            )
+            logits, iou = (
+                output.pred_masks[0].flatten(0, 1),
+                output.iou_scores[0].flatten(),
+            )
+            logits, iou = (
+                values[iou >= chosen.min_predicted_iou] for values in (logits, iou)
+            )
             large = enlarge(logits, image_size)
-            stable = (stability(large) >= chosen.min_stability) & (large > 0).flatten(1).any(1)
+            stable = (stability(large) >= chosen.min_stability) & (large > 0).flatten(
+                1
+            ).any(1)
             # Only the small logits are kept: large masks of all points would fill the memory.
-            found.append((logits[stable], iou[stable].clamp(0, 1), boxes_of(large[stable] > 0)))
-            progress("segmenting", min(len(found) * chosen.points_per_batch, len(points)), len(points))
+            found.append(
+                (logits[stable], iou[stable].clamp(0, 1), boxes_of(large[stable] > 0))
+            )
+            progress(
+                "segmenting",
+                min(len(found) * chosen.points_per_batch, len(points)),
+                len(points),
+            )
         logits, iou, boxes = (torch.cat(parts) for parts in zip(*found))
-        return [(logits[index], float(iou[index])) for index in best_boxes(boxes, iou, chosen.max_box_overlap)]
+        return [
+            (logits[index], float(iou[index]))
+            for index in best_boxes(boxes, iou, chosen.max_box_overlap)
+        ]
 
-    def _embed(self, model: Any, image: Float[Tensor, "3 height width"]) -> list[Tensor]:
+    def _embed(
+        self, model: Any, image: Float[Tensor, "3 height width"]
+    ) -> list[Tensor]:
         key = fingerprint(image)
         if key not in self._embeddings:
             if len(self._embeddings) >= MOST_KEPT:
                 self._embeddings.clear()
-            pixels = self._pixels(image[None].float(), model.config.prompt_encoder_config.image_size)
-            self._embeddings[key] = model.get_image_embeddings(pixels.to(model.device, model.dtype))
+            pixels = self._pixels(
+                image[None].float(), model.config.prompt_encoder_config.image_size
+            )
+            self._embeddings[key] = model.get_image_embeddings(
+                pixels.to(model.device, model.dtype)
+            )
         return list(self._embeddings[key])
 
-    def _pixels(self, images: Float[Tensor, "n 3 height width"], side: int) -> Float[Tensor, "n 3 side side"]:
-        """Make the network's input of images in [0, 1]: squashed to a square, as prompts are, and normalised."""
-        square = F.interpolate(images, (side, side), mode="bilinear", antialias=True, align_corners=False)
-        mean, std = (images.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
+    def _pixels(
+        self, images: Float[Tensor, "n 3 height width"], side: int
+    ) -> Float[Tensor, "n 3 side side"]:
+        """Make the network's input of images in [0, 1]: squashed to a square, as prompts are, and
+        normalised.
+        """
+        square = F.interpolate(
+            images, (side, side), mode="bilinear", antialias=True, align_corners=False
+        )
+        mean, std = (
+            images.new_tensor(values)[:, None, None] for values in (self.mean, self.std)
+        )
         return (square - mean) / std
 
     def _model(self, name: str, photos_on: torch.device) -> Any:
         """Load one of the classes when it is first needed; all read the same weights."""
         if name not in self._models:
-            model = load_whole_network(foreign("transformers", name), self.weights, dtype=torch.float32)
+            model = load_whole_network(
+                foreign("transformers", name), self.weights, dtype=torch.float32
+            )
             with self._memory("loading " + name):
-                device = pick_device(self.settings.device, photos_on, "segmenter.device")
+                device = pick_device(
+                    self.settings.device, photos_on, "segmenter.device"
+                )
                 self._models[name] = model.to(device).eval()
             note("segmenter.weights", identity(self.weights))
         return self._models[name]
 
     def _memory(self, doing: str) -> AbstractContextManager[None]:
         return out_of_memory_told(
-            doing, "try a smaller --set segmenter.points_per_batch, a smaller segmenter.model, or segmenter.device=cpu"
+            doing,
+            "try a smaller --set segmenter.points_per_batch, a smaller segmenter.model, or "
+            "segmenter.device=cpu",
         )
 
     def _follow(
-        self, model: Any, images: Float[Tensor, "view 3 height width"], masks: Float[Tensor, "object height width"]
+        self,
+        model: Any,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "object height width"],
     ) -> Tracks:
-        """Follow objects given on view 0 with the video predictor, the views taken as the frames of a video."""
+        """Follow objects given on view 0 with the video predictor, the views taken as the frames of
+        a video.
+        """
         module, _, name = self.session.partition(":")
         views, size = len(images), tuple(images.shape[-2:])
         side = model.config.image_size
@@ -205,7 +319,9 @@ class SamSegmenter(Segmenter):
         for number, mask in enumerate(binary_masks(masks, side)):
             session.add_mask_inputs(session.obj_id_to_idx(number), 0, mask[None, None])
         session.obj_with_new_inputs = list(range(len(masks)))
-        model(session, frame_idx=0)  # turns the masks into memories; propagation alone refuses to start
+        model(
+            session, frame_idx=0
+        )  # turns the masks into memories; propagation alone refuses to start
         logits, present = [], []
         for output in model.propagate_in_video_iterator(session):
             logits.append(enlarge(output.pred_masks[:, 0], size))
@@ -215,26 +331,40 @@ class SamSegmenter(Segmenter):
 
 
 class Sam2Segmenter(SamSegmenter):
-    """SAM2 (Ravi et al. 2024), the paper's segmenter; words become boxes by a detector, and boxes masks."""
+    """SAM2 (Ravi et al. 2024), the paper's segmenter; words become boxes by a detector, and boxes
+    masks.
+    """
 
     image_class, video_class = "Sam2Model", "Sam2VideoModel"
-    session = "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
+    session = (
+        "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
+    )
     mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
     threshold_key = "segmenter.detector.box_threshold"
 
     class Settings(SamSettings):
-        model: str = Field("facebook/sam2.1-hiera-large", description="model id on the hub, or a saved folder")
-        detector: PartChoice = Field(PartChoice(name="grounding-dino"), description="finds what the words name")
+        model: str = Field(
+            "facebook/sam2.1-hiera-large",
+            description="model id on the hub, or a saved folder",
+        )
+        detector: PartChoice = Field(
+            PartChoice(name="grounding-dino"), description="finds what the words name"
+        )
 
     def __init__(self, settings: Settings, detector: Detector) -> None:
         super().__init__(settings)
         self.detector = detector
 
     @remembered
-    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+    def segment_text(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]:
         height, width = image.shape[-2:]
         boxes = [detection.box for detection in self.detector.detect(image, text)]
-        return tuple(self.segment(image, box=(x / width, y / height, w / width, h / height)) for x, y, w, h in boxes)
+        return tuple(
+            self.segment(image, box=(x / width, y / height, w / width, h / height))
+            for x, y, w, h in boxes
+        )
 
 
 class Sam3Segmenter(SamSegmenter):
@@ -249,40 +379,74 @@ class Sam3Segmenter(SamSegmenter):
     threshold_key = "segmenter.min_score"
 
     class Settings(SamSettings):
-        model: str = Field("facebook/sam3", description="model id on the hub, or a saved folder")
-        min_score: float = Field(0.5, ge=0, le=1, description="least score of what the words name")
+        model: str = Field(
+            "facebook/sam3", description="model id on the hub, or a saved folder"
+        )
+        min_score: float = Field(
+            0.5, ge=0, le=1, description="least score of what the words name"
+        )
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._tokenizer: Any = None
 
     @remembered
-    def segment_text(self, image: Float[Tensor, "3 height width"], text: str) -> tuple[Proposal, ...]:
+    def segment_text(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]:
         if self._tokenizer is None:
-            self._tokenizer = load_pretrained(foreign("transformers", "CLIPTokenizer"), self.weights)
+            self._tokenizer = load_pretrained(
+                foreign("transformers", "CLIPTokenizer"), self.weights
+            )
         model = self._model("Sam3Model", image.device)
-        words = text.strip().lower().removeprefix("the ")  # it was trained on noun phrases such as "yellow school bus"
+        words = (
+            text.strip().lower().removeprefix("the ")
+        )  # it was trained on noun phrases such as "yellow school bus"
         tokens = self._tokenizer(
-            words, return_tensors="pt", padding="max_length", max_length=TEXT_LENGTH, truncation=True
+            words,
+            return_tensors="pt",
+            padding="max_length",
+            max_length=TEXT_LENGTH,
+            truncation=True,
         ).to(model.device)
-        pixels = self._pixels(image[None].float(), model.config.vision_config.image_size).to(model.device)
+        pixels = self._pixels(
+            image[None].float(), model.config.vision_config.image_size
+        ).to(model.device)
         with torch.no_grad(), self._memory("segmenting"):
             found = model(pixel_values=pixels, **tokens)
         scores = found.pred_logits[0].sigmoid() * found.presence_logits[0].sigmoid()
-        best = [index for index in scores.argsort(descending=True).tolist() if scores[index] >= self.settings.min_score]
-        masks = enlarge(found.pred_masks[0, best], tuple(image.shape[-2:])).to(image.device)
-        return tuple(proposal(mask, float(scores[index])) for mask, index in zip(masks, best) if bool((mask > 0).any()))
+        best = [
+            index
+            for index in scores.argsort(descending=True).tolist()
+            if scores[index] >= self.settings.min_score
+        ]
+        masks = enlarge(found.pred_masks[0, best], tuple(image.shape[-2:])).to(
+            image.device
+        )
+        return tuple(
+            proposal(mask, float(scores[index]))
+            for mask, index in zip(masks, best)
+            if bool((mask > 0).any())
+        )
 
 
 def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Proposal:
     """Make one mask at the photo's size a proposal."""
     inside = logits > 0
-    area, stable, iou = float(inside.float().mean()), float(stability(logits[None])), min(max(predicted_iou, 0.0), 1.0)
-    return Proposal(logits.sigmoid(), area, stable, iou, tuple(boxes_of(inside[None])[0].tolist()))
+    area, stable, iou = (
+        float(inside.float().mean()),
+        float(stability(logits[None])),
+        min(max(predicted_iou, 0.0), 1.0),
+    )
+    return Proposal(
+        logits.sigmoid(), area, stable, iou, tuple(boxes_of(inside[None])[0].tolist())
+    )
 
 
 def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:
-    """IoU of the masks cut at +1 and at -1; the first lies inside the second. 0 for a mask that is empty at -1."""
+    """IoU of the masks cut at +1 and at -1; the first lies inside the second. 0 for a mask that is
+    empty at -1.
+    """
     strict = (logits > STABILITY_OFFSET).sum((1, 2))
     loose = (logits > -STABILITY_OFFSET).sum((1, 2))
     return strict / loose.clamp(min=1)
@@ -294,12 +458,21 @@ def boxes_of(inside: Bool[Tensor, "n height width"]) -> Float[Tensor, "n 4"]:
     return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
 
 
-def best_boxes(boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float) -> list[int]:
-    """Non-maximum suppression: indices of boxes that no better one overlaps by more than `overlap`, best first."""
+def best_boxes(
+    boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float
+) -> list[int]:
+    """Non-maximum suppression: indices of boxes that no better one overlaps by more than `overlap`,
+    best first.
+    """
     if not len(boxes):
         return []
     # Scores are raised above its threshold, which drops boxes of score 0 otherwise.
-    kept = cv2.dnn.NMSBoxes(boxes.tolist(), (1 + scores).tolist(), score_threshold=0.0, nms_threshold=overlap)
+    kept = cv2.dnn.NMSBoxes(
+        boxes.tolist(),
+        (1 + scores).tolist(),
+        score_threshold=0.0,
+        nms_threshold=overlap,
+    )
     return [int(index) for index in kept]
 
 
@@ -308,18 +481,29 @@ def is_present(
 ) -> Bool[Tensor, "object"]:
     """Tell which objects are in a frame: those with a positive score or a mask that is not empty.
 
-    The predictor's `object_ids` always lists every object, lost or not, so it cannot serve as the paper's O_v.
+    The predictor's `object_ids` always lists every object, lost or not, so it cannot serve as the
+    paper's O_v.
     """
     return (scores.flatten() > 0) | (logits > 0).flatten(1).any(1)
 
 
-def binary_masks(masks: Float[Tensor, "object height width"], side: int) -> Float[Tensor, "object side side"]:
+def binary_masks(
+    masks: Float[Tensor, "object height width"], side: int
+) -> Float[Tensor, "object side side"]:
     """Make the tracker's 0/1 masks of soft masks in [0, 1]."""
-    square = F.interpolate(masks[:, None], (side, side), mode="bilinear", antialias=True, align_corners=False)
+    square = F.interpolate(
+        masks[:, None],
+        (side, side),
+        mode="bilinear",
+        antialias=True,
+        align_corners=False,
+    )
     return (square[:, 0] >= 0.5).to(masks)
 
 
-def enlarge(logits: Float[Tensor, "*n h w"], size: tuple[int, int]) -> Float[Tensor, "*n height width"]:
+def enlarge(
+    logits: Float[Tensor, "*n h w"], size: tuple[int, int]
+) -> Float[Tensor, "*n height width"]:
     """Resize the network's small masks to the photo's size; they stay logits."""
     flat = logits.flatten(0, -3)[:, None]
     large = F.interpolate(flat.float(), size, mode="bilinear", align_corners=False)

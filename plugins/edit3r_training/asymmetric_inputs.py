@@ -1,7 +1,9 @@
-"""Which views a training step edits, and what every view should then show: the paper's asymmetric inputs.
+"""Which views a training step edits, and what every view should then show: the paper's asymmetric
+inputs.
 
-The truth is always the reference view's edit applied to all views (section 3.3: "one recolored image and another
-original image"). Other regimes give the other views an edit of their own, as editors do that disagree with themselves.
+The truth is always the reference view's edit applied to all views (section 3.3: "one recolored
+image and another original image"). Other regimes give the other views an edit of their own, as
+editors do that disagree with themselves.
 """
 
 from dataclasses import dataclass
@@ -9,28 +11,49 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from edit3r_editors.mock_diffusion import with_look
-from edit3r_recolor.api import draw_outline, perturbed, recolored, visible_parameters, with_outline
+from edit3r_recolor.api import (
+    draw_outline,
+    perturbed,
+    recolored,
+    visible_parameters,
+    with_outline,
+)
 from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.interfaces import SceneSample
+from edit3r.contract.interfaces import SceneSample
 
 
 class RegimeShares(Settings):
     """How often each regime is drawn (normalised to sum to 1)."""
 
-    reference: float = Field(0.4, ge=0, description="only the reference view is recoloured, the paper's set-up")
-    disagreeing: float = Field(0.3, ge=0, description="every view is recoloured differently")
+    reference: float = Field(
+        0.4,
+        ge=0,
+        description="only the reference view is recoloured, the paper's set-up",
+    )
+    disagreeing: float = Field(
+        0.3, ge=0, description="every view is recoloured differently"
+    )
     agreeing: float = Field(0.15, ge=0, description="all views are recoloured alike")
     unedited: float = Field(0.15, ge=0, description="nothing is recoloured")
     viewwise: float = Field(
-        0.0, ge=0, description="no recoloring: every image edited on its own by mock-diffusion and asked for as such"
+        0.0,
+        ge=0,
+        description="no recoloring: every image edited on its own by mock-diffusion and asked "
+        "for as such",
     )
-    whole_picture: float = Field(0.15, ge=0, le=1, description="share of edits that change the whole image")
-    mask_jitter: float = Field(0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little")
-    palette_jitter: float = Field(0.0, ge=0, le=1, description="share of edited images with colours a bit off")
+    whole_picture: float = Field(
+        0.15, ge=0, le=1, description="share of edits that change the whole image"
+    )
+    mask_jitter: float = Field(
+        0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little"
+    )
+    palette_jitter: float = Field(
+        0.0, ge=0, le=1, description="share of edited images with colours a bit off"
+    )
 
 
 @dataclass(frozen=True)
@@ -43,7 +66,9 @@ class EditedSample:
     regime: str
 
 
-def edit_sample(sample: SceneSample, shares: RegimeShares, rng: np.random.Generator) -> EditedSample:
+def edit_sample(
+    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
+) -> EditedSample:
     """Draw a regime and edit the sample; without masks only the whole image can be edited."""
     names = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
     weights = np.array([getattr(shares, name) for name in names])
@@ -65,18 +90,29 @@ def edit_sample(sample: SceneSample, shares: RegimeShares, rng: np.random.Genera
             continue
         if regime == "disagreeing":
             chosen = [visible_parameters(rng, everything, mask) for mask in masks]
-        edited.append(_edited_view(sample.context[view], masks[:, view], chosen, shares, rng))
+        edited.append(
+            _edited_view(sample.context[view], masks[:, view], chosen, shares, rng)
+        )
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
 
 
 def _edited_one_by_one(
-    images: Float[Tensor, "view 3 height width"], rng: np.random.Generator, disagreement: float = 0.5
+    images: Float[Tensor, "view 3 height width"],
+    rng: np.random.Generator,
+    disagreement: float = 0.5,
 ) -> Float[Tensor, "view 3 height width"]:
-    """What training without recoloring has: images of one scene that a 2D editor edited independently."""
+    """What training without recoloring has: images of one scene that a 2D editor edited
+    independently.
+    """
     seeds = rng.integers(2**31, size=len(images) + 1)
     first, *others = (torch.Generator().manual_seed(int(seed)) for seed in seeds)
     shared = torch.rand(6, generator=first)
-    return torch.cat([with_look(image[None], shared, own, disagreement) for image, own in zip(images, others)])
+    return torch.cat(
+        [
+            with_look(image[None], shared, own, disagreement)
+            for image, own in zip(images, others)
+        ]
+    )
 
 
 def _regions(
@@ -103,7 +139,9 @@ def _edited_view(
     shares: RegimeShares,
     rng: np.random.Generator,
 ) -> Float[Tensor, "3 height width"]:
-    """One view as a 2D editor would return it: now and then its outlines or its colours are a little off."""
+    """One view as a 2D editor would return it: now and then its outlines or its colours are a
+    little off.
+    """
     if rng.random() < shares.mask_jitter:
         masks = with_outline(masks, draw_outline(rng))
     if shares.palette_jitter and rng.random() < shares.palette_jitter:

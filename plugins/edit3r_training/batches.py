@@ -1,4 +1,6 @@
-"""One training step's data: samples, their edits and their (simulated) matched geometry, stacked."""
+"""One training step's data: samples, their edits and their (simulated) matched geometry,
+stacked.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -9,25 +11,33 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import MatchedGeometry, SceneSample
+from edit3r.contract.types import Cameras, Views
 from edit3r.geometry.cameras import scale_poses, unproject
-from edit3r.interfaces import MatchedGeometry, SceneSample
-from edit3r.types import Cameras, Views
 from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
 from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
 
 @dataclass(frozen=True)
 class TrainingBatch:
-    """B scenes of V context and T target views; lengths are in the unit of `geometry` where there is one."""
+    """B scenes of V context and T target views; lengths are in the unit of `geometry` where there
+    is one.
+    """
 
     source: Views  # unedited context
     edited: Views  # what the reconstructor is given
-    truth: Float[Tensor, "batch view 3 height width"]  # what each context view should show
-    target: Float[Tensor, "batch target 3 height width"]  # what each target view should show
+    truth: Float[
+        Tensor, "batch view 3 height width"
+    ]  # what each context view should show
+    target: Float[
+        Tensor, "batch target 3 height width"
+    ]  # what each target view should show
     context_cameras: Cameras
     target_cameras: Cameras
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
-    geometry: MatchedGeometry | None  # as a matcher would give it, where the data has depths
+    geometry: (
+        MatchedGeometry | None
+    )  # as a matcher would give it, where the data has depths
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
@@ -37,12 +47,16 @@ class TrainingBatch:
         """Surface points of all context pixels, view-major, row-major."""
         if self.depths is None:
             return None
-        points = unproject(self.depths, self.source.intrinsics, self.context_cameras.c2w)
+        points = unproject(
+            self.depths, self.source.intrinsics, self.context_cameras.c2w
+        )
         return points.reshape(len(points), -1, 3)
 
 
 Unit = Literal["matcher", "baseline"]
-"""The length that is 1: any, as a simulated matcher's, or the distance from the first to the last input camera."""
+"""The length that is 1: any, as a simulated matcher's, or the distance from the first to the last
+input camera.
+"""
 
 Match = Callable[[SceneSample, np.random.Generator], SimulatedMatch]
 """What is said of the geometry of a sample that comes with depths."""
@@ -55,13 +69,22 @@ def make_batch(
     unit: Unit = "matcher",
     match: Match = simulate_match,
 ) -> TrainingBatch:
-    """Edit every sample, each with its own random numbers; for unit `matcher`, `match` says what a matcher would."""
-    batches = [_batch_of_one(sample, shares, rng, unit, match) for sample, rng in zip(samples, generators)]
+    """Edit every sample, each with its own random numbers; for unit `matcher`, `match` says what a
+    matcher would.
+    """
+    batches = [
+        _batch_of_one(sample, shares, rng, unit, match)
+        for sample, rng in zip(samples, generators)
+    ]
     return _with_tensors(lambda *tensors: torch.cat(tensors), *batches)
 
 
 def _batch_of_one(
-    sample: SceneSample, shares: RegimeShares, rng: np.random.Generator, wished_unit: Unit, match_as: Match
+    sample: SceneSample,
+    shares: RegimeShares,
+    rng: np.random.Generator,
+    wished_unit: Unit,
+    match_as: Match,
 ) -> TrainingBatch:
     """The batch of one scene."""
     edit, match, unit = edit_sample(sample, shares, rng), None, 1.0
@@ -72,7 +95,9 @@ def _batch_of_one(
         unit = match.unit  # the matcher cannot know the scene's own
     intrinsics = sample.context_cameras.intrinsics
     cameras = sample.context_cameras, sample.target_cameras
-    context_cameras, target_cameras = (replace(own, c2w=scale_poses(own.c2w, unit)) for own in cameras)
+    context_cameras, target_cameras = (
+        replace(own, c2w=scale_poses(own.c2w, unit)) for own in cameras
+    )
     return TrainingBatch(
         source=Views(sample.context[None], intrinsics),
         edited=Views(edit.edited[None], intrinsics),
@@ -80,17 +105,27 @@ def _batch_of_one(
         target=edit.target[None],
         context_cameras=context_cameras,
         target_cameras=target_cameras,
-        depths=None if sample.context_depths is None else sample.context_depths[None] * unit,
+        depths=None
+        if sample.context_depths is None
+        else sample.context_depths[None] * unit,
         geometry=None if match is None else match.geometry,
     )
 
 
 def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
-    """Like the first of some equal data classes, with `function` of all their tensors, field by field and inside."""
+    """Like the first of some equal data classes, with `function` of all their tensors, field by
+    field and inside.
+    """
     first = values[0]
     if isinstance(first, Tensor):
         return function(*values)
     if not is_dataclass(first):
         return first
     names = [field.name for field in fields(first)]
-    return replace(first, **{n: _with_tensors(function, *(getattr(value, n) for value in values)) for n in names})
+    return replace(
+        first,
+        **{
+            n: _with_tensors(function, *(getattr(value, n) for value in values))
+            for n in names
+        },
+    )

@@ -1,37 +1,56 @@
-"""`edit3r train CONFIG`: train from one configuration file; `--resume` continues where a run was stopped."""
+"""`edit3r train CONFIG`: train from one configuration file; `--resume` continues where a run was
+stopped.
+"""
 
 import argparse
 
-from edit3r.command import Command
+from edit3r.contract.command import Command
 
 
 class TrainCommand(Command):
     """Train a reconstructor as one configuration file says."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("config", help="a YAML file, or the name of a shipped one such as training/edit3r-small")
+        parser.add_argument(
+            "config",
+            help="a YAML file, or the name of a shipped one such as training/edit3r-small",
+        )
         earlier = parser.add_mutually_exclusive_group()
         earlier.add_argument(
-            "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
+            "--resume",
+            action="store_true",
+            help="go on from the last checkpoint in the output folder",
         )
         earlier.add_argument(
-            "--overwrite", action="store_true", help="begin anew although the output folder holds another training"
-        )
-        parser.add_argument("--out", help="output folder, instead of the configuration's")
-        parser.add_argument(
-            "--plugin", action="append", default=[], metavar="FILE", help="also load this local plugin file"
+            "--overwrite",
+            action="store_true",
+            help="begin anew although the output folder holds another training",
         )
         parser.add_argument(
-            "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting, e.g. trainer.steps=100"
+            "--out", help="output folder, instead of the configuration's"
+        )
+        parser.add_argument(
+            "--plugin",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="also load this local plugin file",
+        )
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="change a setting, e.g. trainer.steps=100",
         )
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r.cli.console import StageConsole
         from edit3r.config import find_config, merge, parse_assignments, read_yaml
-        from edit3r.console import StageConsole
-        from edit3r.registry import default_registry
+        from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.training.processes import is_first_process
         from edit3r_training.job import prepare
+        from edit3r_training.processes import is_first_process
 
         values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
         if args.out:
@@ -41,7 +60,9 @@ class TrainCommand(Command):
             report = Report(on_event=console)
             with collecting(report), report.stage("train"):
                 registry = default_registry(tuple(args.plugin))
-                trainer, job = prepare(values, registry, resume=args.resume, overwrite=args.overwrite)
+                trainer, job = prepare(
+                    values, registry, resume=args.resume, overwrite=args.overwrite
+                )
                 best = trainer.train(job)
         if first:
             print(f"best checkpoint: {best}")

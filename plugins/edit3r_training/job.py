@@ -17,38 +17,50 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.config import PartChoice, Settings, make_settings
+from edit3r.contract.interfaces import Trainer, TrainingJob
 from edit3r.errors import InputError, SettingsError
-from edit3r.interfaces import Trainer, TrainingJob
-from edit3r.registry import Registry
-from edit3r.run_config import DEFAULTS
-from edit3r.training.checkpoint import LAST
+from edit3r.pipeline.config import DEFAULTS
+from edit3r.plugins.registry import Registry
+from edit3r_training.checkpoint import LAST
 
 
 class TrainingConfig(Settings):
     """The keys of a training configuration file."""
 
-    trainer: PartChoice = Field(PartChoice(name=DEFAULTS["trainer"]), description="the recipe")
+    trainer: PartChoice = Field(
+        PartChoice(name=DEFAULTS["trainer"]), description="the recipe"
+    )
     reconstructor: PartChoice = Field(description="what is trained")
     reference: PartChoice | None = Field(
         None,
-        description="frozen reconstructor, whose centres of the unedited photos the 3D losses hold to; default: the "
+        description="frozen reconstructor, whose centres of the unedited photos the 3D losses "
+        "hold to; default: the "
         "true surface where the data has depths, else what is trained as it is at the start",
     )
     rasterizer: PartChoice = Field(
-        PartChoice(name=DEFAULTS["training_rasterizer"]), description="renders during training"
+        PartChoice(name=DEFAULTS["training_rasterizer"]),
+        description="renders during training",
     )
     train_data: PartChoice = Field(description="dataset to train on")
     validation_data: PartChoice | None = Field(None, description="held-out dataset")
-    losses: dict[str, dict[str, Any]] = Field(default_factory=dict, description="name: {weight, settings...}")
-    out: str = Field("runs/train", description="folder for checkpoints, logs and sample sheets")
+    losses: dict[str, dict[str, Any]] = Field(
+        default_factory=dict, description="name: {weight, settings...}"
+    )
+    out: str = Field(
+        "runs/train", description="folder for checkpoints, logs and sample sheets"
+    )
 
 
 def prepare(
-    values: Mapping[str, Any], registry: Registry, resume: bool = False, overwrite: bool = False
+    values: Mapping[str, Any],
+    registry: Registry,
+    resume: bool = False,
+    overwrite: bool = False,
 ) -> tuple[Trainer, TrainingJob]:
     """Build every component that a configuration names.
 
-    Raises InputError when the output folder holds another training and neither `resume` nor `overwrite` is set.
+    Raises InputError when the output folder holds another training and neither `resume` nor
+    `overwrite` is set.
     """
     config = make_settings(TrainingConfig, values, where="training")
     _check_free(Path(config.out), resume or overwrite)
@@ -62,7 +74,9 @@ def prepare(
         rasterizer=build("rasterizer", config.rasterizer),
         train_data=build("dataset", config.train_data),
         validation_data=None if validation is None else build("dataset", validation),
-        losses={name: _loss(registry, name, given) for name, given in config.losses.items()},
+        losses={
+            name: _loss(registry, name, given) for name, given in config.losses.items()
+        },
         out=Path(config.out),
         resume=resume,
         reference=None if reference is None else build("reconstructor", reference),
@@ -74,10 +88,13 @@ def prepare(
 def _check_free(out: Path, may_hold_training: bool) -> None:
     """Raise InputError unless a training may write to `out`."""
     if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: --out must be a folder, but a file of that name exists.")
+        raise InputError(
+            f"{out}: --out must be a folder, but a file of that name exists."
+        )
     if (out / LAST).exists() and not may_hold_training:
         raise InputError(
-            f"{out}: holds a training already ({LAST}); give --resume to go on with it, another --out to keep it, or "
+            f"{out}: holds a training already ({LAST}); give --resume to go on with it, another "
+            "--out to keep it, or "
             "--overwrite to begin anew in its place."
         )
 
@@ -87,5 +104,7 @@ def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[floa
     settings = dict(given)
     weight = settings.pop("weight", 1.0)
     if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
-        raise SettingsError(f"training.losses.{name}.weight: expected a number of at least 0, got {weight!r}.")
+        raise SettingsError(
+            f"training.losses.{name}.weight: expected a number of at least 0, got {weight!r}."
+        )
     return float(weight), registry.build("loss", name, **settings)

@@ -1,4 +1,5 @@
-"""The terms of the paper's objective (section 3.3); their weights are set in the training configuration.
+"""The terms of the paper's objective (section 3.3); their weights are set in the training
+configuration.
 
 The paper does not publish its weights: those in `configs/training` are this project's own.
 """
@@ -11,16 +12,19 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
+from edit3r.compute.perceptual import efficientnet_input, frozen_efficientnet
 from edit3r.config import Settings
+from edit3r.contract.interfaces import Loss, LossInputs
 from edit3r.errors import MissingDependencyError, SettingsError
-from edit3r.interfaces import Loss, LossInputs
 from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
-from edit3r.perceptual import efficientnet_input, frozen_efficientnet
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
 """Blocks of EfficientNet-lite0 whose outputs `PerceptualLoss` compares: strides 2, 4, 8 and 16."""
 
-CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
+CLIP_MEAN, CLIP_STD = (
+    (0.48145466, 0.4578275, 0.40821073),
+    (0.26862954, 0.26130258, 0.27577711),
+)
 
 
 class MseLoss(Loss):
@@ -30,7 +34,12 @@ class MseLoss(Loss):
     """
 
     class Settings(Settings):
-        cell: int = Field(4, ge=1, le=64, description="pixels averaged along each side before comparing; 1: plain MSE")
+        cell: int = Field(
+            4,
+            ge=1,
+            le=64,
+            description="pixels averaged along each side before comparing; 1: plain MSE",
+        )
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "mse", "rendered", "target")
@@ -43,28 +52,44 @@ class CenterLoss(Loss):
     """Smooth L1 distance of every Gaussian's centre to its reference (L_center)."""
 
     class Settings(Settings):
-        beta: float = Field(1.0, gt=0, description="distance at which the square turns linear [scene units]")
+        beta: float = Field(
+            1.0,
+            gt=0,
+            description="distance at which the square turns linear [scene units]",
+        )
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "center", "gaussians", "reference")
-        return F.smooth_l1_loss(inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta)
+        return F.smooth_l1_loss(
+            inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta
+        )
 
 
 class PointsLoss(Loss):
-    """Mean distance of every centre to its reference, each cloud in the unit of its own mean distance from view 0.
+    """Mean distance of every centre to its reference, each cloud in the unit of its own mean
+    distance from view 0.
 
-    Point distillation of NoPoSplat's first stage from another model's points; the nearest and farthest are left out.
+    Point distillation of NoPoSplat's first stage from another model's points; the nearest and
+    farthest are left out.
     """
 
     class Settings(Settings):
-        outliers: float = Field(0.002, ge=0, lt=0.5, description="share of the reference's points left out at each end")
+        outliers: float = Field(
+            0.002,
+            ge=0,
+            lt=0.5,
+            description="share of the reference's points left out at each end",
+        )
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "point-distillation", "gaussians", "reference")
         ours, theirs = (
-            c.means / c.means.norm(dim=-1).mean(1)[:, None, None] for c in (inputs.gaussians, inputs.reference)
+            c.means / c.means.norm(dim=-1).mean(1)[:, None, None]
+            for c in (inputs.gaussians, inputs.reference)
         )
-        far = theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]  # rank by distance, in [0, 1)
+        far = (
+            theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]
+        )  # rank by distance, in [0, 1)
         kept = (far >= self.settings.outliers) & (far < 1 - self.settings.outliers)
         return (ours - theirs)[kept].norm(dim=-1).mean()
 
@@ -72,12 +97,14 @@ class PointsLoss(Loss):
 class GeometryLoss(Loss):
     """Mean pairwise Chamfer-L1 distance of at most `samples` random centres a view (L_geom).
 
-    Views do not show quite the same surface, so even the truth has a distance: with a reference its own is subtracted,
-    which leaves the gradient as it is and makes the reference worth 0.
+    Views do not show quite the same surface, so even the truth has a distance: with a reference its
+    own is subtracted, which leaves the gradient as it is and makes the reference worth 0.
     """
 
     class Settings(Settings):
-        samples: int = Field(512, ge=1, le=8192, description="centres drawn from each view")
+        samples: int = Field(
+            512, ge=1, le=8192, description="centres drawn from each view"
+        )
 
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "geometry", "gaussians")
@@ -87,16 +114,29 @@ class GeometryLoss(Loss):
             return value
         return value - pairwise_chamfer(inputs.reference.means, chosen).detach()
 
-    def _sample(self, view_index: Int[Tensor, " gaussian"]) -> list[Int[Tensor, " chosen"]]:
-        """Indices of the centres drawn from each view; drawn on the CPU, whose random state checkpoints restore."""
-        views = [torch.nonzero(view_index == view).flatten() for view in view_index.unique() if view >= 0]
-        return [own[torch.randperm(len(own))[: self.settings.samples].to(own.device)] for own in views]
+    def _sample(
+        self, view_index: Int[Tensor, " gaussian"]
+    ) -> list[Int[Tensor, " chosen"]]:
+        """Indices of the centres drawn from each view; drawn on the CPU, whose random state
+        checkpoints restore.
+        """
+        views = [
+            torch.nonzero(view_index == view).flatten()
+            for view in view_index.unique()
+            if view >= 0
+        ]
+        return [
+            own[torch.randperm(len(own))[: self.settings.samples].to(own.device)]
+            for own in views
+        ]
 
 
 def pairwise_chamfer(
     means: Float[Tensor, "batch gaussian 3"], views: list[Int[Tensor, " chosen"]]
 ) -> Float[Tensor, ""]:
-    """L_geom = 1 / (V (V - 1)) sum_{i < j} Chamfer_L1(mu_i, mu_j), with the factor as the paper writes it."""
+    """L_geom = 1 / (V (V - 1)) sum_{i < j} Chamfer_L1(mu_i, mu_j), with the factor as the paper
+    writes it.
+    """
     count = len(views)
     if count < 2:
         return means.sum() * 0
@@ -104,20 +144,29 @@ def pairwise_chamfer(
     return sum(pairs) / (count * (count - 1))
 
 
-def chamfer_l1(a: Float[Tensor, "batch point 3"], b: Float[Tensor, "batch point2 3"]) -> Float[Tensor, ""]:
+def chamfer_l1(
+    a: Float[Tensor, "batch point 3"], b: Float[Tensor, "batch point2 3"]
+) -> Float[Tensor, ""]:
     """Mean L1 distance to the nearest point of the other set, both ways."""
     distances = torch.cdist(a, b, p=1)
     return distances.min(2).values.mean() + distances.min(1).values.mean()
 
 
 class PerceptualLoss(Loss):
-    """Mean squared distance of channel-normalised features of EfficientNet-lite0, averaged over four strides.
+    """Mean squared distance of channel-normalised features of EfficientNet-lite0, averaged over
+    four strides.
 
-    It plays the part of LPIPS, but its numbers do not compare with LPIPS; it installs from the package index.
+    It plays the part of LPIPS, but its numbers do not compare with LPIPS; it installs from the
+    package index.
     """
 
     class Settings(Settings):
-        size: int = Field(128, ge=32, le=512, description="images are resized to this before comparing [pixels]")
+        size: int = Field(
+            128,
+            ge=32,
+            le=512,
+            description="images are resized to this before comparing [pixels]",
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -128,9 +177,13 @@ class PerceptualLoss(Loss):
         predicted = self._features(inputs.rendered)
         with torch.no_grad():
             wished = self._features(inputs.target)
-        return sum(F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)) / len(predicted)
+        return sum(
+            F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)
+        ) / len(predicted)
 
-    def _features(self, images: Float[Tensor, "batch view 3 height width"]) -> list[Float[Tensor, "image c h w"]]:
+    def _features(
+        self, images: Float[Tensor, "batch view 3 height width"]
+    ) -> list[Float[Tensor, "image c h w"]]:
         """Feature maps of all images at four strides, each pixel's features of length 1."""
         x = efficientnet_input(images.flatten(0, 1), self.settings.size)
         network = self._network.to(x.device)
@@ -144,7 +197,9 @@ class PerceptualLoss(Loss):
 
 
 class LpipsLoss(Loss):
-    """Mean LPIPS distance (Zhang et al. 2018) with VGG features, as the paper uses; downloaded at first use."""
+    """Mean LPIPS distance (Zhang et al. 2018) with VGG features, as the paper uses; downloaded at
+    first use.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -153,14 +208,19 @@ class LpipsLoss(Loss):
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
         _require(inputs, "lpips", "rendered", "target")
         metric = self._metric.to(inputs.rendered.device)
-        return metric(inputs.rendered.flatten(0, 1), inputs.target.flatten(0, 1), normalize=True).mean()
+        return metric(
+            inputs.rendered.flatten(0, 1), inputs.target.flatten(0, 1), normalize=True
+        ).mean()
 
 
 class ClipLoss(Loss):
     """Mean over images of 1 - cosine similarity of CLIP's image embeddings (L_CLIP)."""
 
     class Settings(Settings):
-        model: str = Field("openai/clip-vit-base-patch32", description="folder or hub name of a CLIP model")
+        model: str = Field(
+            "openai/clip-vit-base-patch32",
+            description="folder or hub name of a CLIP model",
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -173,10 +233,16 @@ class ClipLoss(Loss):
             wished = self._embed(inputs.target.flatten(0, 1))
         return 1 - F.cosine_similarity(predicted, wished, dim=-1).mean()
 
-    def _embed(self, images: Float[Tensor, "image 3 height width"]) -> Float[Tensor, "image feature"]:
+    def _embed(
+        self, images: Float[Tensor, "image 3 height width"]
+    ) -> Float[Tensor, "image feature"]:
         side = self._model.config.image_size
-        x = F.interpolate(images, (side, side), mode="bicubic", align_corners=False, antialias=True)
-        x = (x - x.new_tensor(CLIP_MEAN)[:, None, None]) / x.new_tensor(CLIP_STD)[:, None, None]
+        x = F.interpolate(
+            images, (side, side), mode="bicubic", align_corners=False, antialias=True
+        )
+        x = (x - x.new_tensor(CLIP_MEAN)[:, None, None]) / x.new_tensor(CLIP_STD)[
+            :, None, None
+        ]
         return self._model.to(x.device)(pixel_values=x).image_embeds
 
 
@@ -188,22 +254,29 @@ def _lpips_vgg() -> nn.Module:
     except (OSError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise MissingDependencyError(
-            f"loss 'lpips' could not get its VGG weights ({reason}); connect to the network once, or use the loss "
+            f"loss 'lpips' could not get its VGG weights ({reason}); connect to the network "
+            "once, or use the loss "
             "'perceptual', which works offline."
         ) from error
 
 
 def _frozen_clip(name: str) -> nn.Module:
     chosen = ChosenWeights(name, "losses.clip.model")
-    network = load_pretrained(foreign("transformers", "CLIPVisionModelWithProjection"), chosen)
+    network = load_pretrained(
+        foreign("transformers", "CLIPVisionModelWithProjection"), chosen
+    )
     return network.eval().requires_grad_(False)
 
 
 def _require(inputs: LossInputs, loss: str, *names: str) -> None:
-    """Raise SettingsError unless the training step has the fields `names` that the loss compares."""
+    """Raise SettingsError unless the training step has the fields `names` that the loss
+    compares.
+    """
     missing = [name for name in names if getattr(inputs, name) is None]
     if missing:
         raise SettingsError(
-            f"loss {loss!r} compares {' and '.join(names)}, but this training step has no {missing[0]}; "
-            "take the loss out of the configuration or use data that brings it (depths give a reference)."
+            f"loss {loss!r} compares {' and '.join(names)}, but this training step has no "
+            f"{missing[0]}; "
+            "take the loss out of the configuration or use data that brings it (depths give a "
+            "reference)."
         )

@@ -1,4 +1,6 @@
-"""Training samples from photos with known cameras: which views are drawn, and what a sample of them looks like."""
+"""Training samples from photos with known cameras: which views are drawn, and what a sample of them
+looks like.
+"""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -12,10 +14,10 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
+from edit3r.contract.interfaces import Dataset, SceneSample
+from edit3r.contract.types import Cameras
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
-from edit3r.interfaces import Dataset, SceneSample
-from edit3r.types import Cameras
 
 MIRROR = torch.diag(torch.tensor([-1.0, 1, 1, 1]))
 
@@ -26,19 +28,32 @@ class PhotoSettings(config.Settings):
     root: str = Field(description="folder with the scenes")
     samples: int = Field(1, ge=1, description="draws per scene")
     seed: int = Field(0, ge=0, description="of view choice and mirroring")
-    image_size: int = Field(256, ge=16, le=1024, description="side of the centred square [pixels]")
+    image_size: int = Field(
+        256, ge=16, le=1024, description="side of the centred square [pixels]"
+    )
     context: int = Field(2, ge=2, le=16, description="input views")
     targets: int = Field(4, ge=0, le=16, description="novel views")
-    gap: tuple[int, int] = Field((45, 90), description="from first to last context view [frames]")
-    gap_start: tuple[int, int] | None = Field(None, description="gap when training begins; default: as `gap`")
-    gap_growth: float = Field(
-        0.5, gt=0, le=1, description="share of the training in which `gap_start` grows evenly to `gap`"
+    gap: tuple[int, int] = Field(
+        (45, 90), description="from first to last context view [frames]"
     )
-    mirror: float = Field(0.5, ge=0, le=1, description="share of samples mirrored left to right")
+    gap_start: tuple[int, int] | None = Field(
+        None, description="gap when training begins; default: as `gap`"
+    )
+    gap_growth: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="share of the training in which `gap_start` grows evenly to `gap`",
+    )
+    mirror: float = Field(
+        0.5, ge=0, le=1, description="share of samples mirrored left to right"
+    )
 
 
 class PhotoDataset(Dataset):
-    """One sample is one draw of views from one scene; a scene that cannot be used is skipped and named once."""
+    """One sample is one draw of views from one scene; a scene that cannot be used is skipped and
+    named once.
+    """
 
     name: ClassVar[str]  # in warnings
     settings: PhotoSettings
@@ -53,8 +68,12 @@ class PhotoDataset(Dataset):
         """All scenes under the root; raises InputError when there are none."""
 
     @abstractmethod
-    def _draw(self, scene: Any, rng: np.random.Generator, gap: tuple[int, int]) -> "DrawnPhotos":
-        """Draw views of one scene, first to last `gap` frames apart; raises InputError when it cannot be used."""
+    def _draw(
+        self, scene: Any, rng: np.random.Generator, gap: tuple[int, int]
+    ) -> "DrawnPhotos":
+        """Draw views of one scene, first to last `gap` frames apart; raises InputError when it
+        cannot be used.
+        """
 
     @abstractmethod
     def _label(self, scene: Any) -> str:
@@ -67,8 +86,14 @@ class PhotoDataset(Dataset):
         return self.at_progress(index, 1.0)
 
     def at_progress(self, index: int, progress: float) -> SceneSample:
-        """Return the sample with the gap of that time of a training: a curriculum from near views to far ones."""
-        gap = growing_gap(self.settings.gap_start, self.settings.gap, progress / self.settings.gap_growth)
+        """Return the sample with the gap of that time of a training: a curriculum from near views
+        to far ones.
+        """
+        gap = growing_gap(
+            self.settings.gap_start,
+            self.settings.gap,
+            progress / self.settings.gap_growth,
+        )
         if not 0 <= index < len(self):
             raise IndexError(index)
         for attempt in range(len(self.scenes)):
@@ -79,14 +104,23 @@ class PhotoDataset(Dataset):
             except InputError as error:
                 self._skip(self._label(scene), str(error))
             else:
-                return drawn.sample(self.settings.context, f"{drawn.scene}-{index}", self.settings.mirror, rng)
-        raise InputError(f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used.")
+                return drawn.sample(
+                    self.settings.context,
+                    f"{drawn.scene}-{index}",
+                    self.settings.mirror,
+                    rng,
+                )
+        raise InputError(
+            f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used."
+        )
 
     def _skip(self, label: str, reason: str) -> None:
         """Warn of a scene that cannot be used, the first time."""
         if label not in self._skipped:
             self._skipped.add(label)
-            reporting.warn(f"dataset {self.name}: {label} is skipped ({len(self._skipped)} so far): {reason}")
+            reporting.warn(
+                f"dataset {self.name}: {label} is skipped ({len(self._skipped)} so far): {reason}"
+            )
 
 
 @dataclass(frozen=True)
@@ -99,11 +133,15 @@ class DrawnPhotos:
     intrinsics: Float[Tensor, "view 3 3"]  # normalised
     masks: Float[Tensor, "object view height width"] | None = None
 
-    def sample(self, context: int, name: str, mirror: float, rng: np.random.Generator) -> SceneSample:
-        """Make a sample of the views, the first `context` of which are context and the rest targets.
+    def sample(
+        self, context: int, name: str, mirror: float, rng: np.random.Generator
+    ) -> SceneSample:
+        """Make a sample of the views, the first `context` of which are context and the rest
+        targets.
 
-        Poses are relative to the first view. Lengths are divided by the distance between the first and the last
-        context camera. With probability `mirror`, images, masks and poses are mirrored left to right.
+        Poses are relative to the first view. Lengths are divided by the distance between the first
+        and the last context camera. With probability `mirror`, images, masks and poses are mirrored
+        left to right.
         """
         images, intrinsics, masks = self.images, self.intrinsics, self.masks
         poses = relative_to_first(self.c2w[None].double())[0]
@@ -120,15 +158,21 @@ class DrawnPhotos:
         return SceneSample(
             context=images[:context],
             target=images[context:],
-            context_cameras=Cameras(poses[None, :context], intrinsics[None, :context], size),
-            target_cameras=Cameras(poses[None, context:], intrinsics[None, context:], size),
+            context_cameras=Cameras(
+                poses[None, :context], intrinsics[None, :context], size
+            ),
+            target_cameras=Cameras(
+                poses[None, context:], intrinsics[None, context:], size
+            ),
             context_masks=None if masks is None else masks[:, :context],
             target_masks=None if masks is None else masks[:, context:],
             name=name,
         )
 
 
-def growing_gap(start: tuple[int, int] | None, end: tuple[int, int], way: float) -> tuple[int, int]:
+def growing_gap(
+    start: tuple[int, int] | None, end: tuple[int, int], way: float
+) -> tuple[int, int]:
     """Least and most frames, `way` of the way from `start` to `end`; above 1 it is `end`."""
     if start is None or way >= 1:
         return end
@@ -137,9 +181,14 @@ def growing_gap(start: tuple[int, int] | None, end: tuple[int, int], way: float)
 
 
 def choose_by_gap(
-    rng: np.random.Generator, count: int, context: int, targets: int, gap: tuple[int, int]
+    rng: np.random.Generator,
+    count: int,
+    context: int,
+    targets: int,
+    gap: tuple[int, int],
 ) -> list[int] | None:
-    """Indices of context views spread evenly over `gap` frames, then of targets uniform in between (ends included).
+    """Indices of context views spread evenly over `gap` frames, then of targets uniform in between
+    (ends included).
 
     None when the sequence of `count` frames is too short.
     """
@@ -150,7 +199,10 @@ def choose_by_gap(
     width = int(rng.integers(least, most + 1))
     first = int(rng.integers(count - width))
     chosen = np.linspace(first, first + width, context).round().astype(int)
-    return [*map(int, chosen), *map(int, rng.integers(first, first + width + 1, targets))]
+    return [
+        *map(int, chosen),
+        *map(int, rng.integers(first, first + width + 1, targets)),
+    ]
 
 
 def choose_by_angle(
@@ -160,7 +212,8 @@ def choose_by_angle(
     targets: int,
     angles: tuple[float, float],
 ) -> list[int] | None:
-    """Indices of context views whose neighbours look `angles` [degrees] apart, then of targets near their middle.
+    """Indices of context views whose neighbours look `angles` [degrees] apart, then of targets near
+    their middle.
 
     For unordered photos; None when no photos are that far apart.
     """
@@ -180,9 +233,14 @@ def choose_by_angle(
 
 
 def _near_middle(
-    rng: np.random.Generator, c2w: Float[np.ndarray, "photo 4 4"], context: list[int], targets: int
+    rng: np.random.Generator,
+    c2w: Float[np.ndarray, "photo 4 4"],
+    context: list[int],
+    targets: int,
 ) -> list[int]:
-    """Draw from the photos nearest to the middle of the context cameras, twice as many as needed."""
+    """Draw from the photos nearest to the middle of the context cameras, twice as many as
+    needed.
+    """
     middle = c2w[context, :3, 3].mean(0)
     order = np.argsort(np.linalg.norm(c2w[:, :3, 3] - middle, axis=1), kind="stable")
     near = [int(i) for i in order if i not in context][: 2 * targets] or context

@@ -1,4 +1,6 @@
-"""Losses and measures of pixel-aligned Gaussians without rendering: cheap and dense, but blind to what hides what."""
+"""Losses and measures of pixel-aligned Gaussians without rendering: cheap and dense, but blind to
+what hides what.
+"""
 
 from dataclasses import dataclass
 
@@ -7,11 +9,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.changes import change_error, change_uptake, mean_change
+from edit3r.compute.changes import change_error, change_uptake, mean_change
+from edit3r.contract.types import Cameras, Reconstruction
 from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import invert_rigid, transform_points
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.types import Cameras, Reconstruction
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
@@ -23,28 +25,43 @@ class PixelMaps:
     """The Gaussians of every view as images: each at the pixel it came from."""
 
     colours: Float[Tensor, "batch view 3 height width"]
-    depths: Float[Tensor, "batch view height width"]  # camera z in its own (predicted) view
+    depths: Float[
+        Tensor, "batch view height width"
+    ]  # camera z in its own (predicted) view
     opacities: Float[Tensor, "batch view height width"]
 
 
 def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
-    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a rim) are left out.
+    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a
+    rim) are left out.
 
-    Depths are those in the predicted cameras, or in the true `cameras` of the views where none were predicted.
+    Depths are those in the predicted cameras, or in the true `cameras` of the views where none were
+    predicted.
     """
-    gaussians, views, image_size = reconstruction.gaussians, cameras.count, cameras.image_size
+    gaussians, views, image_size = (
+        reconstruction.gaussians,
+        cameras.count,
+        cameras.image_size,
+    )
     pixels = views * image_size[0] * image_size[1]
     if gaussians.count < pixels:
         raise SettingsError(
-            f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the recolor trainer needs "
+            f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the "
+            "recolor trainer needs "
             "one that gives every pixel its own."
         )
     if gaussians.count > pixels:
         gaussians = gaussians.select(torch.arange(pixels))
     shape = (gaussians.means.shape[0], views, *image_size)
-    colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3).permute(0, 1, 4, 2, 3)
+    colours = (
+        dc_to_colour(gaussians.harmonics[:, :, 0])
+        .reshape(*shape, 3)
+        .permute(0, 1, 4, 2, 3)
+    )
     seen_from = cameras if reconstruction.cameras is None else reconstruction.cameras
-    points = transform_points(invert_rigid(seen_from.c2w), gaussians.means.reshape(*shape, 3))
+    points = transform_points(
+        invert_rigid(seen_from.c2w), gaussians.means.reshape(*shape, 3)
+    )
     return PixelMaps(colours, points[..., 2], gaussians.opacities.reshape(shape))
 
 
@@ -70,17 +87,25 @@ def depth_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
     return value + 0.25 * sum(slopes)
 
 
-def opacity_error(maps: PixelMaps, batch: TrainingBatch, tolerance: float = 0.08) -> Float[Tensor, ""]:
-    """Cross-entropy to an opacity of 0.95 where the log depth is right within `tolerance`, to 0.3 where it is not."""
-    gap = (torch.log(maps.depths.detach().clamp(min=1e-4)) - torch.log(batch.depths)).abs()
+def opacity_error(
+    maps: PixelMaps, batch: TrainingBatch, tolerance: float = 0.08
+) -> Float[Tensor, ""]:
+    """Cross-entropy to an opacity of 0.95 where the log depth is right within `tolerance`, to 0.3
+    where it is not.
+    """
+    gap = (
+        torch.log(maps.depths.detach().clamp(min=1e-4)) - torch.log(batch.depths)
+    ).abs()
     wished = torch.where(gap < tolerance, 0.95, 0.3)
     return F.binary_cross_entropy(maps.opacities.clamp(1e-4, 1 - 1e-4), wished)
 
 
 def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
-    """How the own Gaussians of all views but the reference take up its edit, over the scenes of a batch that have one.
+    """How the own Gaussians of all views but the reference take up its edit, over the scenes of a
+    batch that have one.
 
-    uptake and error of the change inside the edit, leak [sRGB] outside, and the mean absolute error of log depth.
+    uptake and error of the change inside the edit, leak [sRGB] outside, and the mean absolute error
+    of log depth.
     """
     truth, source = batch.truth[:, 1:], batch.source.images[:, 1:]
     inside = _changed(truth, batch)[:, :, None].to(truth.dtype)
@@ -90,7 +115,11 @@ def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
         "uptake": change_uptake(shown, wished, inside),
         "error": change_error(shown, wished, inside),
         "leak": mean_change(shown, (1 - inside).expand_as(shown)),
-        "depth": float(torch.log(maps.depths.clamp(min=1e-4) / batch.depths).abs().mean()) if known else 0.0,
+        "depth": float(
+            torch.log(maps.depths.clamp(min=1e-4) / batch.depths).abs().mean()
+        )
+        if known
+        else 0.0,
     }
 
 

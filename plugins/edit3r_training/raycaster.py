@@ -8,10 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edit3r.compiling import compiled
-from edit3r_training.procedural_scenes import CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene
+from edit3r.compute.compiling import compiled
+from edit3r_training.procedural_scenes import (
+    CYLINDER,
+    ELLIPSOID,
+    LEVELS,
+    ROOM,
+    TILE,
+    Scene,
+)
 
-_OFFSETS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.0, 0.0]])
+_OFFSETS = np.array(
+    [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.0, 0.0]]
+)
 
 
 @dataclass(frozen=True)
@@ -20,11 +29,18 @@ class CastImage:
 
     image: NDArray[np.float32]  # [height, width, 3] sRGB in [0, 1]
     depth: NDArray[np.float32]  # [height, width] camera z > 0 [scene units]
-    objects: NDArray[np.int32]  # [4, height, width] object hit by each of the four colour rays
+    objects: NDArray[
+        np.int32
+    ]  # [4, height, width] object hit by each of the four colour rays
 
     def coverage(self, count: int) -> NDArray[np.float32]:
         """`[count, height, width]` share of each pixel that each object covers."""
-        return np.stack([(self.objects == index).mean(0, dtype=np.float32) for index in range(count)])
+        return np.stack(
+            [
+                (self.objects == index).mean(0, dtype=np.float32)
+                for index in range(count)
+            ]
+        )
 
 
 def cast(
@@ -40,7 +56,14 @@ def cast(
     depth = np.empty((height, width), np.float32)
     objects = np.empty((4, height, width), np.int32)
     surfaces = (scene.kinds, scene.centres, np.ascontiguousarray(scene.world_to_local))
-    looks = (scene.textures, scene.repeats, scene.tints, scene.light, scene.ambient, bank)
+    looks = (
+        scene.textures,
+        scene.repeats,
+        scene.tints,
+        scene.light,
+        scene.ambient,
+        bank,
+    )
     camera = (np.ascontiguousarray(c2w, np.float64), np.linalg.inv(intrinsics))
     _cast(surfaces, looks, camera, image, depth, objects)
     return CastImage(image, depth, objects)
@@ -128,8 +151,14 @@ def _texel(bank, texture, level, u, v, out):
     x1, y1 = min(x0 + 1, side - 1), min(y0 + 1, side - 1)
     fx, fy = x - x0, y - y0
     for c in range(3):
-        top = bank[texture, level, y0, x0, c] * (1 - fx) + bank[texture, level, y0, x1, c] * fx
-        bottom = bank[texture, level, y1, x0, c] * (1 - fx) + bank[texture, level, y1, x1, c] * fx
+        top = (
+            bank[texture, level, y0, x0, c] * (1 - fx)
+            + bank[texture, level, y0, x1, c] * fx
+        )
+        bottom = (
+            bank[texture, level, y1, x0, c] * (1 - fx)
+            + bank[texture, level, y1, x1, c] * fx
+        )
         out[c] = (top * (1 - fy) + bottom * fy) / 255
 
 
@@ -149,12 +178,21 @@ def _cast(surfaces, looks, camera, image, depth, objects):
             for j in range(3):
                 local_origins[k, i] += matrices[k, i, j] * (c2w[j, 3] - centres[k, j])
         extents[k] = 1 / np.sqrt((matrices[k] ** 2).sum() / 3)
-    ray, local, best_local, point, colour = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    ray, local, best_local, point, colour = (
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+    )
     for y in range(height):
         for x in range(width):
             image[y, x] = 0
             for s in range(5):
-                u, v = (x + 0.5 + _OFFSETS[s, 0]) / width, (y + 0.5 + _OFFSETS[s, 1]) / height
+                u, v = (
+                    (x + 0.5 + _OFFSETS[s, 0]) / width,
+                    (y + 0.5 + _OFFSETS[s, 1]) / height,
+                )
                 a = inverse[0, 0] * u + inverse[0, 1] * v + inverse[0, 2]
                 b = inverse[1, 0] * u + inverse[1, 1] * v + inverse[1, 2]
                 for i in range(3):
@@ -162,7 +200,11 @@ def _cast(surfaces, looks, camera, image, depth, objects):
                 best, best_object, best_face = np.inf, 0, 0
                 for k in range(count):
                     for i in range(3):
-                        local[i] = matrices[k, i, 0] * ray[0] + matrices[k, i, 1] * ray[1] + matrices[k, i, 2] * ray[2]
+                        local[i] = (
+                            matrices[k, i, 0] * ray[0]
+                            + matrices[k, i, 1] * ray[1]
+                            + matrices[k, i, 2] * ray[2]
+                        )
                     t, face = _hit(kinds[k], local_origins[k], local)
                     if t < best:
                         best, best_object, best_face = t, k, face
@@ -175,17 +217,31 @@ def _cast(surfaces, looks, camera, image, depth, objects):
                 for i in range(3):
                     point[i] = local_origins[k, i] + best * best_local[i]
                 tu, tv, normal = _surface(kinds[k], best_face, point)
-                # A pixel's width on the surface over a texel's: the mip level that does not flicker.
-                footprint = best * inverse[0, 0] / width / extents[k] * repeats[k] * TILE / 2
+                # A pixel's width on the surface over a texel's: the mip level that does not
+                # flicker.
+                footprint = (
+                    best * inverse[0, 0] / width / extents[k] * repeats[k] * TILE / 2
+                )
                 level = int(min(max(np.log2(max(footprint, 1.0)) + 0.5, 0), LEVELS - 1))
-                _texel(bank, textures[k, best_face], level, tu * repeats[k], tv * repeats[k], colour)
+                _texel(
+                    bank,
+                    textures[k, best_face],
+                    level,
+                    tu * repeats[k],
+                    tv * repeats[k],
+                    colour,
+                )
                 facing, norm = 0.0, 0.0
                 for i in range(3):  # normals go to the world by the transposed matrix
                     world = (
-                        matrices[k, 0, i] * normal[0] + matrices[k, 1, i] * normal[1] + matrices[k, 2, i] * normal[2]
+                        matrices[k, 0, i] * normal[0]
+                        + matrices[k, 1, i] * normal[1]
+                        + matrices[k, 2, i] * normal[2]
                     )
                     facing += world * light[i]
                     norm += world * world
                 shade = ambient + (1 - ambient) * max(0.0, facing / np.sqrt(norm))
                 for c in range(3):
-                    image[y, x, c] += 0.25 * min(1.0, colour[c] * tints[k, best_face, c] * shade)
+                    image[y, x, c] += 0.25 * min(
+                        1.0, colour[c] * tints[k, best_face, c] * shade
+                    )

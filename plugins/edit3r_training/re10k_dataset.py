@@ -1,7 +1,8 @@
 """Dataset `re10k`: RealEstate10K, ACID or DL3DV as pixelSplat's `.torch` chunks.
 
-A chunk is a list of scenes {key: str, cameras: [n, 18], images: n JPEG files as byte tensors}; a camera is normalised
-fx, fy, cx, cy, two unused numbers and a row-major 3x4 world-to-camera matrix. Chunks are read without unpickling code.
+A chunk is a list of scenes {key: str, cameras: [n, 18], images: n JPEG files as byte tensors}; a
+camera is normalised fx, fy, cx, cy, two unused numbers and a row-major 3x4 world-to-camera matrix.
+Chunks are read without unpickling code.
 """
 
 import io
@@ -21,7 +22,12 @@ from edit3r.geometry.cameras import invert_rigid
 from edit3r.io.decode import FORMATS
 from edit3r.io.framing import frame_for
 from edit3r.io.posed_folder import Photo
-from edit3r_training.photo_dataset import DrawnPhotos, PhotoDataset, PhotoSettings, choose_by_gap
+from edit3r_training.photo_dataset import (
+    DrawnPhotos,
+    PhotoDataset,
+    PhotoSettings,
+    choose_by_gap,
+)
 
 
 class Re10kDataset(PhotoDataset):
@@ -42,37 +48,63 @@ class Re10kDataset(PhotoDataset):
             except InputError as error:
                 self._skip(chunk.name, str(error))
         if not found:
-            raise InputError(f"{self.settings.root}: no readable .torch chunk with scenes in it.")
+            raise InputError(
+                f"{self.settings.root}: no readable .torch chunk with scenes in it."
+            )
         return found
 
     @cached_property
     def places(self) -> dict[str, tuple[Path, int]]:
         """Chunk and index in it of every scene, by key."""
-        return {str(_read_chunk(chunk)[place].get("key")): (chunk, place) for chunk, place in self.scenes}
+        return {
+            str(_read_chunk(chunk)[place].get("key")): (chunk, place)
+            for chunk, place in self.scenes
+        }
 
     def photos(self, key: str, indices: Sequence[int]) -> list[Photo]:
-        """Return frames of one scene, which an evaluation index file names. Raises InputError for what is not there."""
+        """Return frames of one scene, which an evaluation index file names. Raises InputError for
+        what is not there.
+        """
         if key not in self.places:
             raise InputError(f"{self.settings.root}: no chunk has the scene {key!r}.")
         chunk, place = self.places[key]
         cameras, files, _ = _checked(_read_chunk(chunk)[place])
         if max(indices) >= len(files):
-            raise InputError(f"scene {key}: frame {max(indices)} is asked for, it has {len(files)}.")
-        squares = [_square(files[index], cameras[index], self.settings.image_size, key) for index in indices]
+            raise InputError(
+                f"scene {key}: frame {max(indices)} is asked for, it has {len(files)}."
+            )
+        squares = [
+            _square(files[index], cameras[index], self.settings.image_size, key)
+            for index in indices
+        ]
         poses = _c2w(cameras[list(indices)]).numpy()
-        return [Photo(i.permute(1, 2, 0).numpy(), k.double().numpy(), c2w) for (i, k), c2w in zip(squares, poses)]
+        return [
+            Photo(i.permute(1, 2, 0).numpy(), k.double().numpy(), c2w)
+            for (i, k), c2w in zip(squares, poses)
+        ]
 
     def _label(self, scene: tuple[Path, int]) -> str:
         return f"{scene[0].name}[{scene[1]}]"
 
-    def _draw(self, scene: tuple[Path, int], rng: np.random.Generator, gap: tuple[int, int]) -> DrawnPhotos:
+    def _draw(
+        self, scene: tuple[Path, int], rng: np.random.Generator, gap: tuple[int, int]
+    ) -> DrawnPhotos:
         chosen = self.settings
         cameras, files, key = _checked(_read_chunk(scene[0])[scene[1]])
         views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, gap)
         if views is None:
-            raise InputError(f"scene {key} has {len(files)} frames, too few for {chosen.context} context views.")
-        images, intrinsics = zip(*(_square(files[view], cameras[view], chosen.image_size, key) for view in views))
-        return DrawnPhotos(key, torch.stack(images), _c2w(cameras[views]), torch.stack(intrinsics))
+            raise InputError(
+                f"scene {key} has {len(files)} frames, too few for {chosen.context} context views."
+            )
+        images, intrinsics = zip(
+            *(
+                _square(files[view], cameras[view], chosen.image_size, key)
+                for view in views
+            )
+        )
+        return DrawnPhotos(
+            key, torch.stack(images), _c2w(cameras[views]), torch.stack(intrinsics)
+        )
 
 
 @lru_cache(maxsize=2)
@@ -81,13 +113,19 @@ def _read_chunk(path: Path) -> list:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise InputError(f"{path}: not a readable chunk ({str(error).splitlines()[0]}).") from None
+        raise InputError(
+            f"{path}: not a readable chunk ({str(error).splitlines()[0]})."
+        ) from None
     if not isinstance(content, list):
-        raise InputError(f"{path}: expected a list of scenes, got {type(content).__name__}.")
+        raise InputError(
+            f"{path}: expected a list of scenes, got {type(content).__name__}."
+        )
     return content
 
 
-def _checked(scene: dict) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor, " byte"]], str]:
+def _checked(
+    scene: dict,
+) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor, " byte"]], str]:
     """Cameras, JPEG files and key; InputError when they are not what the layout promises."""
     missing = [name for name in ("key", "cameras", "images") if name not in scene]
     if missing:
@@ -95,7 +133,8 @@ def _checked(scene: dict) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor,
     cameras, files, key = scene["cameras"], scene["images"], str(scene["key"])
     if cameras.ndim != 2 or cameras.shape[1] != 18 or len(files) != len(cameras):
         raise InputError(
-            f"scene {key}: expected cameras [n, 18] for its {len(files)} images, got {list(cameras.shape)}."
+            f"scene {key}: expected cameras [n, 18] for its {len(files)} images, got "
+            f"{list(cameras.shape)}."
         )
     if not cameras.isfinite().all():
         raise InputError(f"scene {key}: its cameras are not finite.")
@@ -114,10 +153,21 @@ def _square(
 ) -> tuple[Float[Tensor, "3 size size"], Float[Tensor, "3 3"]]:
     """The centred square of one frame in [0, 1], and its normalised intrinsics."""
     try:
-        image = Image.open(io.BytesIO(file.numpy().tobytes()), formats=FORMATS).convert("RGB")
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
+        image = Image.open(io.BytesIO(file.numpy().tobytes()), formats=FORMATS).convert(
+            "RGB"
+        )
+    except (
+        UnidentifiedImageError,
+        OSError,
+        ValueError,
+        Image.DecompressionBombError,
+    ) as error:
         raise InputError(f"scene {key}: a frame is no image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
-    intrinsics = frame.follow(torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)).float()
-    return torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255).permute(2, 0, 1), intrinsics
+    intrinsics = frame.follow(
+        torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    ).float()
+    return torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255).permute(
+        2, 0, 1
+    ), intrinsics

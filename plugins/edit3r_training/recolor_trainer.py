@@ -1,9 +1,12 @@
-"""Trainer `recolor`: the reference view recoloured, the others as they were, and the truth recoloured everywhere.
+"""Trainer `recolor`: the reference view recoloured, the others as they were, and the truth
+recoloured everywhere.
 
-A step draws a batch, edits it (`asymmetric_inputs`), simulates what a matcher would say of it (`simulated_matching`),
-reconstructs, and compares: pixel by pixel at every step (`pixel_losses`), rendered at every `render_every`-th.
+A step draws a batch, edits it (`asymmetric_inputs`), simulates what a matcher would say of it
+(`simulated_matching`), reconstructs, and compares: pixel by pixel at every step (`pixel_losses`),
+rendered at every `render_every`-th.
 
-With nothing edited, novel views alone rendered and `unit: baseline` it is the first stage too, NoPoSplat's training.
+With nothing edited, novel views alone rendered and `unit: baseline` it is the first stage too,
+NoPoSplat's training.
 """
 
 import copy
@@ -19,45 +22,94 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.interfaces import (
+    LossInputs,
+    Reconstructor,
+    SceneSample,
+    Trainer,
+    TrainingJob,
+)
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.errors import SettingsError
-from edit3r.interfaces import LossInputs, Reconstructor, SceneSample, Trainer, TrainingJob
-from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
-from edit3r.training.processes import Processes
-from edit3r.training.schedule import batch_indices, step_generator
-from edit3r.types import Cameras, Gaussians, Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
-from edit3r_training.pixel_losses import colour_error, depth_error, opacity_error, pixel_maps
-from edit3r_training.simulated_matching import SimulatedMatch, really_match, simulate_match
+from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
+from edit3r_training.pixel_losses import (
+    colour_error,
+    depth_error,
+    opacity_error,
+    pixel_maps,
+)
+from edit3r_training.processes import Processes
+from edit3r_training.schedule import batch_indices, step_generator
+from edit3r_training.simulated_matching import (
+    SimulatedMatch,
+    really_match,
+    simulate_match,
+)
 from edit3r_training.validation import held_out_batches, held_out_measures, reconstruct
 
 
 class RecolorTrainer(Trainer):
-    """The paper's training, for any reconstructor with a network that gives every pixel its own Gaussian."""
+    """The paper's training, for any reconstructor with a network that gives every pixel its own
+    Gaussian.
+    """
 
     class Settings(LoopSettings):
         batch: int = Field(8, ge=1, le=256, description="scenes a step and process")
-        regimes: RegimeShares = Field(RegimeShares(), description="what is edited, how often")
-        colour: float = Field(1.0, ge=0, description="weight of the pixel-by-pixel colour error")
-        depth: float = Field(1.0, ge=0, description="weight of the pixel-by-pixel depth error")
-        opacity: float = Field(0.1, ge=0, description="weight of the pixel-by-pixel opacity error")
-        render_every: int = Field(1, ge=0, description="every n-th step also renders, for the job's losses; 0: never")
-        render_context: bool = Field(True, description="also render the input views; false: novel views alone")
-        drop_first: float = Field(0.5, ge=0, le=1, description="how often the reference's Gaussians are left out")
+        regimes: RegimeShares = Field(
+            RegimeShares(), description="what is edited, how often"
+        )
+        colour: float = Field(
+            1.0, ge=0, description="weight of the pixel-by-pixel colour error"
+        )
+        depth: float = Field(
+            1.0, ge=0, description="weight of the pixel-by-pixel depth error"
+        )
+        opacity: float = Field(
+            0.1, ge=0, description="weight of the pixel-by-pixel opacity error"
+        )
+        render_every: int = Field(
+            1,
+            ge=0,
+            description="every n-th step also renders, for the job's losses; 0: never",
+        )
+        render_context: bool = Field(
+            True, description="also render the input views; false: novel views alone"
+        )
+        drop_first: float = Field(
+            0.5,
+            ge=0,
+            le=1,
+            description="how often the reference's Gaussians are left out",
+        )
         unit: Unit = Field(
             "matcher",
-            description="unit of length: any, as in a simulated matching; baseline: first to last input camera, which "
+            description="unit of length: any, as in a simulated matching; baseline: first to "
+            "last input camera, which "
             "a network that sees images alone can tell",
         )
-        matched: float = Field(0.0, ge=0, le=1, description="share of the geometry that is matched, not simulated")
+        matched: float = Field(
+            0.0,
+            ge=0,
+            le=1,
+            description="share of the geometry that is matched, not simulated",
+        )
         precision: Literal["float32", "bfloat16"] = Field(
-            "float32", description="of the network's products; weights, renderings and losses stay float32"
+            "float32",
+            description="of the network's products; weights, renderings and losses stay float32",
         )
         workers: int = Field(
-            0, ge=0, le=64, description="threads that load the next batch's samples meanwhile; 0: when they are needed"
+            0,
+            ge=0,
+            le=64,
+            description="threads that load the next batch's samples meanwhile; 0: when they are "
+            "needed",
         )
         score: Literal["pixels", "renderings"] = Field(
-            "pixels", description="what makes the best weights: errors pixel by pixel, or of rendered novel views"
+            "pixels",
+            description="what makes the best weights: errors pixel by pixel, or of rendered "
+            "novel views",
         )
 
     def train(self, job: TrainingJob) -> Path:
@@ -70,13 +122,21 @@ class RecolorRecipe(Recipe):
 
     def __init__(self, settings: RecolorTrainer.Settings, job: TrainingJob) -> None:
         if job.reconstructor.network is None:
-            raise SettingsError("training.reconstructor: it has no network, so there is nothing to train.")
+            raise SettingsError(
+                "training.reconstructor: it has no network, so there is nothing to train."
+            )
         super().__init__(job.reconstructor.network)
         self.settings, self.job = settings, job
         self._reference = GeometricReference()
-        self._matches: dict[str, SimulatedMatch | None] = {}  # by sample, where really matched
-        self._loader = ThreadPoolExecutor(settings.workers) if settings.workers else None
-        self._ahead: dict[int, list[Future[SceneSample]]] = {}  # samples being loaded, by step
+        self._matches: dict[
+            str, SimulatedMatch | None
+        ] = {}  # by sample, where really matched
+        self._loader = (
+            ThreadPoolExecutor(settings.workers) if settings.workers else None
+        )
+        self._ahead: dict[
+            int, list[Future[SceneSample]]
+        ] = {}  # samples being loaded, by step
 
     def begin(self) -> None:
         """Freeze the geometric reference while the network has its start weights."""
@@ -89,34 +149,60 @@ class RecolorRecipe(Recipe):
 
     def validate(self, step: int, processes: Processes) -> dict[str, float]:
         """Measures of the held-out scenes, and a sheet of images of the first ones."""
-        sheet = self.job.out / "sheets" / f"{step:07d}.png" if processes.writes else None
+        sheet = (
+            self.job.out / "sheets" / f"{step:07d}.png" if processes.writes else None
+        )
         chosen = self.settings
-        batches = held_out_batches(self.job.validation_data, chosen.regimes, chosen.batch, chosen.unit, self._match)
-        return held_out_measures(self.job, processes, batches, chosen.score == "renderings", sheet)
+        batches = held_out_batches(
+            self.job.validation_data,
+            chosen.regimes,
+            chosen.batch,
+            chosen.unit,
+            self._match,
+        )
+        return held_out_measures(
+            self.job, processes, batches, chosen.score == "renderings", sheet
+        )
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
-        """This process's share of the step's scenes; sample and random numbers do not depend on who draws them."""
+        """This process's share of the step's scenes; sample and random numbers do not depend on who
+        draws them.
+        """
         size, seed = self.settings.batch, self.settings.seed
-        generators = [step_generator(seed, step, processes.rank * size + slot) for slot in range(size)]
+        generators = [
+            step_generator(seed, step, processes.rank * size + slot)
+            for slot in range(size)
+        ]
         samples = self._samples(step, processes)
-        return make_batch(samples, self.settings.regimes, generators, self.settings.unit, self._match).to(self.device)
+        return make_batch(
+            samples, self.settings.regimes, generators, self.settings.unit, self._match
+        ).to(self.device)
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
-        """What is said of a sample's geometry: now and then what the matcher itself says, where it places all views."""
+        """What is said of a sample's geometry: now and then what the matcher itself says, where it
+        places all views.
+        """
         # No draw where nothing is matched: recipes without it keep their random numbers.
         if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
         if sample.name not in self._matches:
-            self._matches[sample.name] = really_match(sample, self.job.reconstructor.matcher)
+            self._matches[sample.name] = really_match(
+                sample, self.job.reconstructor.matcher
+            )
         return self._matches[sample.name] or simulate_match(sample, rng)
 
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
         """The samples of a step; with workers, those of the next are begun."""
         if self._loader is None:
-            return [self._sample(index, step) for index in self._indices(step, processes)]
+            return [
+                self._sample(index, step) for index in self._indices(step, processes)
+            ]
         for wanted in (step, step + 1):
             if wanted not in self._ahead:
-                self._ahead[wanted] = [self._begun(index, wanted) for index in self._indices(wanted, processes)]
+                self._ahead[wanted] = [
+                    self._begun(index, wanted)
+                    for index in self._indices(wanted, processes)
+                ]
         return [future.result() for future in self._ahead.pop(step)]
 
     def _begun(self, index: int, step: int) -> "Future[SceneSample]":
@@ -125,23 +211,35 @@ class RecolorRecipe(Recipe):
 
     def _sample(self, index: int, step: int) -> SceneSample:
         """One sample, as hard as it should be at that step."""
-        return self.job.train_data.at_progress(index, step / (self.settings.steps * self.settings.accumulate))
+        return self.job.train_data.at_progress(
+            index, step / (self.settings.steps * self.settings.accumulate)
+        )
 
     def _indices(self, step: int, processes: Processes) -> list[int]:
         chosen, length = self.settings, len(self.job.train_data)
-        return batch_indices(step, chosen.batch, length, chosen.seed, processes.rank, processes.count)
+        return batch_indices(
+            step, chosen.batch, length, chosen.seed, processes.rank, processes.count
+        )
 
     def _terms(self, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""
         chosen = self.settings
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=chosen.precision == "bfloat16"):
+        with torch.autocast(
+            self.device.type, torch.bfloat16, enabled=chosen.precision == "bfloat16"
+        ):
             reconstruction = reconstruct(self.job, batch)
-        terms = self._pixel_terms(batch, reconstruction) if chosen.colour or chosen.depth or chosen.opacity else {}
+        terms = (
+            self._pixel_terms(batch, reconstruction)
+            if chosen.colour or chosen.depth or chosen.opacity
+            else {}
+        )
         if chosen.render_every and step % chosen.render_every == 0:
             terms |= self._rendered_terms(batch, reconstruction.gaussians, step)
         return terms
 
-    def _pixel_terms(self, batch: TrainingBatch, reconstruction: Reconstruction) -> dict[str, Tensor]:
+    def _pixel_terms(
+        self, batch: TrainingBatch, reconstruction: Reconstruction
+    ) -> dict[str, Tensor]:
         """The weighted errors of every pixel's own Gaussian."""
         chosen, terms = self.settings, {}
         maps = pixel_maps(reconstruction, batch.context_cameras)
@@ -153,22 +251,34 @@ class RecolorRecipe(Recipe):
             terms["opacity"] = chosen.opacity * opacity_error(maps, batch)
         return terms
 
-    def _rendered_terms(self, batch: TrainingBatch, gaussians: Gaussians, step: int) -> dict[str, Tensor]:
+    def _rendered_terms(
+        self, batch: TrainingBatch, gaussians: Gaussians, step: int
+    ) -> dict[str, Tensor]:
         """The job's losses of rendered views.
 
-        First-view drop (section 3.3): now and then without the reference's Gaussians, so that the others have to show
-        the edit; the reference's own view cannot be asked for then.
+        First-view drop (section 3.3): now and then without the reference's Gaussians, so that the
+        others have to show the edit; the reference's own view cannot be asked for then.
         """
-        dropped = step_generator(self.settings.seed, step, 1_000_000).random() < self.settings.drop_first
+        dropped = (
+            step_generator(self.settings.seed, step, 1_000_000).random()
+            < self.settings.drop_first
+        )
         shown = gaussians.without_view(0) if dropped else gaussians
         first = int(dropped) if self.settings.render_context else batch.source.count
         cameras, wished = _supervised_views(batch, first)
         rendered = self.job.rasterizer.render(shown, cameras).images
-        inputs = LossInputs(rendered, wished, gaussians, self._reference(batch, gaussians))
-        return {name: weight * loss(inputs) for name, (weight, loss) in self.job.losses.items()}
+        inputs = LossInputs(
+            rendered, wished, gaussians, self._reference(batch, gaussians)
+        )
+        return {
+            name: weight * loss(inputs)
+            for name, (weight, loss) in self.job.losses.items()
+        }
 
 
-def _supervised_views(batch: TrainingBatch, first: int) -> tuple[Cameras, Float[Tensor, "batch view 3 height width"]]:
+def _supervised_views(
+    batch: TrainingBatch, first: int
+) -> tuple[Cameras, Float[Tensor, "batch view 3 height width"]]:
     """Cameras and wished images of the context views from `first` on and of the target views."""
     context, target = batch.context_cameras, batch.target_cameras
     cameras = Cameras(
@@ -180,10 +290,11 @@ def _supervised_views(batch: TrainingBatch, first: int) -> tuple[Cameras, Float[
 
 
 class GeometricReference:
-    """What the 3D losses hold the edited Gaussians to (section 3.3): G_ref, the geometry of the unedited photos.
+    """What the 3D losses hold the edited Gaussians to (section 3.3): G_ref, the geometry of the
+    unedited photos.
 
-    It is what a frozen model makes of the photos: the job's reference, else the network as it is at the start. Without
-    a reference it is the true surface where the data has depths.
+    It is what a frozen model makes of the photos: the job's reference, else the network as it is at
+    the start. Without a reference it is the true surface where the data has depths.
     """
 
     def __init__(self, frozen: Reconstructor | None = None) -> None:
@@ -191,9 +302,13 @@ class GeometricReference:
 
     @staticmethod
     def of_start(job: TrainingJob) -> "GeometricReference":
-        """Freeze the job's reference, or a copy of its network where a loss may ask for it and there are no depths."""
+        """Freeze the job's reference, or a copy of its network where a loss may ask for it and
+        there are no depths.
+        """
         frozen = job.reference
-        if frozen is None and (not job.losses or job.train_data[0].context_depths is not None):
+        if frozen is None and (
+            not job.losses or job.train_data[0].context_depths is not None
+        ):
             return GeometricReference()
         if frozen is None:
             frozen = copy.deepcopy(job.reconstructor)
@@ -206,7 +321,11 @@ class GeometricReference:
     def __call__(self, batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
         """Reference Gaussians, one for each predicted; None when there are none."""
         frozen = self.frozen
-        centres = batch.true_centres() if frozen is None else frozen(batch.source, batch.source).gaussians.means
+        centres = (
+            batch.true_centres()
+            if frozen is None
+            else frozen(batch.source, batch.source).gaussians.means
+        )
         if centres is None or centres.shape != gaussians.means.shape:
             return None
         return replace(gaussians, means=centres)

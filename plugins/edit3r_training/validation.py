@@ -9,15 +9,21 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
+from edit3r.contract.interfaces import Dataset, TrainingJob
+from edit3r.contract.types import Reconstruction
 from edit3r.errors import MatchingError, SettingsError
-from edit3r.interfaces import Dataset, TrainingJob
 from edit3r.io.images import save_image
-from edit3r.training.processes import Processes
-from edit3r.training.schedule import step_generator
-from edit3r.types import Reconstruction
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
-from edit3r_training.pixel_losses import PixelMaps, colour_error, depth_error, edit_measures, pixel_maps
+from edit3r_training.pixel_losses import (
+    PixelMaps,
+    colour_error,
+    depth_error,
+    edit_measures,
+    pixel_maps,
+)
+from edit3r_training.processes import Processes
+from edit3r_training.schedule import step_generator
 from edit3r_training.simulated_matching import simulate_match
 
 MOST_SCENES = 64
@@ -25,7 +31,9 @@ SEED = 987_654_321
 
 
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
-    """With the batch's simulated matching where the reconstructor takes geometry, else from the images alone."""
+    """With the batch's simulated matching where the reconstructor takes geometry, else from the
+    images alone.
+    """
     reconstructor = job.reconstructor
     if batch.geometry is not None and reconstructor.takes_geometry:
         return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
@@ -34,28 +42,42 @@ def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
 
 @torch.no_grad()
 def held_out_measures(
-    job: TrainingJob, processes: Processes, batches: Sequence[TrainingBatch], rendered: bool, sheet: Path | None
+    job: TrainingJob,
+    processes: Processes,
+    batches: Sequence[TrainingBatch],
+    rendered: bool,
+    sheet: Path | None,
 ) -> dict[str, float]:
-    """Measure the network on held-out scenes, each process on its share of them; empty when none could be matched.
+    """Measure the network on held-out scenes, each process on its share of them; empty when none
+    could be matched.
 
     `rendered` makes the error of rendered novel views the score, instead of errors pixel by pixel.
     `sheet` is where to write images of the first scenes; None on processes that do not write.
     """
     device = next(job.reconstructor.network.parameters()).device
-    made = _reconstructions(job, [batch.to(device) for batch in batches[processes.rank :: processes.count]])
-    maps = [(pixel_maps(reconstruction, batch.context_cameras), batch) for reconstruction, batch in made]
+    made = _reconstructions(
+        job, [batch.to(device) for batch in batches[processes.rank :: processes.count]]
+    )
+    maps = [
+        (pixel_maps(reconstruction, batch.context_cameras), batch)
+        for reconstruction, batch in made
+    ]
     rows = [_measured(m, b) for m, b in maps]
     if rendered:
         rows = [row | _novel(job, *one) for row, one in zip(rows, made)]
     values = processes.means(rows)
     if not values:
-        reporting.warn("none of the held-out scenes could be matched; the best weights are the first ones.")
+        reporting.warn(
+            "none of the held-out scenes could be matched; the best weights are the first ones."
+        )
     if sheet is not None and maps:
         _save_sheet(sheet, *maps[0])
     return values
 
 
-def _reconstructions(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list[tuple[Reconstruction, TrainingBatch]]:
+def _reconstructions(
+    job: TrainingJob, batches: Sequence[TrainingBatch]
+) -> list[tuple[Reconstruction, TrainingBatch]]:
     """What the network makes of each batch; those that cannot be matched are left out."""
     found = []
     for batch in batches:
@@ -64,17 +86,27 @@ def _reconstructions(job: TrainingJob, batches: Sequence[TrainingBatch]) -> list
     return found
 
 
-def _novel(job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatch) -> dict[str, float]:
+def _novel(
+    job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatch
+) -> dict[str, float]:
     """Mean squared error of the rendered target views, which is the score too."""
     if batch.target_cameras.count == 0:
-        raise SettingsError("trainer.score: renderings need held-out scenes with novel views; give them targets.")
-    rendered = job.rasterizer.render(reconstruction.gaussians, batch.target_cameras).images
+        raise SettingsError(
+            "trainer.score: renderings need held-out scenes with novel views; give them targets."
+        )
+    rendered = job.rasterizer.render(
+        reconstruction.gaussians, batch.target_cameras
+    ).images
     error = float((rendered - batch.target).square().mean())
     return {"novel": error, "score": error}
 
 
 def held_out_batches(
-    data: Dataset, shares: RegimeShares, batch_size: int, unit: Unit, match: Match = simulate_match
+    data: Dataset,
+    shares: RegimeShares,
+    batch_size: int,
+    unit: Unit,
+    match: Match = simulate_match,
 ) -> list[TrainingBatch]:
     """Return the first scenes, with the same edits and errors every time."""
     size = min(batch_size, len(data))
@@ -89,12 +121,17 @@ def held_out_batches(
 def _measured(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
     """All measures of one batch; `score` decides about the best weights."""
     colour = float(colour_error(maps, batch))
-    score = colour + (float(depth_error(maps, batch)) if batch.depths is not None else 0.0)
+    score = colour + (
+        float(depth_error(maps, batch)) if batch.depths is not None else 0.0
+    )
     return {"colour": colour, **edit_measures(maps, batch), "score": score}
 
 
-def _save_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6) -> None:
-    """Write a row a scene: reference and its edit; the last view, its own edit, the truth and the predicted colours.
+def _save_sheet(
+    path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6
+) -> None:
+    """Write a row a scene: reference and its edit; the last view, its own edit, the truth and the
+    predicted colours.
 
     Where the data has depths, the last view's inverse depth follows: true, matched and predicted.
     """
@@ -111,7 +148,9 @@ def _save_sheet(path: Path, maps: PixelMaps, batch: TrainingBatch, rows: int = 6
         ]
         if batch.depths is not None and batch.geometry is not None:
             shown = (batch.depths, batch.geometry.depths, maps.depths)
-            images += [_inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown]
+            images += [
+                _inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown
+            ]
         lines.append(torch.cat(images, -1))
     path.parent.mkdir(parents=True, exist_ok=True)
     save_image(torch.cat(lines, -2).nan_to_num(), path)

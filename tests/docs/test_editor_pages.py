@@ -1,4 +1,6 @@
-"""The pages on editors say what is true: the example runs, every named setting exists, every editor has its page."""
+"""The pages on editors say what is true: the example runs, every named setting exists, every editor
+has its page.
+"""
 
 import re
 from pathlib import Path
@@ -7,13 +9,19 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.plugins import load_plugins
-from edit3r.registry import Registry, default_registry
-from edit3r.types import EditRequest, Views
+from edit3r.contract.types import EditRequest, Views
+from edit3r.plugins.load import load_plugins
+from edit3r.plugins.registry import Registry, default_registry
 
 PAGES = Path(__file__).parents[2] / "docs" / "editors"
 PLUGINS = ("diffusers", "remote")
-SHARED = ("diffusers", "flux-kontext", "flux2-klein", "longcat-image-edit", "qwen-image-edit")
+SHARED = (
+    "diffusers",
+    "flux-kontext",
+    "flux2-klein",
+    "longcat-image-edit",
+    "qwen-image-edit",
+)
 """Editors that are one class with other weights, on one page."""
 
 
@@ -26,7 +34,9 @@ def lamp(tmp_path):
     text = (PAGES / "write-an-editor.md").read_text()
     source = re.search(r'```python title="lamp.py"\n(.*?)```', text, re.DOTALL).group(1)
     (tmp_path / "lamp.py").write_text(source)
-    return source, Registry(load_plugins([tmp_path / "lamp.py"])).build("editor", "lamp", power=0.9)
+    return source, Registry(load_plugins([tmp_path / "lamp.py"])).build(
+        "editor", "lamp", power=0.9
+    )
 
 
 def test_the_thirty_line_editor_has_about_thirty_lines_and_keeps_its_contract(lamp):
@@ -34,7 +44,9 @@ def test_the_thirty_line_editor_has_about_thirty_lines_and_keeps_its_contract(la
     assert len([line for line in source.splitlines() if line.strip()]) <= 30
     views = Views(torch.rand(1, 2, 3, 20, 30), torch.eye(3).expand(1, 2, 3, 3))
     edited = editor.edit(views, EditRequest("", seed=3)).images
-    assert edited.shape == views.images.shape and edited.min() >= 0 and edited.max() <= 1
+    assert (
+        edited.shape == views.images.shape and edited.min() >= 0 and edited.max() <= 1
+    )
     assert torch.equal(editor.edit(views, EditRequest("", seed=3)).images, edited)
     assert not torch.equal(editor.edit(views, EditRequest("", seed=4)).images, edited)
 
@@ -44,7 +56,10 @@ def test_every_editor_with_weights_or_a_key_has_a_page_in_the_table():
     for offer in edit3r.components("editor"):
         if offer.plugin in PLUGINS:
             page = f"{page_of(offer.component.name)}.md"
-            assert offer.component.name in (PAGES / page).read_text() and f"({page})" in table
+            assert (
+                offer.component.name in (PAGES / page).read_text()
+                and f"({page})" in table
+            )
 
 
 @pytest.mark.parametrize(

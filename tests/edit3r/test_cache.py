@@ -1,4 +1,6 @@
-"""Answers are kept by what they were made from, come back equal, and are computed again when anything differs."""
+"""Answers are kept by what they were made from, come back equal, and are computed again when
+anything differs.
+"""
 
 import pytest
 import torch
@@ -8,9 +10,9 @@ from safetensors.torch import save
 import edit3r
 from edit3r import Settings
 from edit3r.cache import Cache, fingerprint, identity, remembered, using
+from edit3r.contract.interfaces import MatchedGeometry, Proposal, Tracks
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError
-from edit3r.interfaces import MatchedGeometry, Proposal, Tracks
-from edit3r.types import Cameras, Gaussians, Reconstruction, Views
 
 
 class Doubling:
@@ -30,7 +32,10 @@ class Doubling:
 
 def test_without_a_cache_nothing_is_remembered():
     doubling = Doubling()
-    assert torch.equal(doubling.answer(torch.ones(2)), doubling.answer(torch.ones(2))) and doubling.calls == 2
+    assert (
+        torch.equal(doubling.answer(torch.ones(2)), doubling.answer(torch.ones(2)))
+        and doubling.calls == 2
+    )
 
 
 def test_the_same_question_is_answered_once_and_the_answer_may_be_written_into():
@@ -40,7 +45,9 @@ def test_the_same_question_is_answered_once_and_the_answer_may_be_written_into()
         assert doubling.answer(torch.ones(2)).tolist() == [2, 2] and doubling.calls == 1
 
 
-@pytest.mark.parametrize("question", [(torch.ones(3),), (torch.ones(2).double(),), (torch.ones(2), "y")])
+@pytest.mark.parametrize(
+    "question", [(torch.ones(3),), (torch.ones(2).double(),), (torch.ones(2), "y")]
+)
 def test_another_question_is_computed(question):
     doubling = Doubling()
     with using(Cache()):
@@ -50,7 +57,11 @@ def test_another_question_is_computed(question):
 
 
 def test_other_settings_are_another_component():
-    assert identity(Doubling()) != identity(Doubling(factor=3.0)) == identity(Doubling(factor=3.0))
+    assert (
+        identity(Doubling())
+        != identity(Doubling(factor=3.0))
+        == identity(Doubling(factor=3.0))
+    )
 
 
 def test_trained_weights_are_another_component():
@@ -68,27 +79,41 @@ def test_fetched_weights_make_another_component(tmp_path, monkeypatch):
     without = identity(component)
     assert identity(component) == without
     (tmp_path / "u2netp").mkdir()
-    (tmp_path / "u2netp" / component.offer.component.weights[0].files[0][0].rpartition("/")[2]).write_bytes(b"")
+    (
+        tmp_path
+        / "u2netp"
+        / component.offer.component.weights[0].files[0][0].rpartition("/")[2]
+    ).write_bytes(b"")
     assert identity(component) != without
 
 
 def test_names_of_views_change_no_fingerprint_and_pixels_do():
     images, lens = torch.rand(1, 2, 3, 4, 4), torch.eye(3).expand(1, 2, 3, 3)
-    assert fingerprint(Views(images, lens, ("a", "b"))) == fingerprint(Views(images, lens))
+    assert fingerprint(Views(images, lens, ("a", "b"))) == fingerprint(
+        Views(images, lens)
+    )
     assert fingerprint(Views(images, lens)) != fingerprint(Views(images + 1e-7, lens))
 
 
 MAPS = torch.rand(1, 2, 3, 3)
 GAUSSIANS = Gaussians(
-    torch.rand(1, 5, 3), torch.rand(1, 5, 3), torch.rand(1, 5, 4), torch.rand(1, 5), torch.rand(1, 5, 1, 3)
+    torch.rand(1, 5, 3),
+    torch.rand(1, 5, 3),
+    torch.rand(1, 5, 4),
+    torch.rand(1, 5),
+    torch.rand(1, 5, 1, 3),
 )
 ANSWERS = {
-    "geometry": MatchedGeometry(torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0),
+    "geometry": MatchedGeometry(
+        torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0
+    ),
     "proposals": (Proposal(torch.rand(3, 3), 0.5, 0.25, 1.0, (0.0, 1.0, 2.0, 3.0)),),
     "no proposals": (),
     "cannot read": None,
     "tracks": Tracks(torch.rand(2, 1, 3, 3), torch.ones(2, 1) > 0),
-    "scene": Reconstruction(GAUSSIANS, Cameras(torch.rand(1, 2, 4, 4), torch.rand(1, 2, 3, 3), (3, 4))),
+    "scene": Reconstruction(
+        GAUSSIANS, Cameras(torch.rand(1, 2, 4, 4), torch.rand(1, 2, 3, 3), (3, 4))
+    ),
 }
 
 
@@ -111,18 +136,26 @@ def test_only_what_was_asked_for_is_written_again(tmp_path):
     second = Cache(tmp_path / "one")
     second.recall("stage", "a", lambda: pytest.fail("computed again"))
     second.save(tmp_path / "two")
-    assert [file.name for file in (tmp_path / "two").iterdir()] == ["stage-a.safetensors"]
+    assert [file.name for file in (tmp_path / "two").iterdir()] == [
+        "stage-a.safetensors"
+    ]
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing", b"\xff" * 100])
 def test_a_damaged_entry_is_one_sentence_that_names_the_file(content, tmp_path):
     (tmp_path / "stage-key.safetensors").write_bytes(content)
-    with pytest.raises(InputError, match=r"stage-key.safetensors: cannot be read .* delete it"):
+    with pytest.raises(
+        InputError, match=r"stage-key.safetensors: cannot be read .* delete it"
+    ):
         Cache(tmp_path).recall("stage", "key", lambda: None)
 
 
 def test_an_entry_that_names_another_class_is_refused(tmp_path):
-    tree = torch.tensor(list(b'{"class": "Popen", "fields": {"args": "true"}}'), dtype=torch.uint8)
-    (tmp_path / "stage-key.safetensors").write_bytes(save({"0": torch.ones(1), "tree": tree}))
+    tree = torch.tensor(
+        list(b'{"class": "Popen", "fields": {"args": "true"}}'), dtype=torch.uint8
+    )
+    (tmp_path / "stage-key.safetensors").write_bytes(
+        save({"0": torch.ones(1), "tree": tree})
+    )
     with pytest.raises(InputError, match="Popen"):
         Cache(tmp_path).recall("stage", "key", lambda: None)

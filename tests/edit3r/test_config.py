@@ -3,17 +3,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from edit3r.config import PartChoice, Settings, find_config, make_settings, merge, parse_assignments, read_yaml
+from edit3r.config import (
+    PartChoice,
+    Settings,
+    find_config,
+    make_settings,
+    merge,
+    parse_assignments,
+    read_yaml,
+)
 from edit3r.errors import InputError, SettingsError
 
 
 def test_assignments_nest_by_dots_and_values_are_yaml():
-    read = parse_assignments(["editor.strength=0.5", "editor.on=true", "a.b.c=[1, 2]", "name=plain text", "seed = 3"])
-    assert read == {"editor": {"strength": 0.5, "on": True}, "a": {"b": {"c": [1, 2]}}, "name": "plain text", "seed": 3}
+    read = parse_assignments(
+        [
+            "editor.strength=0.5",
+            "editor.on=true",
+            "a.b.c=[1, 2]",
+            "name=plain text",
+            "seed = 3",
+        ]
+    )
+    assert read == {
+        "editor": {"strength": 0.5, "on": True},
+        "a": {"b": {"c": [1, 2]}},
+        "name": "plain text",
+        "seed": 3,
+    }
 
 
 def test_text_that_is_no_yaml_stays_text():
-    assert parse_assignments(["editor.command=run: {in"]) == {"editor": {"command": "run: {in"}}
+    assert parse_assignments(["editor.command=run: {in"]) == {
+        "editor": {"command": "run: {in"}
+    }
 
 
 @pytest.mark.parametrize("wrong", ["editor.strength", "=3", "editor..x=1", ".a=1", ""])
@@ -55,21 +78,35 @@ def test_a_long_value_is_not_repeated_whole_in_the_error():
 
 
 def test_later_layers_replace_leaves_and_keep_the_rest():
-    assert merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 5}}) == {"a": {"x": 1, "y": 5}, "b": 3}
+    assert merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 5}}) == {
+        "a": {"x": 1, "y": 5},
+        "b": 3,
+    }
 
 
 def test_settings_after_a_name_keep_the_name():
-    assert parse_assignments(["editor=sepia", "editor.strength=1"]) == {"editor": {"name": "sepia", "strength": 1}}
+    assert parse_assignments(["editor=sepia", "editor.strength=1"]) == {
+        "editor": {"name": "sepia", "strength": 1}
+    }
 
 
 def test_a_name_after_settings_replaces_them_they_were_another_component_s():
-    assert parse_assignments(["editor.strength=1", "editor=sepia"]) == {"editor": "sepia"}
+    assert parse_assignments(["editor.strength=1", "editor=sepia"]) == {
+        "editor": "sepia"
+    }
 
 
-trees = st.recursive(st.integers(), lambda inner: st.dictionaries(st.sampled_from("abc"), inner), max_leaves=8)
+trees = st.recursive(
+    st.integers(),
+    lambda inner: st.dictionaries(st.sampled_from("abc"), inner),
+    max_leaves=8,
+)
 
 
-@given(st.dictionaries(st.sampled_from("abc"), trees), st.dictionaries(st.sampled_from("abc"), trees))
+@given(
+    st.dictionaries(st.sampled_from("abc"), trees),
+    st.dictionaries(st.sampled_from("abc"), trees),
+)
 def test_merging_changes_neither_input_and_is_idempotent(base, over):
     before = repr(base), repr(over)
     merged = merge(base, over)
@@ -89,7 +126,9 @@ def test_a_part_may_be_given_by_name(given):
 
 
 def test_a_part_s_settings_stand_beside_its_name():
-    assert PartChoice.model_validate({"name": "vit", "width": 8}).settings == {"width": 8}
+    assert PartChoice.model_validate({"name": "vit", "width": 8}).settings == {
+        "width": 8
+    }
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,15 @@ import sys
 
 import pytest
 
-from edit3r.reporting import Report, collecting, note, peak_memory_mb, progress, track, warn
+from edit3r.reporting import (
+    Report,
+    collecting,
+    note,
+    peak_memory_mb,
+    progress,
+    track,
+    warn,
+)
 
 
 def test_calls_outside_a_run_do_nothing():
@@ -28,7 +36,9 @@ def test_progress_is_told_as_it_happens():
         for _ in track("ab", "letters"):
             pass
         progress("more", 1, 2)
-    assert events == [("progress", "letters", n, 2) for n in range(3)] + [("progress", "more", 1, 2)]
+    assert events == [("progress", "letters", n, 2) for n in range(3)] + [
+        ("progress", "more", 1, 2)
+    ]
 
 
 def test_a_stage_that_raises_is_not_recorded():
@@ -45,5 +55,7 @@ def test_peak_memory_is_this_process_own():
     ballast = bytearray(300 * 2**20)
     ballast[::4096] = b"x" * len(ballast[::4096])
     code = "from edit3r.reporting import peak_memory_mb; print(peak_memory_mb())"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert 5 < float(told) < 300 < peak_memory_mb()

@@ -21,14 +21,20 @@ def test_rows_come_back_in_order_and_are_made_once(path):
     told = []
     rows = run_resumable(JOBS, dict, path, on_done=told.append)
     assert rows["b"] == {"key": "b", "value": 2} and list(rows) == ["a", "b", "c"]
-    assert [(p.key, p.done, p.total) for p in told] == [("a", 1, 3), ("b", 2, 3), ("c", 3, 3)]
+    assert [(p.key, p.done, p.total) for p in told] == [
+        ("a", 1, 3),
+        ("b", 2, 3),
+        ("c", 3, 3),
+    ]
     assert told[-1].seconds_left == 0
     before = path.read_bytes()
     assert run_resumable(JOBS, lambda job: pytest.fail("done again"), path) == rows
     assert path.read_bytes() == before
 
 
-def test_an_interrupted_run_goes_on_and_leaves_the_file_of_a_straight_one(path, tmp_path):
+def test_an_interrupted_run_goes_on_and_leaves_the_file_of_a_straight_one(
+    path, tmp_path
+):
     def stops(job):
         if job["value"] == 2:
             raise KeyboardInterrupt
@@ -58,9 +64,14 @@ def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
         run_resumable(JOBS, dies_of_two, path, workers=Workers(2))
     for count in (1, 2):
         own = path.with_name(f"{count}.jsonl")
-        rows = run_resumable(JOBS, dies_of_two, own, workers=Workers(count, may_die=True))
+        rows = run_resumable(
+            JOBS, dies_of_two, own, workers=Workers(count, may_die=True)
+        )
         assert list(rows) == list("abc") and set(rows["b"]) == {"key", "failure"}
-        assert all("process" in rows[key] and rows[key]["process"] != os.getpid() for key in "ac")
+        assert all(
+            "process" in rows[key] and rows[key]["process"] != os.getpid()
+            for key in "ac"
+        )
 
 
 def test_rows_of_other_jobs_stay(path):
@@ -83,8 +94,14 @@ def test_no_job_starts_when_the_time_is_over(path):
 
 
 def test_numbers_that_json_lacks_are_null_at_once_and_when_read(path):
-    rows = run_resumable({"a": {"psnr": math.inf, "more": [math.nan, 1.5]}}, dict, path, key_name="id")
-    assert rows == {"a": {"id": "a", "psnr": None, "more": [None, 1.5]}} == read_rows(path, "id")
+    rows = run_resumable(
+        {"a": {"psnr": math.inf, "more": [math.nan, 1.5]}}, dict, path, key_name="id"
+    )
+    assert (
+        rows
+        == {"a": {"id": "a", "psnr": None, "more": [None, 1.5]}}
+        == read_rows(path, "id")
+    )
 
 
 def test_a_line_cut_at_any_byte_counts_as_never_written(path):

@@ -16,44 +16,86 @@ PACKAGES = {"edit3r-sepia": "sepia", "edit3r-program": "program", "edit3r-ffgs":
 
 
 def run(*command: str, site: Path | None = None) -> subprocess.CompletedProcess:
-    """A command in this Python, with `site` on its path as an installed package's folder would be."""
+    """A command in this Python, with `site` on its path as an installed package's folder would
+    be.
+    """
     paths = [str(site)] if site else []
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, env=environment, timeout=300)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")]),
+    }
+    done = subprocess.run(
+        [sys.executable, *command],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """A folder with the packages and their entry points, made by pip without touching this installation."""
-    pytest.importorskip("hatchling", reason="the packages build with hatchling, part of edit3r's test extra")
+    """A folder with the packages and their entry points, made by pip without touching this
+    installation.
+    """
+    pytest.importorskip(
+        "hatchling",
+        reason="the packages build with hatchling, part of edit3r's test extra",
+    )
     folder = tmp_path_factory.mktemp("site")
     sources = [str(EXAMPLES / package) for package in PACKAGES]
-    run("-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--target", str(folder), *sources)
+    run(
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--target",
+        str(folder),
+        *sources,
+    )
     return folder
 
 
 def test_every_example_package_is_tried_here():
-    assert {folder.parent.name for folder in EXAMPLES.glob("*/pyproject.toml")} == set(PACKAGES)
+    assert {folder.parent.name for folder in EXAMPLES.glob("*/pyproject.toml")} == set(
+        PACKAGES
+    )
 
 
 def test_the_installed_packages_are_listed_with_their_licences_and_weights(site):
     listed = run("-m", "edit3r.cli.main", "list-plugins", "--json", site=site).stdout
     assert all(f'"{component}"' in listed for component in PACKAGES.values())
-    weights = run("-m", "edit3r.cli.main", "weights", "list", "--json", site=site).stdout
+    weights = run(
+        "-m", "edit3r.cli.main", "weights", "list", "--json", site=site
+    ).stdout
     assert '"anysplat"' in weights and "CC BY-NC 4.0" in weights
 
 
 def test_edit3r_run_uses_the_installed_editor(site, tmp_path):
     run(
-        *("-m", "edit3r.cli.main", "run", "--editor", "sepia", "--recon", "classical", "--size", "96"),
+        *(
+            "-m",
+            "edit3r.cli.main",
+            "run",
+            "--editor",
+            "sepia",
+            "--recon",
+            "classical",
+            "--size",
+            "96",
+        ),
         *("--frames", "2", "--refine", "0", "--out", str(tmp_path / "out")),
         site=site,
     )
     edited = sorted((tmp_path / "out" / "edited").iterdir())
     assert len(edited) == 2
-    red, _, blue = np.asarray(Image.open(edited[0]).convert("RGB"), dtype=float).transpose(2, 0, 1)
+    red, _, blue = np.asarray(
+        Image.open(edited[0]).convert("RGB"), dtype=float
+    ).transpose(2, 0, 1)
     assert (red >= blue).mean() > 0.999  # PNG or JPEG, sepia has no blue
 
 
@@ -61,8 +103,25 @@ def test_edit3r_run_uses_a_program_as_its_reconstructor(site, tmp_path):
     tool = EXAMPLES / "edit3r-program" / "tests" / "tool.py"
     command = f"'{sys.executable}' '{tool}' {{photos}} {{result}}"
     run(
-        *("-m", "edit3r.cli.main", "run", "--recon", "program", "--set", f"reconstructor.command={command}"),
-        *("--size", "64", "--frames", "2", "--refine", "0", "--out", str(tmp_path / "out")),
+        *(
+            "-m",
+            "edit3r.cli.main",
+            "run",
+            "--recon",
+            "program",
+            "--set",
+            f"reconstructor.command={command}",
+        ),
+        *(
+            "--size",
+            "64",
+            "--frames",
+            "2",
+            "--refine",
+            "0",
+            "--out",
+            str(tmp_path / "out"),
+        ),
         site=site,
     )
     assert (tmp_path / "out" / "scene.ply").is_file()
@@ -72,4 +131,12 @@ def test_edit3r_run_uses_a_program_as_its_reconstructor(site, tmp_path):
 def test_its_own_tests_pass(site, package):
     if package == "edit3r-ffgs" and not importlib.util.find_spec("ffgs"):
         pytest.skip("needs ffgs, and torchvision for the torch that is installed")
-    run("-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLES / package / "tests"), site=site)
+    run(
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        str(EXAMPLES / package / "tests"),
+        site=site,
+    )

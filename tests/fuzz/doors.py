@@ -1,8 +1,10 @@
-"""Every door by which something from outside comes in: a whole thing to damage, the reader, and what it may give back.
+"""Every door by which something from outside comes in: a whole thing to damage, the reader, and
+what it may give back.
 
-A door is a function of a random generator, an empty folder and the shared `Originals`. It puts one damaged thing into
-the folder, reads it as the program does, and asserts that what was read is sound. Whatever is refused must be refused
-with an `Edit3rError`; it names the file, the setting or the thing in `names`.
+A door is a function of a random generator, an empty folder and the shared `Originals`. It puts one
+damaged thing into the folder, reads it as the program does, and asserts that what was read is
+sound. Whatever is refused must be refused with an `Edit3rError`; it names the file, the setting or
+the thing in `names`.
 """
 
 import asyncio
@@ -18,15 +20,21 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import torch
+from edit3r_training.checkpoint import TrainingState, copied_weights
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
 
 from edit3r.cache import Cache
 from edit3r.config import parse_assignments, read_yaml
-from edit3r.earlier_run import read_earlier_run
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io.atomic import atomic_folder
-from edit3r.io.cameras import posed_cameras, read_cameras, read_scene_cameras, write_cameras
+from edit3r.io.cameras import (
+    posed_cameras,
+    read_cameras,
+    read_scene_cameras,
+    write_cameras,
+)
 from edit3r.io.coverage import take_frames
 from edit3r.io.export import FORMATS, export_scene, load_scene
 from edit3r.io.images import load_photos, save_image, unique_names
@@ -34,11 +42,10 @@ from edit3r.io.masks import load_masks
 from edit3r.io.ply import load_ply, save_ply
 from edit3r.io.run_folder import recorded
 from edit3r.io.viewer import save_viewer
-from edit3r.registry import default_registry
-from edit3r.run_config import make_run_config
-from edit3r.training.checkpoint import TrainingState, copied_weights
-from edit3r.training.checkpoint import load_weights as load_trained
-from edit3r.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.io.weight_files import load_weights as load_trained
+from edit3r.pipeline.config import make_run_config
+from edit3r.pipeline.earlier import read_earlier_run
+from edit3r.plugins.registry import default_registry
 
 SIZE = (24, 32)
 
@@ -60,18 +67,30 @@ def make_originals(folder: Path) -> Originals:
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
     pixels = np.stack((8 * x, 8 * y, x + y), -1).astype(np.uint8)
     files = {}
-    for name, form in (("a.png", "PNG"), ("b.png", "PNG"), ("c.jpg", "JPEG"), ("d.webp", "WEBP"), ("e.tif", "TIFF")):
+    for name, form in (
+        ("a.png", "PNG"),
+        ("b.png", "PNG"),
+        ("c.jpg", "JPEG"),
+        ("d.webp", "WEBP"),
+        ("e.tif", "TIFF"),
+    ):
         buffer = io.BytesIO()
         exif = Image.Exif()
         exif[0x0112], exif[0x9209] = 6, 1
-        Image.fromarray(pixels[:, ::-1] if name == "b.png" else pixels).save(buffer, form, exif=exif.tobytes())
+        Image.fromarray(pixels[:, ::-1] if name == "b.png" else pixels).save(
+            buffer, form, exif=exif.tobytes()
+        )
         files[name] = buffer.getvalue()
     for name in ("a.png", "b.png"):
         Image.fromarray(pixels).save(folder / name)
     cameras, scene = _cameras(), _scene()
     save_ply(folder / "scene.ply", scene, comment_lines=["prompt: paint it red"])
     files["scene.ply"] = (folder / "scene.ply").read_bytes()
-    for form in ("spz", "sog", "splat", "compressed-ply") if importlib.util.find_spec("gaussforge") else ():
+    for form in (
+        ("spz", "sog", "splat", "compressed-ply")
+        if importlib.util.find_spec("gaussforge")
+        else ()
+    ):
         export_scene(folder / "exported", scene, form)
         files[f"export{FORMATS[form]}"] = (folder / "exported").read_bytes()
     files["clip.mp4"] = _video(folder / "clip.mp4")
@@ -79,13 +98,32 @@ def make_originals(folder: Path) -> Originals:
     write_cameras(folder / "cameras.json", posed_cameras(cameras, ["a.png", "b.png"]))
     trees = {"cameras": json.loads((folder / "cameras.json").read_text())}
     trees["transforms"] = {
-        **{"w": 32, "h": 24, "fl_x": 30.0, "fl_y": 30.0, "cx": 16.0, "cy": 12.0, "camera_model": "OPENCV", "k1": 0.01},
-        "frames": [{"file_path": f"{n}.png", "transform_matrix": np.eye(4).tolist()} for n in "ab"],
+        **{
+            "w": 32,
+            "h": 24,
+            "fl_x": 30.0,
+            "fl_y": 30.0,
+            "cx": 16.0,
+            "cy": 12.0,
+            "camera_model": "OPENCV",
+            "k1": 0.01,
+        },
+        "frames": [
+            {"file_path": f"{n}.png", "transform_matrix": np.eye(4).tolist()}
+            for n in "ab"
+        ],
     }
-    trees["run"] = _earlier_run(folder / "run", cameras, scene, load_photos([folder / "a.png", folder / "b.png"]))
+    trees["run"] = _earlier_run(
+        folder / "run",
+        cameras,
+        scene,
+        load_photos([folder / "a.png", folder / "b.png"]),
+    )
     files["cache"] = _cache_entry(folder / "cache")
     network, optimizer = _network()
-    TrainingState(network, optimizer, copied_weights(network), step=3).save(folder / "last.pt")
+    TrainingState(network, optimizer, copied_weights(network), step=3).save(
+        folder / "last.pt"
+    )
     files["last.pt"] = (folder / "last.pt").read_bytes()
     shutil.rmtree(folder / "cache")
     return Originals(folder, files, trees)
@@ -100,7 +138,12 @@ def pictures(rng, folder, given):
     file.write_bytes(mangled_bytes(rng, given.files[name]))
     loaded = load_photos([given.photos[1], file], size=32)
     images = loaded.views.images
-    assert images.shape[1] == 2 and torch.isfinite(images).all() and images.min() >= 0 and images.max() <= 1
+    assert (
+        images.shape[1] == 2
+        and torch.isfinite(images).all()
+        and images.min() >= 0
+        and images.max() <= 1
+    )
     assert torch.isfinite(loaded.views.intrinsics).all()
 
 
@@ -117,31 +160,74 @@ def cameras(rng, folder, given):
     for camera in read_cameras(file):
         assert camera.width >= 1 and camera.height >= 1 and Path(camera.file).name
         if camera.c2w is not None:
-            assert np.allclose(camera.c2w[:3, :3] @ camera.c2w[:3, :3].T, np.eye(3), atol=0.05)
-            assert np.linalg.det(camera.c2w[:3, :3]) > 0.5 and np.abs(camera.c2w).max() < 1e9
+            assert np.allclose(
+                camera.c2w[:3, :3] @ camera.c2w[:3, :3].T, np.eye(3), atol=0.05
+            )
+            assert (
+                np.linalg.det(camera.c2w[:3, :3]) > 0.5
+                and np.abs(camera.c2w).max() < 1e9
+            )
         if camera.K is not None:
             assert np.isfinite(camera.K).all() and np.linalg.det(camera.K) > 0
     for photo in given.photos:
         shutil.copy(photo, folder)
-    views = load_photos([folder / "a.png", folder / "b.png"], size=32, cameras=file).views
-    assert torch.isfinite(views.intrinsics).all() and (views.c2w is None or torch.isfinite(views.c2w).all())
+    views = load_photos(
+        [folder / "a.png", folder / "b.png"], size=32, cameras=file
+    ).views
+    assert torch.isfinite(views.intrinsics).all() and (
+        views.c2w is None or torch.isfinite(views.c2w).all()
+    )
     scene, _ = read_scene_cameras(file)
     save_viewer(folder / "viewer.html", _scene(), scene)
 
 
 def yaml_files(rng, folder, given):
     text = "prompt: paint it red\nseed: 3\neditor: {name: recolor, strength: 0.5}\nframes: 8\n"
-    (folder / "c.yaml").write_bytes(mangled_text(rng, text).encode(errors="surrogatepass"))
+    (folder / "c.yaml").write_bytes(
+        mangled_text(rng, text).encode(errors="surrogatepass")
+    )
     content = read_yaml(folder / "c.yaml")
     assert all(isinstance(key, str) for key in content)
     _built(make_run_config(content))
 
 
 def assignments(rng, folder, given):
-    key = rng.choice(("seed", "frames", "prompt", "editor", "editor.strength", "size", "fov", "refiners", "gaussians"))
-    key = rng.choice((key, key, f"{key}.{rng.choice(TEXTS)}", rng.choice(TEXTS), "reconstructor.matcher.kind"))
-    value = rng.choice((json.dumps(nasty(rng)), rng.choice(TEXTS), mangled_text(rng, "{name: recolor, strength: 1}")))
-    _built(make_run_config(parse_assignments([f"{key}={value}", rng.choice(("seed=3", "editor=recolor"))])))
+    key = rng.choice(
+        (
+            "seed",
+            "frames",
+            "prompt",
+            "editor",
+            "editor.strength",
+            "size",
+            "fov",
+            "refiners",
+            "gaussians",
+        )
+    )
+    key = rng.choice(
+        (
+            key,
+            key,
+            f"{key}.{rng.choice(TEXTS)}",
+            rng.choice(TEXTS),
+            "reconstructor.matcher.kind",
+        )
+    )
+    value = rng.choice(
+        (
+            json.dumps(nasty(rng)),
+            rng.choice(TEXTS),
+            mangled_text(rng, "{name: recolor, strength: 1}"),
+        )
+    )
+    _built(
+        make_run_config(
+            parse_assignments(
+                [f"{key}={value}", rng.choice(("seed=3", "editor=recolor"))]
+            )
+        )
+    )
 
 
 def checkpoints(rng, folder, given):
@@ -153,7 +239,9 @@ def checkpoints(rng, folder, given):
 
 
 def resume_states(rng, folder, given):
-    (folder / "match-0.safetensors").write_bytes(mangled_bytes(rng, given.files["cache"]))
+    (folder / "match-0.safetensors").write_bytes(
+        mangled_bytes(rng, given.files["cache"])
+    )
     answer = Cache(folder).recall("match", "0", lambda: None)
     assert answer is None or isinstance(answer, Views)
 
@@ -167,7 +255,9 @@ def weights(rng, folder, given):
     content = rng.choice((content, given.files["last.pt"]))
     file.write_bytes(mangled_bytes(rng, content) if rng.random() < 0.6 else content)
     if rng.random() < 0.5:
-        (folder / "config.json").write_bytes(json_bytes(rng, {"format": 1, "width": 8, "licence": "x"}))
+        (folder / "config.json").write_bytes(
+            json_bytes(rng, {"format": 1, "width": 8, "licence": "x"})
+        )
     if rng.random() < 0.3:
         content = save(torch.nn.Linear(3, 3).state_dict())
         file.write_bytes(mangled_bytes(rng, content) if rng.random() < 0.7 else content)
@@ -205,18 +295,37 @@ def exports(rng, folder, given):
 def run_folders(rng, folder, given):
     run = folder / "run"
     shutil.copytree(given.folder / "run", run)
-    damaged = rng.choice(("run.json", "run.json", "run.json", "cameras.json", "scene.ply", "inputs/a.png"))
+    damaged = rng.choice(
+        (
+            "run.json",
+            "run.json",
+            "run.json",
+            "cameras.json",
+            "scene.ply",
+            "inputs/a.png",
+        )
+    )
     content = (run / damaged).read_bytes()
     tree = json.loads(content) if damaged.endswith(".json") else None
-    (run / damaged).write_bytes(mangled_bytes(rng, content) if tree is None else json_bytes(rng, tree))
+    (run / damaged).write_bytes(
+        mangled_bytes(rng, content) if tree is None else json_bytes(rng, tree)
+    )
     earlier = read_earlier_run(run)
     _sound(earlier.scene.gaussians)
     for views in (earlier.photos, earlier.edited):
-        assert torch.isfinite(views.images).all() and torch.isfinite(views.intrinsics).all()
+        assert (
+            torch.isfinite(views.images).all()
+            and torch.isfinite(views.intrinsics).all()
+        )
         for name in views.names:
             assert (folder / "out" / f"{name}.png").resolve().parent == folder / "out"
-    assert len(set(earlier.photos.names)) == len(earlier.records) == earlier.photos.count
-    load_masks([given.photos[0]] * earlier.photos.count, SimpleNamespace(photos=earlier.records))
+    assert (
+        len(set(earlier.photos.names)) == len(earlier.records) == earlier.photos.count
+    )
+    load_masks(
+        [given.photos[0]] * earlier.photos.count,
+        SimpleNamespace(photos=earlier.records),
+    )
     make_run_config({"frames": earlier.frames, "reconstructor": earlier.reconstructor})
 
 
@@ -225,17 +334,40 @@ def manifests(rng, folder, given):
 
     hashes = {photo.name: edit3r_hash(photo) for photo in given.photos}
     frames = [{"file": name, "sha256": digest} for name, digest in hashes.items()]
-    item = {"id": "s-1", "scene": "s", "type": "Modify", "prompt": "paint it", "inputs": [0, 1], "masks": [], "seed": 3}
+    item = {
+        "id": "s-1",
+        "scene": "s",
+        "type": "Modify",
+        "prompt": "paint it",
+        "inputs": [0, 1],
+        "masks": [],
+        "seed": 3,
+    }
     tree = {
-        **{"format": "edit3r-bench", "version": 1, "name": "x", "image_size": 64, "items": [item]},
-        "scenes": [{"id": "s", "folder": str(given.folder), "cameras": "cameras.json", "frames": frames}],
+        **{
+            "format": "edit3r-bench",
+            "version": 1,
+            "name": "x",
+            "image_size": 64,
+            "items": [item],
+        },
+        "scenes": [
+            {
+                "id": "s",
+                "folder": str(given.folder),
+                "cameras": "cameras.json",
+                "frames": frames,
+            }
+        ],
     }
     (folder / "m.json").write_bytes(json_bytes(rng, tree))
     manifest = read_bench_manifest(folder / "m.json")
     for item in manifest.items:
         assert (folder / item.id).resolve().parent == folder
         loaded = load_item(manifest, item, folder, default_registry())
-        assert torch.isfinite(loaded.photos.images).all() and loaded.inputs == len(item.inputs)
+        assert torch.isfinite(loaded.photos.images).all() and loaded.inputs == len(
+            item.inputs
+        )
 
 
 def jobs_files(rng, folder, given):
@@ -250,11 +382,19 @@ def jobs_files(rng, folder, given):
         "point": ["1:3,4"],
         "editor": {"name": "none"},
     }
-    second = json_bytes(rng, job) if rng.random() < 0.8 else mangled_bytes(rng, json.dumps(job).encode())
-    (folder / "jobs.jsonl").write_bytes(json.dumps({**job, "id": "first"}).encode() + b"\n" + second)
+    second = (
+        json_bytes(rng, job)
+        if rng.random() < 0.8
+        else mangled_bytes(rng, json.dumps(job).encode())
+    )
+    (folder / "jobs.jsonl").write_bytes(
+        json.dumps({**job, "id": "first"}).encode() + b"\n" + second
+    )
     jobs = read_jobs(folder / "jobs.jsonl", {"size": 32}, default_registry())
     for name, job in jobs.items():
-        assert (folder / name).resolve().parent == folder and not (folder / name).exists()
+        assert (folder / name).resolve().parent == folder and not (
+            folder / name
+        ).exists()
         assert json.loads(json.dumps(job.record)) == job.record
         make_run_config(job.settings)
     assert len({name.casefold() for name in jobs}) == len(jobs)
@@ -273,30 +413,48 @@ def prompts(rng, folder, given):
     from edit3r_editors.looks import LOOKS, read_look
     from edit3r_recolor.prompt import parse_prompt
 
-    from edit3r.mask_from_prompt import things_in_prompt
+    from edit3r.selection.from_prompt import things_in_prompt
 
-    text = mangled_text(rng, "paint the bike light blue, make it much darker; all but the wall from grey to red")
+    text = mangled_text(
+        rng,
+        "paint the bike light blue, make it much darker; all but the wall from grey to red",
+    )
     text *= rng.choice((1, 1, 1, 40, 20_000))
     prompt = make_run_config({"prompt": text}).prompt
     save_ply(folder / "scene.ply", _scene(), comment_lines=[f"prompt: {prompt}"])
     _sound(load_ply(folder / "scene.ply"))
-    save_viewer(folder / "viewer.html", _scene(), _cameras(), title=prompt, names=[prompt, "b"])
+    save_viewer(
+        folder / "viewer.html", _scene(), _cameras(), title=prompt, names=[prompt, "b"]
+    )
     page = (folder / "viewer.html").read_text(encoding="utf-8")
-    meta = page.partition('<script id="meta" type="application/json">')[2].partition("</script>")[0]
+    meta = page.partition('<script id="meta" type="application/json">')[2].partition(
+        "</script>"
+    )[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
     things, all_but = things_in_prompt(prompt)
     assert all(things) and (things or not all_but)
     if rng.random() < 0.3:
         assert (
-            read_look(prompt + rng.choice((" marble", " gold and night", " as a pencil sketch")), masked=True) in LOOKS
+            read_look(
+                prompt
+                + rng.choice((" marble", " gold and night", " as a pencil sketch")),
+                masked=True,
+            )
+            in LOOKS
         )
     assert all(request.steps for request in parse_prompt(prompt))
 
 
 def names(rng, folder, given):
-    asked = [rng.choice((rng.choice(TEXTS), mangled_text(rng, "IMG_0001"))) for _ in range(rng.choice((1, 3, 8)))]
+    asked = [
+        rng.choice((rng.choice(TEXTS), mangled_text(rng, "IMG_0001")))
+        for _ in range(rng.choice((1, 3, 8)))
+    ]
     found = unique_names(asked)
-    assert len({name.casefold() for name in found}) == len(asked) and unique_names(found) == found
+    assert (
+        len({name.casefold() for name in found}) == len(asked)
+        and unique_names(found) == found
+    )
     for name in found:
         save_image(torch.rand(3, 2, 2), folder / f"{name}.png")
     assert len([path for path in folder.iterdir() if path.is_file()]) == len(asked)
@@ -307,12 +465,25 @@ def output_paths(rng, folder, given):
     (folder / "file").write_text("mine")
     (folder / "mine").mkdir()
     (folder / "mine" / "thesis.tex").write_text("mine")
-    place = rng.choice(("new", "file", "mine", "file/x", "mine/new", rng.choice(TEXTS).lstrip("/~").replace("..", "")))
+    place = rng.choice(
+        (
+            "new",
+            "file",
+            "mine",
+            "file/x",
+            "mine/new",
+            rng.choice(TEXTS).lstrip("/~").replace("..", ""),
+        )
+    )
     out = Path(f"{folder}/{place}")
     with atomic_folder(out, overwrite=rng.random() < 0.5) as partial:
         (partial / "scene.ply").write_text("new")
     assert (out / "scene.ply").read_text() == "new"
-    assert (folder / "file").read_text() == "mine" == (folder / "mine" / "thesis.tex").read_text()
+    assert (
+        (folder / "file").read_text()
+        == "mine"
+        == (folder / "mine" / "thesis.tex").read_text()
+    )
     assert not list(folder.rglob(".*.partial-*"))
 
 
@@ -328,11 +499,14 @@ def service_answers(rng, folder, given):
             import base64
 
             whole = _png(np.zeros((24, 32, 3), np.uint8))
-            picture = rng.choice((b"x " + self.key.encode(), mangled_bytes(rng, whole), whole, whole))
+            picture = rng.choice(
+                (b"x " + self.key.encode(), mangled_bytes(rng, whole), whole, whole)
+            )
             usage = SimpleNamespace(input_tokens=nasty(rng), output_tokens=nasty(rng))
             data = [SimpleNamespace(b64_json=base64.b64encode(picture).decode())]
             response = SimpleNamespace(
-                data=rng.choice((data, data, data, nasty(rng))), usage=rng.choice((usage, nasty(rng)))
+                data=rng.choice((data, data, data, nasty(rng))),
+                usage=rng.choice((usage, nasty(rng))),
             )
             if rng.random() < 0.1:
                 raise rng.choice((OSError, ValueError, RuntimeError))(f"key {self.key}")
@@ -340,11 +514,26 @@ def service_answers(rng, folder, given):
             assert isinstance(answer, Answer)
             return answer
 
-    settings = RemoteSettings(model="x", input_price=1, output_price=1, cache=str(folder / "cache"), concurrent=1)
+    settings = RemoteSettings(
+        model="x",
+        input_price=1,
+        output_price=1,
+        cache=str(folder / "cache"),
+        concurrent=1,
+    )
     views = load_photos(given.photos[:1], size=32).views
-    edited = Dispatcher(Service(), settings, {}).edit(views, EditRequest("paint"), (SIZE,), send_masks=False)
-    assert edited.images.shape == views.images.shape and torch.isfinite(edited.images).all()
-    assert not any(b"sk-secret" in path.read_bytes() for path in folder.rglob("*") if path.is_file())
+    edited = Dispatcher(Service(), settings, {}).edit(
+        views, EditRequest("paint"), (SIZE,), send_masks=False
+    )
+    assert (
+        edited.images.shape == views.images.shape
+        and torch.isfinite(edited.images).all()
+    )
+    assert not any(
+        b"sk-secret" in path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    )
 
 
 def uploads(rng, folder, given):
@@ -353,13 +542,19 @@ def uploads(rng, folder, given):
     from edit3r_app.uploads import receive
 
     async def chunks():
-        yield mangled_bytes(rng, given.files[rng.choice(("a.png", "c.jpg", "d.webp", "e.tif"))])
+        yield mangled_bytes(
+            rng, given.files[rng.choice(("a.png", "c.jpg", "d.webp", "e.tif"))]
+        )
 
     jobs = JobsFolder(folder / "jobs")
     scene = jobs.new_scene(rng.choice(TEXTS))
-    name = mangled_text(rng, rng.choice(("a.png", "photo.JPG", "../x.webp", "C:\\y.tif")))
+    name = mangled_text(
+        rng, rng.choice(("a.png", "photo.JPG", "../x.webp", "C:\\y.tif"))
+    )
     try:
-        kept = asyncio.run(receive(jobs, scene, name, rng.choice((None, 0, 10**4, 10**12)), chunks()))
+        kept = asyncio.run(
+            receive(jobs, scene, name, rng.choice((None, 0, 10**4, 10**12)), chunks())
+        )
     finally:
         assert jobs.path(scene).parent == jobs.root and not list(jobs.private.iterdir())
     assert kept.parent == jobs.path(scene) / "images" and jobs.photos(scene) == [kept]
@@ -371,12 +566,16 @@ def app_records(rng, folder, given):
     from edit3r_app.jobs import Job, JobsFolder, redo, tree, undo
 
     jobs = JobsFolder(folder / "jobs")
-    name = jobs.new_job(Job("", jobs.new_scene("bear"), settings={"prompt": "gold"})).name
+    name = jobs.new_job(
+        Job("", jobs.new_scene("bear"), settings={"prompt": "gold"})
+    ).name
     record = jobs.private / f"{name}.json"
     record.write_bytes(json_bytes(rng, json.loads(record.read_text())))
     (jobs.root / name).mkdir()
     (jobs.root / name / "run.json").write_bytes(json_bytes(rng, given.trees["run"]))
-    (jobs.beside("bear") / "draft.json").write_bytes(json_bytes(rng, {"positive": [[0, 0.5, 0.5]], "form": {}}))
+    (jobs.beside("bear") / "draft.json").write_bytes(
+        json_bytes(rng, {"positive": [[0, 0.5, 0.5]], "form": {}})
+    )
     history = [job for job in jobs.jobs() if job.name == name]
     assert len(history) == 1 and history[0].state == "done" and len(tree(history)) <= 1
     undo(history, name), redo(history, name), jobs.scenes(), read_draft(jobs, "bear")
@@ -385,8 +584,29 @@ def app_records(rng, folder, given):
 DOORS: dict[str, Callable] = {
     door.__name__: door
     for door in (
-        *(pictures, masks, cameras, yaml_files, assignments, checkpoints, resume_states, weights, plies, run_folders),
-        *(manifests, recipes, prompts, names, output_paths, service_answers, videos, uploads, app_records),
+        *(
+            pictures,
+            masks,
+            cameras,
+            yaml_files,
+            assignments,
+            checkpoints,
+            resume_states,
+            weights,
+            plies,
+            run_folders,
+        ),
+        *(
+            manifests,
+            recipes,
+            prompts,
+            names,
+            output_paths,
+            service_answers,
+            videos,
+            uploads,
+            app_records,
+        ),
         jobs_files,
         *((exports,) if importlib.util.find_spec("gaussforge") else ()),
     )
@@ -411,7 +631,12 @@ def _built(config) -> None:
 
 def _video(file: Path) -> bytes:
     """Six frames of a pattern that moves."""
-    pixels = np.random.default_rng(0).integers(0, 255, (12, 30, 3), dtype=np.uint8).repeat(8, 0).repeat(8, 1)
+    pixels = (
+        np.random.default_rng(0)
+        .integers(0, 255, (12, 30, 3), dtype=np.uint8)
+        .repeat(8, 0)
+        .repeat(8, 1)
+    )
     writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"mp4v"), 12, (128, 96))
     for x in range(0, 96, 16):
         writer.write(np.ascontiguousarray(pixels[:, x : x + 128]))
@@ -426,7 +651,9 @@ def _png(pixels: np.ndarray) -> bytes:
 
 
 def _cameras() -> Cameras:
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(1, 2, 1, 1)
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(
+        1, 2, 1, 1
+    )
     return Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, SIZE)
 
 
@@ -446,7 +673,11 @@ def _sound(gaussians: Gaussians) -> None:
     """Finite, in range, and written and read again the same."""
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         assert torch.isfinite(getattr(gaussians, name)).all(), name
-    assert (gaussians.scales >= 0).all() and (gaussians.opacities <= 1).all() and (gaussians.opacities >= 0).all()
+    assert (
+        (gaussians.scales >= 0).all()
+        and (gaussians.opacities <= 1).all()
+        and (gaussians.opacities >= 0).all()
+    )
     assert len(gaussians.view_index) == gaussians.count
 
 
@@ -458,7 +689,13 @@ def _network():
 
 def _cache_entry(folder: Path) -> bytes:
     cache = Cache()
-    cache.recall("match", "0", lambda: Views(torch.rand(1, 2, 3, 4, 4), torch.eye(3).repeat(1, 2, 1, 1), ("a", "b")))
+    cache.recall(
+        "match",
+        "0",
+        lambda: Views(
+            torch.rand(1, 2, 3, 4, 4), torch.eye(3).repeat(1, 2, 1, 1), ("a", "b")
+        ),
+    )
     cache.save(folder)
     return next(folder.iterdir()).read_bytes()
 
@@ -470,11 +707,25 @@ def _earlier_run(run: Path, cameras: Cameras, scene: Gaussians, photos) -> objec
         for name, image in zip(("a", "b"), photos.views.images[0]):
             save_image(image, run / kind / f"{name}.png")
     save_ply(run / "scene.ply", scene)
-    write_cameras(run / "cameras.json", posed_cameras(cameras, ["inputs/a.png", "inputs/b.png"]))
-    views = {"names": ["a", "b"], "intrinsics": cameras.intrinsics[0].tolist(), "c2w": cameras.c2w[0].tolist()}
+    write_cameras(
+        run / "cameras.json", posed_cameras(cameras, ["inputs/a.png", "inputs/b.png"])
+    )
+    views = {
+        "names": ["a", "b"],
+        "intrinsics": cameras.intrinsics[0].tolist(),
+        "c2w": cameras.c2w[0].tolist(),
+    }
     tree = {
-        "notes": {"views": {**views, "assumed": [False, False]}, "edits": ["paint it red"]},
-        "settings": {"run": {"reconstructor": {"name": "edit3r", "settings": {"size": 32}}, "frames": 8}},
+        "notes": {
+            "views": {**views, "assumed": [False, False]},
+            "edits": ["paint it red"],
+        },
+        "settings": {
+            "run": {
+                "reconstructor": {"name": "edit3r", "settings": {"size": 32}},
+                "frames": 8,
+            }
+        },
         "inputs": recorded(list(photos.photos)),
     }
     (run / "run.json").write_text(json.dumps(tree))

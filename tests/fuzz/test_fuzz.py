@@ -1,7 +1,8 @@
-"""Damaged things at every door: each is refused in one sentence that names it, or accepted with a sound result.
+"""Damaged things at every door: each is refused in one sentence that names it, or accepted with a
+sound result.
 
-`EDIT3R_FUZZ_CASES=20000 pytest tests/fuzz` tries more cases; a failure names the door and the number of its case, and
-`EDIT3R_FUZZ_ONLY=pictures:17` runs that one alone.
+`EDIT3R_FUZZ_CASES=20000 pytest tests/fuzz` tries more cases; a failure names the door and the
+number of its case, and `EDIT3R_FUZZ_ONLY=pictures:17` runs that one alone.
 """
 
 import os
@@ -31,7 +32,10 @@ def originals(tmp_path_factory):
 
 
 def snapshot(folder: Path) -> dict[str, tuple[int, int]]:
-    return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in folder.rglob("*")}
+    return {
+        str(path): (path.lstat().st_size, path.lstat().st_mtime_ns)
+        for path in folder.rglob("*")
+    }
 
 
 def problem_of(sentence: str) -> str:
@@ -65,21 +69,41 @@ def test_every_door(door, originals, tmp_path):
         except Exception as error:
             if wanted is not None:
                 raise
-            wrong.append(f"{door}:{case}: unexpected {type(error).__name__}: {str(error)[:300]}")
-        if [path for path in around.iterdir() if path != folder] or any(path.exists() for path in ESCAPED):
+            wrong.append(
+                f"{door}:{case}: unexpected {type(error).__name__}: {str(error)[:300]}"
+            )
+        if [path for path in around.iterdir() if path != folder] or any(
+            path.exists() for path in ESCAPED
+        ):
             wrong.append(f"{door}:{case}: wrote outside of its folder")
     assert not wrong, f"{len(wrong)} of {count} cases:\n" + "\n".join(wrong[:20])
     assert snapshot(originals.folder) == seen
-    assert refused < count or count < 20 or wanted is not None, "not even one was accepted"
+    assert refused < count or count < 20 or wanted is not None, (
+        "not even one was accepted"
+    )
 
 
 def command_line(rng: random.Random, folder: Path, originals) -> list[str]:
     """One wrong or odd call of the program."""
     scene, out = folder / "scene.ply", str(folder / "out")
-    scene.write_bytes(rng.choice((originals.files["scene.ply"], mangled_bytes(rng, originals.files["scene.ply"]))))
-    (folder / "cameras.json").write_bytes(rng.choice((json_bytes(rng, originals.trees["cameras"]), b"[]")))
-    (folder / "c.yaml").write_text(rng.choice([text for text in TEXTS if text.isascii()]))
-    text, number = rng.choice(TEXTS), str(rng.choice((0, -1, 1, 10**9, "nan", "9" * 5000, "x")))
+    scene.write_bytes(
+        rng.choice(
+            (
+                originals.files["scene.ply"],
+                mangled_bytes(rng, originals.files["scene.ply"]),
+            )
+        )
+    )
+    (folder / "cameras.json").write_bytes(
+        rng.choice((json_bytes(rng, originals.trees["cameras"]), b"[]"))
+    )
+    (folder / "c.yaml").write_text(
+        rng.choice([text for text in TEXTS if text.isascii()])
+    )
+    text, number = (
+        rng.choice(TEXTS),
+        str(rng.choice((0, -1, 1, 10**9, "nan", "9" * 5000, "x"))),
+    )
     render = ["render", str(scene), "--out", out, "--quiet"]
     run = ["run", *map(str, originals.photos), "--out", out, "--quiet"]
     return rng.choice(
@@ -115,9 +139,15 @@ def test_the_program(originals, tmp_path, capsys):
                 code = main(arguments)
         except SystemExit as stop:
             code = stop.code
-        told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("edit3r: ")]
+        told = [
+            line
+            for line in capsys.readouterr().err.splitlines()
+            if line.startswith("edit3r: ")
+        ]
         shown = [argument[:80] for argument in arguments]
-        if code not in (0, 1, 2) or (code != 0 and (len(told) != 1 or problem_of(told[0]))):
+        if code not in (0, 1, 2) or (
+            code != 0 and (len(told) != 1 or problem_of(told[0]))
+        ):
             wrong.append(f"{case}: {shown}: exit {code}, {told[:2]}")
         if code != 0 and snapshot(folder) != before:
             wrong.append(f"{case}: {shown}: left {set(snapshot(folder)) - set(before)}")
@@ -128,4 +158,7 @@ def test_the_program(originals, tmp_path, capsys):
 
 def test_a_sound_scene_passes(tmp_path):
     save_ply(tmp_path / "scene.ply", _scene())
-    assert problem_of("scene.ply: no such file.") == "" and problem_of("unexpected ValueError") != ""
+    assert (
+        problem_of("scene.ply: no such file.") == ""
+        and problem_of("unexpected ValueError") != ""
+    )

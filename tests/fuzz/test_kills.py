@@ -1,4 +1,6 @@
-"""Commands that are killed while they write leave the old result or the new one, and the next start clears the rest."""
+"""Commands that are killed while they write leave the old result or the new one, and the next start
+clears the rest.
+"""
 
 import asyncio
 import hashlib
@@ -13,37 +15,62 @@ import torch
 from edit3r_app.jobs import Job, JobsFolder
 from edit3r_app.runner import Runner
 from edit3r_app.uploads import receive
+from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
 
 from edit3r.cache import Cache
 from edit3r.cli.main import main
+from edit3r.contract.weights import Weights
 from edit3r.io import atomic
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.fetching import fetch
 from edit3r.io.images import packaged_pair
 from edit3r.io.ply import save_ply
-from edit3r.testing import cameras_around, gaussian_cloud
-from edit3r.testing.training import tiny_job
-from edit3r.training.loop import LoopSettings, Recipe, StepLoss, train
-from edit3r.weights import Weights, find
+from edit3r.plugins.weights import find
 from edit3r.workers import run_resumable
+from edit3r_testing import cameras_around, gaussian_cloud
+from edit3r_testing.training import tiny_job
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
 FLAT = str(Path(__file__).parents[1] / "plugins" / "flat_scene.py")
-STEPS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233)  # of the changes that a command makes on the disk
+STEPS = (
+    0,
+    1,
+    2,
+    3,
+    5,
+    8,
+    13,
+    21,
+    34,
+    55,
+    89,
+    144,
+    233,
+)  # of the changes that a command makes on the disk
 
 
 def killed_at(step, folder, act):
-    """Call `act` in a process that ends before its `step`-th change in `folder`; False where it made fewer."""
+    """Call `act` in a process that ends before its `step`-th change in `folder`; False where it
+    made fewer.
+    """
     child = os.fork()
     if child == 0:
         left = step
 
         def count(event, arguments):
             nonlocal left
-            inside = arguments and isinstance(arguments[0], (str, bytes, Path)) and str(folder) in str(arguments[0])
-            writes = event != "open" or bool(arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
-            if (event.startswith(("open", "os.", "shutil.")) and inside and writes) or event == "ctypes.call_function":
+            inside = (
+                arguments
+                and isinstance(arguments[0], (str, bytes, Path))
+                and str(folder) in str(arguments[0])
+            )
+            writes = event != "open" or bool(
+                arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+            )
+            if (
+                event.startswith(("open", "os.", "shutil.")) and inside and writes
+            ) or event == "ctypes.call_function":
                 left -= 1
                 if left < 0:
                     os._exit(9)
@@ -61,16 +88,37 @@ def killed_at(step, folder, act):
 
 
 def contents(folder):
-    """Every file of the folder and what it holds, but for what differs from run to run: times, random states."""
+    """Every file of the folder and what it holds, but for what differs from run to run: times,
+    random states.
+    """
     skipped = {"run.json", "log.jsonl", "last.pt", atomic.MARKER}
-    files = [path for path in folder.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files if path.name not in skipped}
+    files = [
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and "tensorboard" not in path.parts
+    ]
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in files
+        if path.name not in skipped
+    }
 
 
 def run_command(out):
-    options = ["--size", "64", "--editor", "none", "--rasterizer", "torch", "--quiet", "--overwrite"]
+    options = [
+        "--size",
+        "64",
+        "--editor",
+        "none",
+        "--rasterizer",
+        "torch",
+        "--quiet",
+        "--overwrite",
+    ]
     options += ["--refine", "0", "--frames", "2", "--plugin", FLAT, "--recon", "flat"]
-    assert main(["run", *map(str, packaged_pair()[0]), "--out", str(out), *options]) == 0
+    assert (
+        main(["run", *map(str, packaged_pair()[0]), "--out", str(out), *options]) == 0
+    )
 
 
 class _Pull(Recipe):
@@ -92,16 +140,28 @@ def train_command(out):
     job = tiny_job(out)
     if (out / "last.pt").is_file():
         job = job.__class__(**{**vars(job), "resume": True})
-    train(_Pull(), LoopSettings(steps=4, warmup=1, validate_every=2, checkpoint_every=1, log_every=1), job)
+    train(
+        _Pull(),
+        LoopSettings(
+            steps=4, warmup=1, validate_every=2, checkpoint_every=1, log_every=1
+        ),
+        job,
+    )
 
 
 def measure_command(out):
     out.mkdir(exist_ok=True)
-    run_resumable({name: {"value": value} for value, name in enumerate("abcd")}, dict, out / "rows.jsonl")
+    run_resumable(
+        {name: {"value": value} for value, name in enumerate("abcd")},
+        dict,
+        out / "rows.jsonl",
+    )
 
 
 @pytest.mark.parametrize("command", [train_command, measure_command])
-def test_a_killed_command_leaves_a_whole_result_and_the_next_start_ends_like_a_straight_one(tmp_path, command):
+def test_a_killed_command_leaves_a_whole_result_and_the_next_start_ends_like_a_straight_one(
+    tmp_path, command
+):
     straight = tmp_path / "straight"
     command(straight)
     killed = 0
@@ -126,7 +186,9 @@ def test_a_killed_run_over_an_earlier_one_leaves_that_or_the_new_one(tmp_path):
         assert killed_at(step, out.parent, lambda: run_command(out))  # noqa: B023
         assert contents(out) == contents(old), step
         run_command(out)
-        assert contents(out) == contents(old) and [path.name for path in out.parent.iterdir()] == ["out"], step
+        assert contents(out) == contents(old) and [
+            path.name for path in out.parent.iterdir()
+        ] == ["out"], step
 
 
 def cache_command(out):
@@ -146,9 +208,14 @@ def test_a_cache_killed_while_it_is_saved_is_whole_or_not_there(tmp_path):
         if not killed_at(step, out.parent, lambda: cache_command(out)):  # noqa: B023
             break
         killed += 1
-        assert not out.exists() or contents(out) == contents(tmp_path / "straight"), step
+        assert not out.exists() or contents(out) == contents(tmp_path / "straight"), (
+            step
+        )
         cache_command(out)
-        assert contents(out) == contents(tmp_path / "straight") and len(list(out.parent.iterdir())) == 1, step
+        assert (
+            contents(out) == contents(tmp_path / "straight")
+            and len(list(out.parent.iterdir())) == 1
+        ), step
     assert killed >= 5
 
 
@@ -156,7 +223,15 @@ def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path):
     old, cameras = tmp_path / "old.ply", cameras_around(2)
     save_ply(old, gaussian_cloud(300))
     write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, ["a.png", "b.png"]))
-    options = ["--cameras", str(tmp_path / "cameras.json"), "--gaussians", "100", "--rasterizer", "torch", "--quiet"]
+    options = [
+        "--cameras",
+        str(tmp_path / "cameras.json"),
+        "--gaussians",
+        "100",
+        "--rasterizer",
+        "torch",
+        "--quiet",
+    ]
     place = tmp_path / "place"
     place.mkdir()
     out, seen = place / "small.ply", set()
@@ -184,7 +259,9 @@ def hub(monkeypatch):
 
     def sibling(name, content):
         return SimpleNamespace(
-            rfilename=name, lfs=SimpleNamespace(sha256=hashlib.sha256(content).hexdigest()), size=len(content)
+            rfilename=name,
+            lfs=SimpleNamespace(sha256=hashlib.sha256(content).hexdigest()),
+            size=len(content),
         )
 
     def http_get(url, file, resume_size, **_):
@@ -194,14 +271,18 @@ def hub(monkeypatch):
             file.flush()
             os.utime(file.name)  # an event that a kill can come at
 
-    about = SimpleNamespace(sha="0" * 40, siblings=[sibling(*one) for one in HUB_FILES.items()])
+    about = SimpleNamespace(
+        sha="0" * 40, siblings=[sibling(*one) for one in HUB_FILES.items()]
+    )
     monkeypatch.setattr("huggingface_hub.HfApi.model_info", lambda *_, **__: about)
     monkeypatch.setattr("huggingface_hub.file_download.http_get", http_get)
 
 
 def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(tmp_path, hub):
     files = tuple((name, "") for name in HUB_FILES)
-    weights = Weights("thing", "a test", 10_242, "MIT", "yes", "hub:stand/in", "0" * 40, files)
+    weights = Weights(
+        "thing", "a test", 10_242, "MIT", "yes", "hub:stand/in", "0" * 40, files
+    )
     killed = 0
     for step in range(200):
         place = tmp_path / str(step)
@@ -210,15 +291,21 @@ def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(tmp_pat
             break
         killed += 1
         if (place / "thing").exists():
-            assert {name: (place / "thing" / name).read_bytes() for name in HUB_FILES} == HUB_FILES, step
+            assert {
+                name: (place / "thing" / name).read_bytes() for name in HUB_FILES
+            } == HUB_FILES, step
         got = fetch(weights, place, report=str)
         assert got == find(weights, place)
-        assert {name: (got / name).read_bytes() for name in HUB_FILES} == HUB_FILES, step
+        assert {name: (got / name).read_bytes() for name in HUB_FILES} == HUB_FILES, (
+            step
+        )
         assert {path.name for path in place.iterdir()} <= {"thing", ".lock"}, step
     assert killed > 15
 
 
-def test_an_app_killed_in_the_middle_of_an_upload_or_a_new_job_starts_again_with_whole_ones(tmp_path):
+def test_an_app_killed_in_the_middle_of_an_upload_or_a_new_job_starts_again_with_whole_ones(
+    tmp_path,
+):
     photo = Path(packaged_pair()[0][0]).read_bytes()
 
     async def pieces():

@@ -1,19 +1,27 @@
-"""A plugin for tests: a reconstructor and a matcher that put every pixel on one plane, for runs that take no time."""
+"""A plugin for tests: a reconstructor and a matcher that put every pixel on one plane, for runs
+that take no time.
+"""
 
 import torch
 
 from edit3r import Cameras, Component, Gaussians, Reconstruction, hookimpl
-from edit3r.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
 
 
 @hookimpl
 def register_reconstructors():
-    return Component("flat", "flat_scene:FlatReconstructor", "test stand-in: the photos on one plane")
+    return Component(
+        "flat", "flat_scene:FlatReconstructor", "test stand-in: the photos on one plane"
+    )
 
 
 @hookimpl
 def register_matchers():
-    return Component("flat", "flat_scene:FlatMatcher", "test stand-in: depth grows from left to right")
+    return Component(
+        "flat",
+        "flat_scene:FlatMatcher",
+        "test stand-in: depth grows from left to right",
+    )
 
 
 class FlatReconstructor(Reconstructor):
@@ -28,8 +36,16 @@ class FlatReconstructor(Reconstructor):
         images = views.images
         batch, count = images.shape[:2]
         height, width = views.image_size
-        y, x = torch.meshgrid(torch.linspace(-0.5, 0.5, height), torch.linspace(-0.5, 0.5, width), indexing="ij")
-        means = torch.stack((x, y, torch.ones_like(x)), -1).view(1, -1, 3).expand(batch, -1, -1)
+        y, x = torch.meshgrid(
+            torch.linspace(-0.5, 0.5, height),
+            torch.linspace(-0.5, 0.5, width),
+            indexing="ij",
+        )
+        means = (
+            torch.stack((x, y, torch.ones_like(x)), -1)
+            .view(1, -1, 3)
+            .expand(batch, -1, -1)
+        )
         total = means.shape[1]
         gaussians = Gaussians(
             means=means,
@@ -40,7 +56,12 @@ class FlatReconstructor(Reconstructor):
             view_index=torch.zeros(total, dtype=torch.int64),
         )
         return Reconstruction(
-            gaussians, Cameras(torch.eye(4).expand(batch, count, 4, 4), views.intrinsics, (height, width))
+            gaussians,
+            Cameras(
+                torch.eye(4).expand(batch, count, 4, 4),
+                views.intrinsics,
+                (height, width),
+            ),
         )
 
 
@@ -55,4 +76,9 @@ class FlatMatcher(Matcher):
         height, width = views.image_size
         depths = torch.linspace(1, 4, width).expand(batch, count, height, width)
         poses = torch.eye(4).expand(batch, count, 4, 4)
-        return MatchedGeometry(poses, depths, torch.ones_like(depths), torch.ones(batch, count, dtype=torch.bool))
+        return MatchedGeometry(
+            poses,
+            depths,
+            torch.ones_like(depths),
+            torch.ones(batch, count, dtype=torch.bool),
+        )

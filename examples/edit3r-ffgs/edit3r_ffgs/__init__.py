@@ -1,7 +1,9 @@
-"""Plugin ffgs: says what it offers and which weights it loads; ffgs and torch load when it is built."""
+"""Plugin ffgs: says what it offers and which weights it loads; ffgs and torch load when it is
+built.
+"""
 
 from edit3r import Component, hookimpl
-from edit3r.weights import Weights
+from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
@@ -13,7 +15,12 @@ ANYSPLAT = Weights(
     "no",
     "hub:lhjiang/anysplat",
     "d2e8c343672646041ad4ea518184968f94362f01",  # pinned by ffgs 0.1.0.dev1, with the SHA-256
-    (("model.safetensors", "1c4de2ba5a29c540b899af901bf02107395b5f0617655d347e262f814b4c0c7c"),),
+    (
+        (
+            "model.safetensors",
+            "1c4de2ba5a29c540b899af901bf02107395b5f0617655d347e262f814b4c0c7c",
+        ),
+    ),
 )
 
 

@@ -1,4 +1,6 @@
-"""A stand-in for a program, without edit3r: every photo becomes a wall two units away, a Gaussian a pixel."""
+"""A stand-in for a program, without edit3r: every photo becomes a wall two units away, a Gaussian a
+pixel.
+"""
 
 import json
 import math
@@ -21,7 +23,9 @@ for index, photo in enumerate(sorted(photos.iterdir())):
     focal = 0.5 * width / math.tan(0.45)  # [pixels]
     rows, columns = np.mgrid[:height, :width] + 0.5
     wall = np.zeros((height, width, len(COLUMNS)), np.float32)
-    wall[..., 0] = 2 * (columns - width / 2) / focal + 0.1 * index  # the cameras stand side by side
+    wall[..., 0] = (
+        2 * (columns - width / 2) / focal + 0.1 * index
+    )  # the cameras stand side by side
     wall[..., 1] = 2 * (rows - height / 2) / focal
     wall[..., 2] = 2
     wall[..., 3:6] = (colours - 0.5) / 0.28209479  # harmonics of degree 0
@@ -32,7 +36,15 @@ for index, photo in enumerate(sorted(photos.iterdir())):
     c2w = np.eye(4)
     c2w[0, 3] = 0.1 * index
     lens = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
-    cameras.append({"file": photo.name, "width": width, "height": height, "K": lens, "c2w": c2w.tolist()})
+    cameras.append(
+        {
+            "file": photo.name,
+            "width": width,
+            "height": height,
+            "K": lens,
+            "c2w": c2w.tolist(),
+        }
+    )
 
 gaussians = np.concatenate(walls)
 header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]

@@ -7,21 +7,27 @@ import torch
 from pydantic import Field
 
 from edit3r.config import Settings
-from edit3r.interfaces import Editor
-from edit3r.types import EditRequest, Views
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Views
 
 
 class SepiaEditor(Editor):
     """The same matrix on every pixel, so all views agree. Masks are the pipeline's business."""
 
     class Settings(Settings):
-        strength: float = Field(1.0, ge=0, le=1, description="share of the sepia tone; 0 returns the photo")
+        strength: float = Field(
+            1.0, ge=0, le=1, description="share of the sepia tone; 0 returns the photo"
+        )
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        images = views.images.flatten(0, 1)  # [batch * view, 3, height, width], sRGB in [0, 1]
+        images = views.images.flatten(
+            0, 1
+        )  # [batch * view, 3, height, width], sRGB in [0, 1]
         toned = kornia.color.sepia(images, rescale=False).clamp(0, 1)
         edited = torch.lerp(images, toned, self.settings.strength).clamp(0, 1)
-        return replace(views, images=edited.reshape_as(views.images))  # cameras and names stay
+        return replace(
+            views, images=edited.reshape_as(views.images)
+        )  # cameras and names stay

@@ -1,9 +1,11 @@
-"""edit3r's contract of an editor, and what sepia does; run where edit3r and this package are installed."""
+"""edit3r's contract of an editor, and what sepia does; run where edit3r and this package are
+installed.
+"""
 
 import torch
 
 import edit3r
-from edit3r.testing import EditorContract
+from edit3r_testing import EditorContract
 
 
 class TestSepiaKeepsTheContract(EditorContract):
@@ -16,10 +18,16 @@ def photos() -> edit3r.Views:
 
 
 def test_sepia_makes_red_exceed_green_exceed_blue():
-    red, green, blue = edit3r.build("editor", "sepia").edit(photos(), edit3r.EditRequest("")).images.unbind(2)
+    red, green, blue = (
+        edit3r.build("editor", "sepia")
+        .edit(photos(), edit3r.EditRequest(""))
+        .images.unbind(2)
+    )
     assert (red >= green).all() and (green >= blue).all() and (red > blue).any()
 
 
 def test_strength_0_returns_the_photos():
-    edited = edit3r.build("editor", "sepia", strength=0).edit(photos(), edit3r.EditRequest(""))
+    edited = edit3r.build("editor", "sepia", strength=0).edit(
+        photos(), edit3r.EditRequest("")
+    )
     assert torch.equal(edited.images, photos().images)

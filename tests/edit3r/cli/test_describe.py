@@ -8,9 +8,9 @@ from pydantic import Field
 
 from edit3r.cli.main import main
 from edit3r.config import PartChoice, Settings
-from edit3r.description import settings_lines, type_in_words, yaml_example
-from edit3r.registry import default_registry
-from edit3r.run_config import PART_KEYS, make_run_config
+from edit3r.pipeline.config import PART_KEYS, make_run_config
+from edit3r.plugins.describe import settings_lines, type_in_words, yaml_example
+from edit3r.plugins.registry import default_registry
 
 LOCAL = """
 from pydantic import Field
@@ -40,8 +40,12 @@ class Everything(Settings):
     choice: Literal["a", "b"] = Field("a", description="a choice")
     weights: tuple[float, float] = Field((1.0, 1e-6), description="weights")
     names: tuple[str, ...] = Field((), description="names")
-    part: PartChoice = Field(PartChoice(name="vit", settings={"width": 8}), description="a part")
-    table: dict[str, float] = Field(default_factory=dict, description="a table: of numbers # not a comment")
+    part: PartChoice = Field(
+        PartChoice(name="vit", settings={"width": 8}), description="a part"
+    )
+    table: dict[str, float] = Field(
+        default_factory=dict, description="a table: of numbers # not a comment"
+    )
     flag: bool = Field(True, description="a flag")
     step: int = Field(8, multiple_of=8, description="steps")
 
@@ -88,7 +92,11 @@ def test_every_type_of_setting_survives_its_yaml():
     assert Everything(**values) == Everything()
 
 
-@pytest.mark.parametrize("offer", default_registry().offers(), ids=lambda offer: f"{offer.kind}-{offer.component.name}")
+@pytest.mark.parametrize(
+    "offer",
+    default_registry().offers(),
+    ids=lambda offer: f"{offer.kind}-{offer.component.name}",
+)
 def test_the_yaml_of_every_component_is_its_defaults(offer):
     registry = default_registry()
     if registry.missing(offer):
@@ -101,7 +109,9 @@ def test_the_yaml_of_every_component_is_its_defaults(offer):
         content = content["reconstructor"]
     values = content["refiners"][0] if offer.kind == "refiner" else content[offer.kind]
     assert values.pop("name") == offer.component.name
-    required = {line.name: "given" for line in settings_lines(settings) if line.required}
+    required = {
+        line.name: "given" for line in settings_lines(settings) if line.required
+    }
     assert settings(**{**values, **required}) == settings(**required)
 
 
@@ -124,7 +134,10 @@ def test_all_there_is_to_know_is_shown(local, capsys):
 def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):
     from edit3r.cli.new_plugin import new_package
 
-    package = str(new_package("refiner", "described-refiner", tmp_path) / "edit3r_described_refiner")
+    package = str(
+        new_package("refiner", "described-refiner", tmp_path)
+        / "edit3r_described_refiner"
+    )
     assert main(["describe", "refiner", "described-refiner", "--plugin", package]) == 0
     said = capsys.readouterr().out
     assert "refiners:\n  - name: described-refiner\n    least_opacity: 0.02" in said
@@ -157,4 +170,7 @@ def test_an_unknown_name_ends_with_2_and_a_hint(capsys):
 def test_weights_are_told_with_licence_size_and_that_they_are_gated(capsys):
     assert main(["describe", "segmenter", "sam3"]) == 0
     said = capsys.readouterr().out
-    assert "edit3r weights get sam3 (SAM License" in said and "gated: needs an account" in said
+    assert (
+        "edit3r weights get sam3 (SAM License" in said
+        and "gated: needs an account" in said
+    )

@@ -1,4 +1,6 @@
-"""`edit3r doctor`: everything that is wrong is a finding, never a traceback, and decides the exit code."""
+"""`edit3r doctor`: everything that is wrong is a finding, never a traceback, and decides the exit
+code.
+"""
 
 import pytest
 import torch
@@ -6,10 +8,10 @@ import torch
 from edit3r.cli import doctor
 from edit3r.cli.doctor import Finding
 from edit3r.cli.main import main
-from edit3r.component import Component
-from edit3r.plugins import LoadedPlugins, Offer, PluginFailure
-from edit3r.registry import Registry, default_registry
-from edit3r.run_config import make_run_config
+from edit3r.contract.component import Component
+from edit3r.pipeline.config import make_run_config
+from edit3r.plugins.load import LoadedPlugins, Offer, PluginFailure
+from edit3r.plugins.registry import Registry, default_registry
 
 MODULE = "tests_of_doctor"
 
@@ -19,10 +21,14 @@ class NanRasterizer:
         pass
 
     def render(self, gaussians, cameras):
-        from edit3r.types import Rendering
+        from edit3r.contract.types import Rendering
 
         shape = (*cameras.c2w.shape[:2], 1, *cameras.image_size)
-        return Rendering(torch.full(shape, torch.nan).expand(-1, -1, 3, -1, -1), torch.zeros(shape), torch.zeros(shape))
+        return Rendering(
+            torch.full(shape, torch.nan).expand(-1, -1, 3, -1, -1),
+            torch.zeros(shape),
+            torch.zeros(shape),
+        )
 
 
 class FailingRasterizer(NanRasterizer):
@@ -35,7 +41,9 @@ def registry(*offers, failures=()):
 
 
 def offer(kind, name, cls="NanRasterizer", plugin="mine", **more):
-    return Offer(kind, Component(name, f"{MODULE}:{cls}", "a summary", **more), plugin, "1.0")
+    return Offer(
+        kind, Component(name, f"{MODULE}:{cls}", "a summary", **more), plugin, "1.0"
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -87,14 +95,23 @@ def test_failed_plugins_clashes_and_broken_components_are_wrong_a_missing_extra_
     text = "\n".join(wrong(findings))
     assert "broken 0.3: it fell over" in text
     assert "ask for one:twin or two:twin" in text
-    assert "must be a subclass of edit3r.interfaces.Rasterizer" in text
+    assert "must be a subclass of edit3r.contract.interfaces.Rasterizer" in text
     assert "surely_not_there" not in text
-    assert any("needs surely_not_there" in finding.text for finding in findings if finding.ok is None)
+    assert any(
+        "needs surely_not_there" in finding.text
+        for finding in findings
+        if finding.ok is None
+    )
 
 
 def test_a_rasterizer_that_fails_or_draws_nan_is_wrong_and_the_others_are_tried():
-    here = registry(offer("rasterizer", "nan"), offer("rasterizer", "lost", "FailingRasterizer"))
-    assert wrong(doctor.rasterizers(here)) == ["lost: RuntimeError: driver lost", "nan: its picture is not finite"]
+    here = registry(
+        offer("rasterizer", "nan"), offer("rasterizer", "lost", "FailingRasterizer")
+    )
+    assert wrong(doctor.rasterizers(here)) == [
+        "lost: RuntimeError: driver lost",
+        "nan: its picture is not finite",
+    ]
 
 
 def test_a_tiny_job_that_fails_is_a_finding():
@@ -105,7 +122,9 @@ def test_a_tiny_job_that_fails_is_a_finding():
 
 def test_the_tiny_job_runs_end_to_end_and_tells_its_time(monkeypatch):
     monkeypatch.setattr(doctor, "JOB_SIZE", 64)
-    config = make_run_config({"editor": "none", "reconstructor": "classical", "rasterizer": "torch"})
+    config = make_run_config(
+        {"editor": "none", "reconstructor": "classical", "rasterizer": "torch"}
+    )
     findings = list(doctor.tiny_job(default_registry(), config))
     assert wrong(findings) == []
     assert "Gaussians rendered and saved" in findings[-1].text
@@ -113,6 +132,10 @@ def test_the_tiny_job_runs_end_to_end_and_tells_its_time(monkeypatch):
 
 @pytest.mark.parametrize("ok, code", [(True, 0), (None, 0), (False, 1)])
 def test_the_exit_code_is_1_only_when_something_is_wrong(ok, code, monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "examine", lambda *_: iter([Finding("devices", "some", ok)]))
+    monkeypatch.setattr(
+        doctor, "examine", lambda *_: iter([Finding("devices", "some", ok)])
+    )
     assert main(["doctor"]) == code
-    assert ("1 wrong." if code else "Everything is in order.") in capsys.readouterr().out
+    assert (
+        "1 wrong." if code else "Everything is in order."
+    ) in capsys.readouterr().out

@@ -36,7 +36,9 @@ def test_pixels_and_shares_mean_the_same_place(photos):
 
 
 def test_a_number_names_the_photo(photos):
-    marked = read(photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,6,40,30")
+    marked = read(
+        photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,6,40,30"
+    )
     assert marked.positive == ((1, 0.25, 0.5),) and marked.negative == ((0, 0.1, 0.1),)
     assert marked.boxes[1] == pytest.approx((0.1, 0.1, 0.5, 0.5))
 
@@ -46,10 +48,15 @@ def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp
         Image.new("L", (80, 60), 255).save(tmp_path / f"{name}.png")
     assert list(read(photos, "--mask", str(tmp_path / "right_mask.png")).masks) == [1]
     marked = read(photos, "--mask", str(tmp_path / "thing.png"))
-    assert list(marked.masks) == [0] and torch.equal(marked.masks[0], torch.ones(60, 80))
+    assert list(marked.masks) == [0] and torch.equal(
+        marked.masks[0], torch.ones(60, 80)
+    )
 
 
-@pytest.mark.parametrize("words", [("--point", "20"), ("--point", "3:2,2"), ("--point", "x,y"), ("--box", "1,2,3")])
+@pytest.mark.parametrize(
+    "words",
+    [("--point", "20"), ("--point", "3:2,2"), ("--point", "x,y"), ("--box", "1,2,3")],
+)
 def test_what_cannot_be_read_says_what_was_expected(photos, words):
     with pytest.raises(InputError, match=r"expected X,Y.*pixels of the original photo"):
         read(photos, *words)
@@ -68,9 +75,13 @@ def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     bent = load_photos([tmp_path / "a.png", tmp_path / "b.png"], size=60)
     ((_, x, y),) = read(bent, "--point", "0.1,0.15").positive
-    assert x < 0.1 - 0.01 and y < 0.15 - 0.01  # barrel distortion had drawn it to the middle
+    assert (
+        x < 0.1 - 0.01 and y < 0.15 - 0.01
+    )  # barrel distortion had drawn it to the middle
     left, _, width, _ = read(bent, "--box", "0.1,0.15,0.8,0.7").boxes[0]
-    assert left == pytest.approx(x, abs=1e-3) and width == pytest.approx(1 - 2 * x, abs=2e-3)
+    assert left == pytest.approx(x, abs=1e-3) and width == pytest.approx(
+        1 - 2 * x, abs=2e-3
+    )
     mask = Image.new("L", (240, 160))
     mask.paste(255, (16, 16, 32, 32))  # around the place
     mask.save(tmp_path / "a_mask.png")

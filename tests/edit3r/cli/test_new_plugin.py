@@ -1,4 +1,6 @@
-"""`edit3r new-plugin`: what it writes is complete, installable and found; names are checked; nothing is overwritten."""
+"""`edit3r new-plugin`: what it writes is complete, installable and found; names are checked;
+nothing is overwritten.
+"""
 
 import json
 import os
@@ -10,10 +12,16 @@ from pathlib import Path
 import pytest
 
 from edit3r.cli.main import main
-from edit3r.cli.new_plugin import STARTERS, check_name, new_package, next_steps, package_files
-from edit3r.component import KINDS
+from edit3r.cli.new_plugin import (
+    STARTERS,
+    check_name,
+    new_package,
+    next_steps,
+    package_files,
+)
+from edit3r.contract.component import KINDS
 from edit3r.errors import InputError
-from edit3r.testing import CONTRACTS
+from edit3r_testing import CONTRACTS
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -28,7 +36,10 @@ def test_every_kind_gets_a_package_with_all_its_parts(kind):
     }
     project = pytest.importorskip("tomllib").loads(files["pyproject.toml"])
     assert project["project"]["entry-points"]["edit3r"] == {"made-up": "edit3r_made_up"}
-    assert project["project"]["license"] and "test" in project["project"]["optional-dependencies"]
+    assert (
+        project["project"]["license"]
+        and "test" in project["project"]["optional-dependencies"]
+    )
     for path, text in files.items():
         assert "$" not in text.replace("${", "$"), f"{path} holds an unfilled word"
         assert max(len(line) for line in text.splitlines()) <= 120
@@ -71,11 +82,17 @@ def test_nothing_is_overwritten(tmp_path):
     (there / "mine.txt").write_text("precious")
     with pytest.raises(InputError, match="nothing was written"):
         new_package("editor", "sepia-tone", tmp_path)
-    assert [path.name for path in tmp_path.rglob("*")] == ["edit3r-sepia-tone", "mine.txt"]
+    assert [path.name for path in tmp_path.rglob("*")] == [
+        "edit3r-sepia-tone",
+        "mine.txt",
+    ]
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr("edit3r.cli.new_plugin.shutil.move", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(
+        "edit3r.cli.new_plugin.shutil.move",
+        lambda *_: (_ for _ in ()).throw(OSError("disk full")),
+    )
     with pytest.raises(OSError, match="disk full"):
         new_package("editor", "sepia-tone", tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -103,15 +120,39 @@ def test_the_wheel_installs_beside_edit3r_is_listed_and_passes_its_test(tmp_path
 
     def python(*arguments: str, cwd: Path = tmp_path) -> str:
         done = subprocess.run(
-            [sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False
+            [sys.executable, *arguments],
+            cwd=cwd,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    python("-c", f"import hatchling.build as b; b.build_wheel({str(tmp_path)!r})", cwd=folder)
+    python(
+        "-c",
+        f"import hatchling.build as b; b.build_wheel({str(tmp_path)!r})",
+        cwd=folder,
+    )
     (wheel,) = tmp_path.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(site)
-    listed = json.loads(python("-m", "edit3r.cli.main", "list-plugins", "--json", "--check", "--kind", "editor"))
+    listed = json.loads(
+        python(
+            "-m",
+            "edit3r.cli.main",
+            "list-plugins",
+            "--json",
+            "--check",
+            "--kind",
+            "editor",
+        )
+    )
     (row,) = [row for row in listed["components"] if row["name"] == "sepia-tone"]
-    assert (row["plugin"], row["version"], row["problem"], row["missing"]) == ("sepia-tone", "0.1.0", "", "")
+    assert (row["plugin"], row["version"], row["problem"], row["missing"]) == (
+        "sepia-tone",
+        "0.1.0",
+        "",
+        "",
+    )
     python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder / "tests"))

@@ -14,9 +14,13 @@ from edit3r.io.images import save_image
 
 @pytest.fixture(scope="module")
 def posed_photos(tmp_path_factory):
-    """Two photos of a generated scene, and a file with their poses, the second one off by a degree and a half."""
+    """Two photos of a generated scene, and a file with their poses, the second one off by a degree
+    and a half.
+    """
     folder = tmp_path_factory.mktemp("posed")
-    sample = edit3r.build("dataset", "procedural", image_size=128, scenes=1, seed=3, textures=8)[0]
+    sample = edit3r.build(
+        "dataset", "procedural", image_size=128, scenes=1, seed=3, textures=8
+    )[0]
     names = [f"{index}.png" for index in range(len(sample.context))]
     for name, image in zip(names, sample.context):
         save_image(image, folder / name)
@@ -24,7 +28,12 @@ def posed_photos(tmp_path_factory):
     write_cameras(folder / "true.json", posed_cameras(cameras, names))
     angle = torch.tensor(1.5).deg2rad()
     turn = torch.eye(4)
-    turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = angle.cos(), angle.sin(), -angle.sin(), angle.cos()
+    turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = (
+        angle.cos(),
+        angle.sin(),
+        -angle.sin(),
+        angle.cos(),
+    )
     cameras.c2w[0, 1] = cameras.c2w[0, 1] @ turn
     write_cameras(folder / "given.json", posed_cameras(cameras, names))
     return folder
@@ -32,29 +41,61 @@ def posed_photos(tmp_path_factory):
 
 def run(folder, out, *options):
     photos = [str(path) for path in sorted(folder.glob("?.png"))]
-    quick = ["--editor", "none", "--frames", "2", "--outputs", "scene", "--gaussians", "all", "--refine", "0"]
-    assert main(["run", *photos, "--out", str(out), *quick, "--size", "128", *options]) == 0
-    given, found = read_cameras(folder / "given.json"), read_cameras(out / "cameras.json")
+    quick = [
+        "--editor",
+        "none",
+        "--frames",
+        "2",
+        "--outputs",
+        "scene",
+        "--gaussians",
+        "all",
+        "--refine",
+        "0",
+    ]
+    assert (
+        main(["run", *photos, "--out", str(out), *quick, "--size", "128", *options])
+        == 0
+    )
+    given, found = (
+        read_cameras(folder / "given.json"),
+        read_cameras(out / "cameras.json"),
+    )
     relative = np.linalg.inv(given[0].c2w) @ given[1].c2w
     return relative, found[1].c2w, json.loads((out / "run.json").read_text())
 
 
-def test_poses_of_a_given_camera_file_are_used_as_they_are(posed_photos, tmp_path, capsys):
-    given, used, manifest = run(posed_photos, tmp_path / "out", "--cameras", str(posed_photos / "given.json"))
+def test_poses_of_a_given_camera_file_are_used_as_they_are(
+    posed_photos, tmp_path, capsys
+):
+    given, used, manifest = run(
+        posed_photos, tmp_path / "out", "--cameras", str(posed_photos / "given.json")
+    )
     np.testing.assert_allclose(used, given, atol=2e-6)
     assert manifest["notes"]["poses.source"].startswith("those that were given")
     assert "poses: those that were given" in capsys.readouterr().err
 
 
-def test_refine_poses_brings_the_given_ones_back_and_says_how_far(posed_photos, tmp_path, capsys):
+def test_refine_poses_brings_the_given_ones_back_and_says_how_far(
+    posed_photos, tmp_path, capsys
+):
     given, used, manifest = run(
-        posed_photos, tmp_path / "out", "--cameras", str(posed_photos / "given.json"), "--refine-poses"
+        posed_photos,
+        tmp_path / "out",
+        "--cameras",
+        str(posed_photos / "given.json"),
+        "--refine-poses",
     )
     first, second = (camera.c2w for camera in read_cameras(posed_photos / "true.json"))
     true = (np.linalg.inv(first) @ second)[:3, :3]
-    off, left = (np.degrees(np.arccos((np.trace(c2w[:3, :3].T @ true) - 1) / 2)) for c2w in (given, used))
+    off, left = (
+        np.degrees(np.arccos((np.trace(c2w[:3, :3].T @ true) - 1) / 2))
+        for c2w in (given, used)
+    )
     assert off > 1.4 and left < 0.4
-    assert np.linalg.norm(used[:3, 3]) == pytest.approx(np.linalg.norm(given[:3, 3]), rel=0.02)
+    assert np.linalg.norm(used[:3, 3]) == pytest.approx(
+        np.linalg.norm(given[:3, 3]), rel=0.02
+    )
     assert manifest["notes"]["poses.refined"].startswith("turned by up to 1.")
     assert "as they are" not in manifest["notes"]["poses.source"]
 
@@ -66,6 +107,11 @@ def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):
 
 
 def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
-    options = ["--cameras", str(posed_photos / "given.json"), "--set", "reconstructor.matcher=classical"]
+    options = [
+        "--cameras",
+        str(posed_photos / "given.json"),
+        "--set",
+        "reconstructor.matcher=classical",
+    ]
     given, used, _ = run(posed_photos, tmp_path / "out", *options)
     assert np.abs(used - given).max() > 1e-3

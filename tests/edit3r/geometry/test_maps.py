@@ -21,7 +21,9 @@ def test_a_step_follows_the_guide_s_edge_better_than_bilinear_resizing():
     truth = guide[:, :1]
     coarse = torch.nn.functional.interpolate(truth, (16, 16), mode="area")
     guided = (guided_upsample(coarse, guide) - truth).abs().mean()
-    plain = torch.nn.functional.interpolate(coarse, (64, 64), mode="bilinear", align_corners=False)
+    plain = torch.nn.functional.interpolate(
+        coarse, (64, 64), mode="bilinear", align_corners=False
+    )
     assert guided < 0.35 * (plain - truth).abs().mean()
 
 
@@ -36,7 +38,9 @@ def test_a_pixel_unlike_all_its_neighbours_still_gets_their_depth():
     """Its likeness to each of them is smaller than any float; the depth once came out as 0."""
     guide = np.zeros((4, 4, 3), np.float32)
     image = np.ones((16, 16, 3), np.float32)
-    inverse, confidence = upsample_depth(np.full((4, 4), 0.5, np.float32), np.ones((4, 4), bool), guide, image)
+    inverse, confidence = upsample_depth(
+        np.full((4, 4), 0.5, np.float32), np.ones((4, 4), bool), guide, image
+    )
     np.testing.assert_allclose(inverse, 0.5, rtol=1e-5)
     np.testing.assert_allclose(confidence, 1, rtol=1e-5)
 
@@ -56,7 +60,10 @@ def test_enlarging_a_slope_keeps_it_smooth():
     x = np.arange(64, dtype=np.float32)
     inverse = np.broadcast_to(0.2 + 0.0005 * x, (48, 64)).astype(np.float32).copy()
     depth, _ = upsample_depth(
-        inverse, np.ones((48, 64), bool), np.zeros((48, 64, 3), np.float32), np.zeros((96, 128, 3))
+        inverse,
+        np.ones((48, 64), bool),
+        np.zeros((48, 64, 3), np.float32),
+        np.zeros((96, 128, 3)),
     )
     expected = 0.2 + 0.0005 * np.clip((np.arange(128) + 0.5) / 2 - 0.5, 0, 63)
     assert np.abs(depth - expected).max() < 1e-5
@@ -65,12 +72,18 @@ def test_enlarging_a_slope_keeps_it_smooth():
 @pytest.mark.parametrize("shape", [(7, 9), (3, 7, 9), (2, 3, 7, 9)])
 @pytest.mark.parametrize("reach", [0, 1, 4])
 def test_it_is_the_largest_of_the_square_inside_the_picture(shape, reach):
-    maps = torch.randn(shape, generator=torch.Generator().manual_seed(reach)) - 5  # beyond the border is not 0
+    maps = (
+        torch.randn(shape, generator=torch.Generator().manual_seed(reach)) - 5
+    )  # beyond the border is not 0
     found = dilate(maps, reach)
     assert found.shape == maps.shape
     for row in range(7):
         for column in range(9):
-            square = maps[..., max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
+            square = maps[
+                ...,
+                max(0, row - reach) : row + reach + 1,
+                max(0, column - reach) : column + reach + 1,
+            ]
             assert torch.equal(found[..., row, column], square.amax((-2, -1)))
 
 

@@ -5,10 +5,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edit3r.contract.types import Cameras
 from edit3r.geometry.cameras import intrinsics_from_fov, project
 from edit3r.geometry.paths import between_and_around, interpolate_poses
 from edit3r.geometry.rotations import quats_to_matrices, rotation_angle
-from edit3r.types import Cameras
 
 
 def pose(quat=(1.0, 0, 0, 0), centre=(0.0, 0, 0)):
@@ -23,7 +23,10 @@ def orbit(angles, radius=4.0):
     poses = []
     for angle in angles:
         matrix = pose((math.cos(angle / 2), 0, math.sin(angle / 2), 0))
-        matrix[:3, 3] = torch.tensor([0, 0, radius]) - matrix[:3, :3] @ torch.tensor([0, 0, radius]).double()
+        matrix[:3, 3] = (
+            torch.tensor([0, 0, radius])
+            - matrix[:3, :3] @ torch.tensor([0, 0, radius]).double()
+        )
         poses.append(matrix)
     return torch.stack(poses)
 
@@ -42,16 +45,24 @@ def twist(rotation, velocity):
 
 
 @given(
-    st.tuples(*[st.floats(-1.8, 1.8)] * 3),  # at most 1.8 sqrt(3) < pi: one logarithm only
+    st.tuples(
+        *[st.floats(-1.8, 1.8)] * 3
+    ),  # at most 1.8 sqrt(3) < pi: one logarithm only
     st.tuples(*[st.floats(-5, 5)] * 3),
     st.floats(0, 1),
 )
 @settings(max_examples=60, deadline=None)
-def test_interpolation_is_the_exponential_of_a_share_of_the_twist(rotation, velocity, share):
+def test_interpolation_is_the_exponential_of_a_share_of_the_twist(
+    rotation, velocity, share
+):
     start = pose((0.3, 0.1, -0.5, 0.8), (1.0, 2.0, 3.0))
     whole = twist(rotation, velocity)
-    part = interpolate_poses(start, start @ torch.matrix_exp(whole), torch.tensor(share, dtype=torch.float64))
-    torch.testing.assert_close(part, start @ torch.matrix_exp(share * whole), atol=1e-8, rtol=0)
+    part = interpolate_poses(
+        start, start @ torch.matrix_exp(whole), torch.tensor(share, dtype=torch.float64)
+    )
+    torch.testing.assert_close(
+        part, start @ torch.matrix_exp(share * whole), atol=1e-8, rtol=0
+    )
 
 
 def test_interpolation_without_rotation_is_a_straight_line():
@@ -62,8 +73,12 @@ def test_interpolation_without_rotation_is_a_straight_line():
 
 def test_interpolation_is_accurate_for_tiny_rotations():
     quat = (math.cos(0.5e-5), 0, math.sin(0.5e-5), 0)
-    middle = interpolate_poses(pose(), pose(quat, (1.0, 0, 0)), torch.tensor(0.5).double())
-    torch.testing.assert_close(middle[:3, 3], torch.tensor([0.5, 0, 1e-5 / 8]).double(), atol=1e-10, rtol=0)
+    middle = interpolate_poses(
+        pose(), pose(quat, (1.0, 0, 0)), torch.tensor(0.5).double()
+    )
+    torch.testing.assert_close(
+        middle[:3, 3], torch.tensor([0.5, 0, 1e-5 / 8]).double(), atol=1e-10, rtol=0
+    )
 
 
 def test_between_two_orbiting_views_the_camera_stays_on_their_circle():
@@ -80,7 +95,9 @@ def test_path_passes_every_view_exactly_and_starts_at_the_first():
 
 
 def test_path_goes_up_and_down_around_the_line_between_two_views():
-    path = between_and_around(cameras(torch.stack((pose(), pose(centre=(1.0, 0, 0))))), 40, depth=5.0)
+    path = between_and_around(
+        cameras(torch.stack((pose(), pose(centre=(1.0, 0, 0))))), 40, depth=5.0
+    )
     heights = path.c2w[0, :, 1, 3]
     assert heights[10] < -0.1 and heights[30] > 0.1
     torch.testing.assert_close(heights[10], -heights[30])
@@ -99,7 +116,9 @@ def test_path_is_never_wild(views, seed, depth):
     assert torch.isfinite(path.c2w).all()
     assert torch.cdist(centres, inputs).min(1).values.max() <= allowed
     rotations = path.c2w[0, :, :3, :3]
-    torch.testing.assert_close(rotations @ rotations.mT, torch.eye(3).expand(24, 3, 3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        rotations @ rotations.mT, torch.eye(3).expand(24, 3, 3), atol=1e-5, rtol=0
+    )
 
 
 def test_path_is_a_smooth_loop():
@@ -125,7 +144,9 @@ def test_one_view_is_circled_when_the_depth_is_known_and_kept_when_it_is_not():
     circled = between_and_around(lone, 8, depth=4.0)
     torch.testing.assert_close(circled.c2w[0, 0], torch.eye(4))
     assert circled.c2w[0, :, :3, 3].norm(dim=-1).max() > 0.1
-    torch.testing.assert_close(between_and_around(lone, 8).c2w[0], torch.eye(4).expand(8, 4, 4))
+    torch.testing.assert_close(
+        between_and_around(lone, 8).c2w[0], torch.eye(4).expand(8, 4, 4)
+    )
 
 
 def test_intrinsics_pass_from_view_to_view():

@@ -14,7 +14,9 @@ def test_matrices_are_rotations_for_quaternions_of_any_norm(quat, norm):
     quats = torch.tensor(quat, dtype=torch.float64)
     quats = rotations.normalise_quats(quats) * norm
     matrix = rotations.quats_to_matrices(quats)
-    assert torch.allclose(matrix @ matrix.T, torch.eye(3, dtype=torch.float64), atol=1e-9)
+    assert torch.allclose(
+        matrix @ matrix.T, torch.eye(3, dtype=torch.float64), atol=1e-9
+    )
     assert math.isclose(float(torch.linalg.det(matrix)), 1, abs_tol=1e-9)
 
 
@@ -43,8 +45,20 @@ def test_the_zero_quaternion_is_the_identity_with_zero_gradient():
 
 
 def test_gradients_agree_with_finite_differences():
-    quats = torch.randn(5, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
-    scales = torch.rand(5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1), requires_grad=True)
+    quats = torch.randn(
+        5,
+        4,
+        dtype=torch.float64,
+        generator=torch.Generator().manual_seed(0),
+        requires_grad=True,
+    )
+    scales = torch.rand(
+        5,
+        3,
+        dtype=torch.float64,
+        generator=torch.Generator().manual_seed(1),
+        requires_grad=True,
+    )
     assert torch.autograd.gradcheck(rotations.covariances, (scales, quats))
 
 
@@ -56,7 +70,11 @@ def test_a_quarter_turn_about_z_takes_x_to_y():
 
 def test_rotation_angle_is_accurate_for_tiny_and_half_turns():
     for angle in (1e-6, 0.01, 1.0, math.pi):
-        quats = torch.tensor([math.cos(angle / 2), 0, math.sin(angle / 2), 0], dtype=torch.float64)
+        quats = torch.tensor(
+            [math.cos(angle / 2), 0, math.sin(angle / 2), 0], dtype=torch.float64
+        )
         matrix = rotations.quats_to_matrices(quats)
-        measured = float(rotations.rotation_angle(matrix, torch.eye(3, dtype=torch.float64)))
+        measured = float(
+            rotations.rotation_angle(matrix, torch.eye(3, dtype=torch.float64))
+        )
         assert math.isclose(measured, angle, rel_tol=1e-6)

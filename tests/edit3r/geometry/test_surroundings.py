@@ -5,11 +5,11 @@ import dataclasses
 import pytest
 import torch
 
+from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.surroundings import apron, backdrop, lining
-from edit3r.interfaces import MatchedGeometry
-from edit3r.testing import photograph
+from edit3r_testing import photograph
 
 
 @pytest.fixture(scope="module")
@@ -20,46 +20,72 @@ def pair():
 @pytest.fixture
 def truth(pair):
     confidence = torch.ones_like(pair.depths)
-    return MatchedGeometry(pair.cameras.c2w, pair.depths, confidence, torch.ones(1, 2, dtype=torch.bool))
+    return MatchedGeometry(
+        pair.cameras.c2w, pair.depths, confidence, torch.ones(1, 2, dtype=torch.bool)
+    )
 
 
 def test_the_rim_stays_out_of_every_photo(pair, truth):
     rim = apron(pair.views, truth, 0.2, 0.6)
     assert rim.count > 100
     for view in (0, 1):
-        places, depth = project(rim.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
+        places, depth = project(
+            rim.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
+        )
         shown = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
         assert not shown.any()
 
 
 def test_the_rim_fades_outwards_to_nothing(pair, truth):
-    rim = apron(pair.views.select([0]), dataclasses.replace(truth, **_first(truth)), 0.2, 0.6)
+    rim = apron(
+        pair.views.select([0]), dataclasses.replace(truth, **_first(truth)), 0.2, 0.6
+    )
     places, _ = project(rim.means, pair.views.intrinsics[:, 0], truth.c2w[:, 0])
     height, width = pair.views.image_size
-    beyond = (torch.maximum(-places, places - 1) * torch.tensor([width, height])).amax(-1)[0]
-    near, far = (rim.opacities[0][part] for part in (beyond < beyond.quantile(0.2), beyond > beyond.quantile(0.8)))
+    beyond = (torch.maximum(-places, places - 1) * torch.tensor([width, height])).amax(
+        -1
+    )[0]
+    near, far = (
+        rim.opacities[0][part]
+        for part in (beyond < beyond.quantile(0.2), beyond > beyond.quantile(0.8))
+    )
     assert near.min() > far.max() and far.min() < 0.15 and near.max() > 0.5
 
 
 def _first(truth):
-    return {name: getattr(truth, name)[:, :1] for name in ("c2w", "depths", "confidence", "registered")}
+    return {
+        name: getattr(truth, name)[:, :1]
+        for name in ("c2w", "depths", "confidence", "registered")
+    }
 
 
 def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
-    grey = dataclasses.replace(pair.views, images=torch.full_like(pair.views.images, 0.25))
+    grey = dataclasses.replace(
+        pair.views, images=torch.full_like(pair.views.images, 0.25)
+    )
     rim = apron(grey, truth, 0.1, 0.6)
     assert torch.allclose(dc_to_colour(rim.harmonics), torch.tensor(0.25), atol=1e-6)
 
 
 @pytest.mark.parametrize("layers", ["backdrop", "lining"])
 def test_no_layer_stands_before_a_photo(pair, truth, layers):
-    layer = backdrop(pair.views, truth, 0.9) if layers == "backdrop" else _lined(pair, truth)
+    layer = (
+        backdrop(pair.views, truth, 0.9)
+        if layers == "backdrop"
+        else _lined(pair, truth)
+    )
     assert layer.count > 50
     height, width = pair.views.image_size
     for view in (0, 1):
-        places, depth = project(layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view])
+        places, depth = project(
+            layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
+        )
         pixel = (places[0] * torch.tensor([width, height])).floor().long()
-        inside = ((places[0] > 0) & (places[0] < 1)).all(-1) & (depth[0] > 0) & (layer.view_index != view)
+        inside = (
+            ((places[0] > 0) & (places[0] < 1)).all(-1)
+            & (depth[0] > 0)
+            & (layer.view_index != view)
+        )
         surface = truth.depths[0, view][pixel[inside, 1], pixel[inside, 0]]
         assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
 
@@ -75,16 +101,27 @@ def _lined(pair, geometry, faint=0.5):
     return lining(pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9)
 
 
-def test_a_lining_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(pair, truth):
+def test_a_lining_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(
+    pair, truth
+):
     here = truth.c2w[:, :1]
-    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1))
+    wall = dataclasses.replace(
+        truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1)
+    )
     assert _lined(pair, wall, faint=0.99).count == 0
-    assert _lined(pair, dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))).count == 0
+    assert (
+        _lined(
+            pair,
+            dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence)),
+        ).count
+        == 0
+    )
     layer = _lined(pair, wall)
     places, depth = project(layer.means, pair.views.intrinsics[:, 0], here[:, 0])
     assert layer.count == 2 * 24 * 32
     assert ((depth > 3) & (depth < 3.6)).all() and ((places > 0) & (places < 1)).all()
-    # A post before the wall, two pixels wide: what is lined beside it would show on both of its sides.
+    # A post before the wall, two pixels wide: what is lined beside it would show on both of its
+    # sides.
     wall.depths[..., 40:42] = 2.0
     beside = _lined(pair, wall)
     places, _ = project(beside.means, pair.views.intrinsics[:, 0], here[:, 0])

@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 
+from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.geometry.cameras import unproject
 from edit3r.geometry.warping import (
     contradicted,
@@ -12,8 +13,7 @@ from edit3r.geometry.warping import (
     seen_by_others,
     warp,
 )
-from edit3r.interfaces import MatchedGeometry
-from edit3r.testing import photograph
+from edit3r_testing import photograph
 
 SCENE = photograph(2, (48, 64))
 INTRINSICS = SCENE.views.intrinsics
@@ -26,7 +26,9 @@ def test_partner_of_every_view_is_the_reference_and_of_the_reference_view_1():
 
 def test_true_geometry_pulls_the_same_colours_where_both_views_see_the_surface():
     scene = photograph(3, (48, 64))
-    matches = find_correspondences(scene.depths, scene.views.intrinsics, scene.cameras.c2w)
+    matches = find_correspondences(
+        scene.depths, scene.views.intrinsics, scene.cameras.c2w
+    )
     warped = warp(scene.views.images[:, partner_views(3)], matches.coordinates)
     both = (matches.inside > 0.5) & (matches.depth_ratio.abs() < 0.02)
     gap = (warped - scene.views.images).abs().mean(2)
@@ -54,14 +56,18 @@ def test_points_behind_the_partner_are_outside_and_finite():
 @pytest.fixture
 def truth():
     registered = torch.ones(1, 2, dtype=torch.bool)
-    return MatchedGeometry(SCENE.cameras.c2w, SCENE.depths, torch.ones_like(SCENE.depths), registered)
+    return MatchedGeometry(
+        SCENE.cameras.c2w, SCENE.depths, torch.ones_like(SCENE.depths), registered
+    )
 
 
 def test_guesses_before_or_on_what_another_view_measured_are_contradicted(truth):
     depths, confidence = truth.depths.clone(), truth.confidence.clone()
     depths[0, 0, 20:24, 30:32] *= 0.5
     confidence[0, 0, 20:24, 30:34] = 0
-    found = contradicted(dataclasses.replace(truth, depths=depths, confidence=confidence), INTRINSICS)
+    found = contradicted(
+        dataclasses.replace(truth, depths=depths, confidence=confidence), INTRINSICS
+    )
     assert found[0, 0, 20:24, 30:32].all() and 12 <= found.sum() <= 16
     assert not contradicted(truth, INTRINSICS).any()
 
@@ -70,7 +76,12 @@ def test_what_was_measured_falls_only_where_more_views_see_through_it_than_confi
     scene = photograph(3, (48, 64))
     depths = scene.depths.clone()
     depths[0, 0, 20:26, 30:36] *= 0.5
-    geometry = MatchedGeometry(scene.cameras.c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool))
+    geometry = MatchedGeometry(
+        scene.cameras.c2w,
+        depths,
+        torch.ones_like(depths),
+        torch.ones(1, 3, dtype=torch.bool),
+    )
     found = contradicted(geometry, scene.views.intrinsics)
     assert found[0, 0, 21:25, 31:35].all() and found.sum() < 60
 

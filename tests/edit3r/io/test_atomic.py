@@ -35,7 +35,10 @@ def test_a_run_that_raises_leaves_nothing_and_keeps_the_earlier_one(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "out") as folder:
         (folder / "scene.ply").write_text("new")
         raise KeyboardInterrupt
-    assert left_in(tmp_path) == ["out"] and (tmp_path / "out" / "scene.ply").read_text() == "old"
+    assert (
+        left_in(tmp_path) == ["out"]
+        and (tmp_path / "out" / "scene.ply").read_text() == "old"
+    )
 
 
 @pytest.mark.parametrize("in_one_step", [True, False])
@@ -45,13 +48,18 @@ def test_an_earlier_run_is_replaced_as_a_whole(tmp_path, monkeypatch, in_one_ste
     make_run(tmp_path / "out")
     with atomic_folder(tmp_path / "out") as folder:
         (folder / "run.json").write_text("new")
-    assert left_in(tmp_path / "out") == [MARKER, "run.json"] and left_in(tmp_path) == ["out"]
+    assert left_in(tmp_path / "out") == [MARKER, "run.json"] and left_in(tmp_path) == [
+        "out"
+    ]
 
 
 def test_folders_of_others_are_refused_at_once_and_untouched(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("precious")
-    with pytest.raises(InputError, match=r"out: holds files that are not from an earlier run \(such as thesis.tex\)"):
+    with pytest.raises(
+        InputError,
+        match=r"out: holds files that are not from an earlier run \(such as thesis.tex\)",
+    ):
         make_run(tmp_path / "out")
     assert left_in(tmp_path) == ["out"]
 
@@ -64,8 +72,12 @@ def test_an_earlier_run_with_a_note_added_is_refused(tmp_path):
     assert (tmp_path / "out" / "scene.ply").read_text() == "old"
 
 
-@pytest.mark.parametrize("change", ["edited", "empty folder", "same size", "older file"])
-def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp_path, change):
+@pytest.mark.parametrize(
+    "change", ["edited", "empty folder", "same size", "older file"]
+)
+def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(
+    tmp_path, change
+):
     out = tmp_path / "out"
     make_run(out)
     changed = out / ("notes" if change == "empty folder" else "scene.ply")
@@ -76,7 +88,9 @@ def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp
         changed.write_text("mine!" if change == "edited" else "own")
         if change == "older file":
             os.utime(changed, (1, 1))
-    with pytest.raises(InputError, match=rf"{changed.name} was added or changed by hand.*--overwrite"):
+    with pytest.raises(
+        InputError, match=rf"{changed.name} was added or changed by hand.*--overwrite"
+    ):
         make_run(out, "new")
     assert changed.exists() and left_in(tmp_path) == ["out"]
     with atomic_folder(out, overwrite=True) as folder:
@@ -86,19 +100,30 @@ def test_an_earlier_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp
 
 def test_overwrite_never_replaces_what_no_run_wrote(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
-    with pytest.raises(InputError, match="not from an earlier run"), atomic_folder(tmp_path, overwrite=True):
+    with (
+        pytest.raises(InputError, match="not from an earlier run"),
+        atomic_folder(tmp_path, overwrite=True),
+    ):
         pass
     assert left_in(tmp_path) == ["thesis.tex"]
 
 
 @pytest.mark.parametrize("in_one_step", [True, False])
-def test_the_old_result_stays_when_the_new_one_is_gone(tmp_path, monkeypatch, in_one_step):
+def test_the_old_result_stays_when_the_new_one_is_gone(
+    tmp_path, monkeypatch, in_one_step
+):
     if not in_one_step:
         monkeypatch.setattr(atomic, "_exchange_in_one_step", lambda new, old: False)
     make_run(tmp_path / "out")
-    with pytest.raises(RunError, match="another program took"), atomic_folder(tmp_path / "out") as folder:
+    with (
+        pytest.raises(RunError, match="another program took"),
+        atomic_folder(tmp_path / "out") as folder,
+    ):
         folder.rmdir()
-    assert left_in(tmp_path) == ["out"] and (tmp_path / "out" / "scene.ply").read_text() == "old"
+    assert (
+        left_in(tmp_path) == ["out"]
+        and (tmp_path / "out" / "scene.ply").read_text() == "old"
+    )
 
 
 def test_an_empty_folder_is_used_and_a_file_refused(tmp_path):
@@ -141,12 +166,18 @@ REPLACING = """
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith(("linux", "darwin")), reason="replacing is in one step only there")
+@pytest.mark.skipif(
+    not sys.platform.startswith(("linux", "darwin")),
+    reason="replacing is in one step only there",
+)
 def test_a_kill_at_any_moment_leaves_a_whole_result(tmp_path):
     out = tmp_path / "out"
     make_run(out)
     for delay in (0.002, 0.005, 0.009, 0.014, 0.02):
-        process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(REPLACING), str(out)], stdout=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(REPLACING), str(out)],
+            stdout=subprocess.PIPE,
+        )
         process.stdout.readline()
         time.sleep(delay)
         process.kill()
@@ -169,12 +200,17 @@ def test_atomic_write_replaces_only_when_it_ends_well(tmp_path):
 
 
 def test_atomic_write_into_no_folder_or_onto_one_is_an_error(tmp_path):
-    for path, expected in ((tmp_path / "none" / "a.txt", "there is no folder"), (tmp_path, "it is a folder")):
+    for path, expected in (
+        (tmp_path / "none" / "a.txt", "there is no folder"),
+        (tmp_path, "it is a folder"),
+    ):
         with pytest.raises(InputError, match=expected), atomic_write(path):
             pass
 
 
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(
+    os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere"
+)
 def test_unwritable_folder_is_one_sentence(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InputError, match="cannot be created"):

@@ -1,4 +1,6 @@
-"""Writers that are killed at every step of the protocol, and several at one place: nothing lost, mixed or left."""
+"""Writers that are killed at every step of the protocol, and several at one place: nothing lost,
+mixed or left.
+"""
 
 import os
 import subprocess
@@ -29,7 +31,9 @@ def write_file(path, text):
 
 
 def killed_at(step, write):
-    """Call `write` in a process that ends without a word before its `step`-th system call; False: it had fewer."""
+    """Call `write` in a process that ends without a word before its `step`-th system call; False:
+    it had fewer.
+    """
     child = os.fork()
     if child == 0:
         left = step
@@ -72,13 +76,19 @@ def test_a_folder_killed_at_every_step(tmp_path, monkeypatch, earlier, in_one_st
         killed = killed_at(step, lambda: write_folder(out, "new"))  # noqa: B023
         seen.add(content(out))
         atomic.remove_abandoned(out, "out", "")  # what the next start does first
-        assert content(out) in (earlier, "new") and {path.name for path in place.iterdir()} <= {"out"}, step
+        assert content(out) in (earlier, "new") and {
+            path.name for path in place.iterdir()
+        } <= {"out"}, step
         write_folder(out, "next")
-        assert content(out) == "next" and [path.name for path in place.iterdir()] == ["out"], step
+        assert content(out) == "next" and [path.name for path in place.iterdir()] == [
+            "out"
+        ], step
         if not killed:
             break
         step += 1
-    between = set() if in_one_step else {None}  # three renames, and an instant without a folder of that name
+    between = (
+        set() if in_one_step else {None}
+    )  # three renames, and an instant without a folder of that name
     assert seen == {earlier, "new"} | between and step > 10
 
 
@@ -112,7 +122,10 @@ MANY = """
 def test_six_processes_at_one_folder(tmp_path):
     out = tmp_path / "out"
     program = [sys.executable, "-c", textwrap.dedent(MANY), str(out)]
-    processes = [subprocess.Popen([*program, str(index)], stderr=subprocess.PIPE) for index in range(6)]
+    processes = [
+        subprocess.Popen([*program, str(index)], stderr=subprocess.PIPE)
+        for index in range(6)
+    ]
     errors = [process.communicate()[1].decode() for process in processes]
     assert not any(errors), errors
     assert len({(out / name).read_text() for name in ("a.txt", "c.txt")}) == 1

@@ -6,27 +6,37 @@ import pytest
 import torch
 from PIL import Image
 
+from edit3r.contract.types import Cameras
 from edit3r.errors import InputError
 from edit3r.io.cameras import PosedCamera, posed_cameras, read_cameras, write_cameras
-from edit3r.types import Cameras
 
 
 def some_cameras(count=3, seed=0):
     generator = torch.Generator().manual_seed(seed)
     c2w = torch.eye(4).repeat(1, count, 1, 1)
     c2w[:, :, :3, 3] = torch.randn(1, count, 3, generator=generator)
-    intrinsics = torch.tensor([[0.9, 0, 0.51], [0, 1.2, 0.48], [0, 0, 1]]).repeat(1, count, 1, 1)
+    intrinsics = torch.tensor([[0.9, 0, 0.51], [0, 1.2, 0.48], [0, 0, 1]]).repeat(
+        1, count, 1, 1
+    )
     return Cameras(c2w, intrinsics, (300, 400))
 
 
 def test_written_cameras_come_back_exactly_in_float32(tmp_path):
     cameras = some_cameras()
-    write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, ["a.png", "b.png", "c.png"]))
+    write_cameras(
+        tmp_path / "cameras.json", posed_cameras(cameras, ["a.png", "b.png", "c.png"])
+    )
     read = read_cameras(tmp_path / "cameras.json")
-    assert [(camera.file, camera.width, camera.height) for camera in read] == [(f"{n}.png", 400, 300) for n in "abc"]
+    assert [(camera.file, camera.width, camera.height) for camera in read] == [
+        (f"{n}.png", 400, 300) for n in "abc"
+    ]
     for index, camera in enumerate(read):
-        np.testing.assert_array_equal(camera.c2w.astype(np.float32), cameras.c2w[0, index].numpy())
-        np.testing.assert_allclose(camera.intrinsics, cameras.intrinsics[0, index].numpy(), rtol=1e-7)
+        np.testing.assert_array_equal(
+            camera.c2w.astype(np.float32), cameras.c2w[0, index].numpy()
+        )
+        np.testing.assert_allclose(
+            camera.intrinsics, cameras.intrinsics[0, index].numpy(), rtol=1e-7
+        )
         np.testing.assert_allclose(camera.K[0], [0.9 * 400, 0, 0.51 * 400], rtol=1e-6)
 
 
@@ -45,7 +55,9 @@ def transforms(path, frame, **top):
 def test_nerfstudio_poses_are_turned_from_opengl_to_opencv_axes(tmp_path):
     matrix = np.eye(4)
     matrix[:3, 3] = 1, 2, 3
-    camera = transforms(tmp_path / "t.json", {"transform_matrix": matrix.tolist()}, w=4, h=3, fl_x=5)
+    camera = transforms(
+        tmp_path / "t.json", {"transform_matrix": matrix.tolist()}, w=4, h=3, fl_x=5
+    )
     np.testing.assert_array_equal(camera.c2w[:3, :3], np.diag([1, -1, -1]))
     np.testing.assert_array_equal(camera.c2w[:3, 3], [1, 2, 3])
 
@@ -53,14 +65,19 @@ def test_nerfstudio_poses_are_turned_from_opengl_to_opencv_axes(tmp_path):
 def test_nerfstudio_intrinsics_at_the_top_or_per_frame(tmp_path):
     top = dict(w=400, h=300, fl_x=320, fl_y=330, cx=210, cy=140)
     np.testing.assert_array_equal(
-        transforms(tmp_path / "t.json", {}, **top).K, [[320, 0, 210], [0, 330, 140], [0, 0, 1]]
+        transforms(tmp_path / "t.json", {}, **top).K,
+        [[320, 0, 210], [0, 330, 140], [0, 0, 1]],
     )
     assert transforms(tmp_path / "t.json", {"fl_x": 100}, **top).K[0, 0] == 100
 
 
-def test_nerfstudio_angle_alone_means_square_pixels_and_a_centred_principal_point(tmp_path):
+def test_nerfstudio_angle_alone_means_square_pixels_and_a_centred_principal_point(
+    tmp_path,
+):
     Image.new("RGB", (80, 60)).save(tmp_path / "a.png")
-    camera = transforms(tmp_path / "t.json", {"file_path": "./a"}, camera_angle_x=math.pi / 2)
+    camera = transforms(
+        tmp_path / "t.json", {"file_path": "./a"}, camera_angle_x=math.pi / 2
+    )
     assert (camera.width, camera.height) == (80, 60) and camera.file == "./a.png"
     np.testing.assert_allclose(camera.K, [[40, 0, 40], [0, 40, 30], [0, 0, 1]])
 
@@ -68,7 +85,13 @@ def test_nerfstudio_angle_alone_means_square_pixels_and_a_centred_principal_poin
 def test_nerfstudio_distortion_is_kept_and_fisheye_refused(tmp_path):
     top = dict(w=4, h=3, fl_x=5)
     assert transforms(tmp_path / "t.json", {}, **top).distortion == ()
-    assert transforms(tmp_path / "t.json", {}, k1=0.1, p2=-0.2, **top).distortion == (0.1, 0, 0, -0.2, 0)
+    assert transforms(tmp_path / "t.json", {}, k1=0.1, p2=-0.2, **top).distortion == (
+        0.1,
+        0,
+        0,
+        -0.2,
+        0,
+    )
     with pytest.raises(InputError, match=r"t\.json: camera 0 .*OPENCV_FISHEYE"):
         transforms(tmp_path / "t.json", {}, camera_model="OPENCV_FISHEYE", **top)
 
@@ -80,10 +103,19 @@ def test_nerfstudio_distortion_is_kept_and_fisheye_refused(tmp_path):
         ("3", "expected a list of cameras"),
         ('{"frames": 3}', "expected a list of cameras"),
         ('[{"width": 4, "height": 3}]', "camera 0 lacks 'file'"),
-        ('[{"file": "a", "width": 4, "height": 3, "K": [[1, 2], [3, 4]]}]', "K has shape"),
+        (
+            '[{"file": "a", "width": 4, "height": 3, "K": [[1, 2], [3, 4]]}]',
+            "K has shape",
+        ),
         ('[{"file": "a", "width": 4, "height": 0}]', "size 4x0"),
-        ('[{"file": "a", "width": 4, "height": 3, "K": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}]', "expected above 0"),
-        ('[{"file": "a", "width": 4, "height": 3, "K": [[NaN, 0, 0], [0, 1, 0], [0, 0, 1]]}]', "not finite"),
+        (
+            '[{"file": "a", "width": 4, "height": 3, "K": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}]',
+            "expected above 0",
+        ),
+        (
+            '[{"file": "a", "width": 4, "height": 3, "K": [[NaN, 0, 0], [0, 1, 0], [0, 0, 1]]}]',
+            "not finite",
+        ),
         ('[{"file": "a", "width": "wide", "height": 3}]', "camera 0 cannot be used"),
         ("[7]", "camera 0 cannot be used"),
         ('{"frames": [7]}', "camera 0 cannot be used"),
@@ -94,7 +126,11 @@ def test_faulty_camera_files_are_one_sentence_each(tmp_path, content, expected):
     (tmp_path / "c.json").write_text(content)
     with pytest.raises(InputError) as caught:
         read_cameras(tmp_path / "c.json")
-    assert expected in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+    assert (
+        expected in str(caught.value)
+        and "c.json" in str(caught.value)
+        and "\n" not in str(caught.value)
+    )
 
 
 def test_missing_and_binary_camera_files_are_errors(tmp_path):
@@ -123,8 +159,12 @@ POSE = np.eye(4)
 )
 def test_poses_that_are_none_name_file_and_camera(tmp_path, c2w, expected):
     entry = {"file": "a.png", "width": 4, "height": 3, "K": None}
-    (tmp_path / "c.json").write_text(json.dumps([{**entry, "c2w": POSE.tolist()}, {**entry, "c2w": c2w.tolist()}]))
-    with pytest.raises(InputError, match=rf"c\.json: camera 1 cannot be used \(.*{expected}"):
+    (tmp_path / "c.json").write_text(
+        json.dumps([{**entry, "c2w": POSE.tolist()}, {**entry, "c2w": c2w.tolist()}])
+    )
+    with pytest.raises(
+        InputError, match=rf"c\.json: camera 1 cannot be used \(.*{expected}"
+    ):
         read_cameras(tmp_path / "c.json")
 
 
@@ -141,7 +181,9 @@ def test_poses_that_are_none_name_file_and_camera(tmp_path, c2w, expected):
     ],
 )
 def test_intrinsics_that_are_none_name_file_and_camera(tmp_path, row, expected):
-    (tmp_path / "c.json").write_text(json.dumps([{"file": "a.png", "width": 4, "height": 3, "K": row}]))
+    (tmp_path / "c.json").write_text(
+        json.dumps([{"file": "a.png", "width": 4, "height": 3, "K": row}])
+    )
     with pytest.raises(InputError, match=rf"c\.json: camera 0 .*{expected}"):
         read_cameras(tmp_path / "c.json")
 
@@ -152,6 +194,8 @@ def test_intrinsics_that_are_none_name_file_and_camera(tmp_path, row, expected):
     + [{"width": size} for size in ("4", 1.5, 0, 10**9, 1e400, None, [4])],
 )
 def test_cameras_without_a_name_or_size_are_refused(tmp_path, changed):
-    (tmp_path / "c.json").write_text(json.dumps([{"file": "a.png", "width": 4, "height": 3, **changed}]))
+    (tmp_path / "c.json").write_text(
+        json.dumps([{"file": "a.png", "width": 4, "height": 3, **changed}])
+    )
     with pytest.raises(InputError, match=r"c\.json: camera 0 cannot be used"):
         read_cameras(tmp_path / "c.json")

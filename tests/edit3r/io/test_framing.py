@@ -17,11 +17,17 @@ def test_every_photo_covers_the_common_size(photos, longest):
     assert min(target) >= 1 and (longest is None or max(target) <= longest)
     for size in photos:
         left, top, right, bottom = frame_for(size, target).box
-        assert 0 <= left < right <= size[1] + 1e-9 and 0 <= top < bottom <= size[0] + 1e-9
-        assert left == pytest.approx(size[1] - right, abs=1e-6) and top == pytest.approx(size[0] - bottom, abs=1e-6)
+        assert (
+            0 <= left < right <= size[1] + 1e-9 and 0 <= top < bottom <= size[0] + 1e-9
+        )
+        assert left == pytest.approx(
+            size[1] - right, abs=1e-6
+        ) and top == pytest.approx(size[0] - bottom, abs=1e-6)
 
 
-@pytest.mark.parametrize("size", [(384, 512), (500, 741), (1, 1), (1, 1000), (3024, 4032)])
+@pytest.mark.parametrize(
+    "size", [(384, 512), (500, 741), (1, 1), (1, 1000), (3024, 4032)]
+)
 def test_photos_of_one_size_lose_nothing(size):
     assert common_size([size] * 3, None) == size
     frame = frame_for(size, common_size([size] * 3, 512))
@@ -43,7 +49,9 @@ def test_a_huge_photo_among_small_ones_is_reduced_and_a_tiny_one_is_enlarged():
 def test_intrinsics_follow_the_crop_exactly(size, target):
     """A ray through a pixel of the original passes through the same spot of the crop."""
     frame = frame_for(size, target)
-    intrinsics = torch.tensor([[0.9, 0.01, 0.52], [0, 1.1, 0.47], [0, 0, 1]], dtype=torch.float64)
+    intrinsics = torch.tensor(
+        [[0.9, 0.01, 0.52], [0, 1.1, 0.47], [0, 0, 1]], dtype=torch.float64
+    )
     followed = frame.follow(intrinsics)
     point = torch.tensor([0.1, -0.2, 1.0], dtype=torch.float64)
     x, y = (intrinsics @ point)[:2] * torch.tensor([size[1], size[0]])
@@ -62,7 +70,9 @@ def test_the_cut_shows_what_the_box_says():
 
 def test_a_cut_that_changes_nothing_returns_the_very_pixels():
     noise = np.random.default_rng(0).integers(0, 255, (7, 9, 3), dtype=np.uint8)
-    assert (np.asarray(frame_for((7, 9), (7, 9)).cut(Image.fromarray(noise))) == noise).all()
+    assert (
+        np.asarray(frame_for((7, 9), (7, 9)).cut(Image.fromarray(noise))) == noise
+    ).all()
 
 
 def test_reducing_averages_instead_of_skipping():
@@ -89,7 +99,9 @@ def bent(lens, u, v):
 @given(st.floats(0.1, 0.9), st.floats(0.1, 0.9))
 @settings(deadline=None)
 def test_a_place_on_a_bent_photo_is_found_on_the_straight_one(u, v):
-    assert BARREL.straightened_place(*bent(BARREL, u, v)) == pytest.approx((u, v), abs=1e-4)
+    assert BARREL.straightened_place(*bent(BARREL, u, v)) == pytest.approx(
+        (u, v), abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("place", [(0.2, 0.25), (0.75, 0.3), (0.3, 0.8), (0.5, 0.5)])
@@ -99,25 +111,49 @@ def test_a_straightened_photo_shows_what_a_pinhole_would(place):
     spot = np.exp(-((columns - u * width) ** 2 + (rows - v * height) ** 2) / 18)
     frame = Frame((height, width), (0, 0, width, height), (height, width), BARREL)
     shown = np.asarray(frame.cut(Image.fromarray((255 * spot).astype(np.uint8)))) / 255
-    middle = (shown * columns).sum() / shown.sum() / width, (shown * rows).sum() / shown.sum() / height
+    middle = (
+        (shown * columns).sum() / shown.sum() / width,
+        (shown * rows).sum() / shown.sum() / height,
+    )
     assert middle == pytest.approx(place, abs=1.5e-3)
 
 
 @pytest.mark.parametrize("k1, dark", [(0.1, True), (-0.1, False)])
 def test_a_straightened_photo_has_no_dark_corners(k1, dark):
-    lens, white = Lens((0.9, 1.2), (0.5, 0.5), (k1, 0, 0, 0, 0)), Image.new("RGB", (400, 300), "white")
+    lens, white = (
+        Lens((0.9, 1.2), (0.5, 0.5), (k1, 0, 0, 0, 0)),
+        Image.new("RGB", (400, 300), "white"),
+    )
     assert (np.asarray(lens.straightened(white)).min() == 0) == dark
     frame = frame_for((300, 400), (150, 200)).through(lens)
     assert np.asarray(frame.cut(white)).min() >= 250
     assert (frame.cropped > 0) == dark and frame.cropped < 0.15
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]], dtype=torch.float64)
-    wider = (1 - frame.cropped) ** -0.5  # the crop is centred, so all angles and the middle stay
-    assert torch.allclose(frame.follow(intrinsics).diagonal()[:2], wider * intrinsics.diagonal()[:2])
+    intrinsics = torch.tensor(
+        [[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]], dtype=torch.float64
+    )
+    wider = (
+        1 - frame.cropped
+    ) ** -0.5  # the crop is centred, so all angles and the middle stay
+    assert torch.allclose(
+        frame.follow(intrinsics).diagonal()[:2], wider * intrinsics.diagonal()[:2]
+    )
 
 
 @pytest.mark.parametrize(
-    "change", [{"focal": (0.0, 1.0)}, {"centre": (float("nan"), 0.5)}, {"distortion": (1e3, 0, 0, 0, 0)}]
+    "change",
+    [
+        {"focal": (0.0, 1.0)},
+        {"centre": (float("nan"), 0.5)},
+        {"distortion": (1e3, 0, 0, 0, 0)},
+    ],
 )
 def test_a_lens_of_impossible_numbers_is_none(change):
     with pytest.raises(ValueError, match="expected"):
-        Lens(**{"focal": (1.0, 1.0), "centre": (0.5, 0.5), "distortion": (0.1, 0, 0, 0, 0), **change})
+        Lens(
+            **{
+                "focal": (1.0, 1.0),
+                "centre": (0.5, 0.5),
+                "distortion": (0.1, 0, 0, 0, 0),
+                **change,
+            }
+        )

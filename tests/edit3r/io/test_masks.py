@@ -26,16 +26,26 @@ def mask(path, values):
 def test_mask_is_cropped_as_its_photo_was(tmp_path, photos):
     left = np.zeros((300, 400))
     left[:, :150] = 255
-    masks = load_masks([mask(tmp_path / "m.png", left), mask(tmp_path / "n.png", np.full((400, 300), 255))], photos)
+    masks = load_masks(
+        [
+            mask(tmp_path / "m.png", left),
+            mask(tmp_path / "n.png", np.full((400, 300), 255)),
+        ],
+        photos,
+    )
     assert masks.shape == (1, 2, 300, 300) and masks.dtype == torch.float32
     assert (masks[0, 0, :, :100] == 1).all() and (masks[0, 0, :, 100:] == 0).all()
     assert (masks[0, 1] == 1).all()
 
 
-def test_mask_of_another_resolution_is_scaled_and_stays_exact_away_from_the_edge(tmp_path, photos):
+def test_mask_of_another_resolution_is_scaled_and_stays_exact_away_from_the_edge(
+    tmp_path, photos
+):
     half = np.zeros((30, 40))
     half[15:] = 255
-    masks = load_masks([mask(tmp_path / "m.png", half)] * 2, photos_of_one_shape(tmp_path))
+    masks = load_masks(
+        [mask(tmp_path / "m.png", half)] * 2, photos_of_one_shape(tmp_path)
+    )
     assert (masks[0, 0, :135] == 0).all() and (masks[0, 0, 165:] == 1).all()
 
 
@@ -67,7 +77,10 @@ def test_wrong_number_and_wrong_shape_are_errors(tmp_path, photos):
     path = mask(tmp_path / "m.png", np.full((100, 200), 255))
     with pytest.raises(InputError, match=r"one mask per photo \(2\), got 1"):
         load_masks([path], photos)
-    with pytest.raises(InputError, match=r"m.png: this mask is 200x100; expected the shape of its photo \(400x300\)"):
+    with pytest.raises(
+        InputError,
+        match=r"m.png: this mask is 200x100; expected the shape of its photo \(400x300\)",
+    ):
         load_masks([path, path], photos)
 
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.types import Gaussians
 from edit3r.errors import InputError
 from edit3r.io.ply import load_ply, save_ply
 from edit3r.reporting import Report, collecting
-from edit3r.types import Gaussians
 
 
 def scene(count=50, degree=0, seed=0, view_index=None):
@@ -16,7 +16,9 @@ def scene(count=50, degree=0, seed=0, view_index=None):
     return Gaussians(
         means=torch.randn(1, count, 3, generator=generator),
         scales=torch.rand(1, count, 3, generator=generator) * 0.1 + 1e-4,
-        quats=torch.nn.functional.normalize(torch.randn(1, count, 4, generator=generator), dim=-1),
+        quats=torch.nn.functional.normalize(
+            torch.randn(1, count, 4, generator=generator), dim=-1
+        ),
         opacities=torch.rand(1, count, generator=generator) * 0.98 + 0.01,
         harmonics=torch.randn(1, count, (degree + 1) ** 2, 3, generator=generator),
         view_index=view_index,
@@ -25,7 +27,9 @@ def scene(count=50, degree=0, seed=0, view_index=None):
 
 def assert_same(a, b):
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        torch.testing.assert_close(getattr(a, name), getattr(b, name), rtol=1e-5, atol=1e-6, msg=name)
+        torch.testing.assert_close(
+            getattr(a, name), getattr(b, name), rtol=1e-5, atol=1e-6, msg=name
+        )
 
 
 @pytest.mark.parametrize("degree", range(5))
@@ -45,7 +49,9 @@ def test_independent_reader_sees_the_same_scene(tmp_path, degree):
     read = gsply.plyread(str(tmp_path / "a.ply"))
 
     def same(theirs, ours):
-        np.testing.assert_allclose(np.asarray(theirs), ours[0].numpy(), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(
+            np.asarray(theirs), ours[0].numpy(), rtol=1e-5, atol=1e-5
+        )
 
     same(read.means, gaussians.means)
     same(read.scales, gaussians.scales.log())
@@ -116,9 +122,15 @@ def test_degree_can_be_cut_for_viewers(tmp_path):
 
 
 def test_comments_stay_on_one_ascii_line(tmp_path):
-    save_ply(tmp_path / "a.ply", scene(), comment_lines=["prompt: paint\nend_header\nit grün"])
+    save_ply(
+        tmp_path / "a.ply",
+        scene(),
+        comment_lines=["prompt: paint\nend_header\nit grün"],
+    )
     header = (tmp_path / "a.ply").read_bytes().partition(b"\nend_header\n")[0]
-    assert header.isascii() and b"comment prompt: paint end_header it gr\\xfcn" in header
+    assert (
+        header.isascii() and b"comment prompt: paint end_header it gr\\xfcn" in header
+    )
     assert load_ply(tmp_path / "a.ply").count == 50
 
 
@@ -130,7 +142,12 @@ def test_empty_scene_comes_back(tmp_path):
 def test_a_batch_and_values_that_are_not_finite_are_not_saved(tmp_path):
     pair = scene(3)
     with pytest.raises(ValueError, match="one scene"):
-        save_ply(tmp_path / "a.ply", Gaussians(*(torch.cat([getattr(pair, n)] * 2) for n in list(vars(pair))[:5])))
+        save_ply(
+            tmp_path / "a.ply",
+            Gaussians(
+                *(torch.cat([getattr(pair, n)] * 2) for n in list(vars(pair))[:5])
+            ),
+        )
     pair.means[0, 0, 0] = float("nan")
     with pytest.raises(ValueError, match="not finite"):
         save_ply(tmp_path / "a.ply", pair)
@@ -138,12 +155,26 @@ def test_a_batch_and_values_that_are_not_finite_are_not_saved(tmp_path):
 
 
 def rewritten(path):
-    """The PLY at `path` as big-endian doubles, by numpy alone; with an extra property, as other tools add them."""
+    """The PLY at `path` as big-endian doubles, by numpy alone; with an extra property, as other
+    tools add them.
+    """
     header, _, body = path.read_bytes().partition(b"end_header\n")
-    names = [line.split()[2] for line in header.decode().splitlines() if line.startswith("property")]
+    names = [
+        line.split()[2]
+        for line in header.decode().splitlines()
+        if line.startswith("property")
+    ]
     table = np.frombuffer(body, "<f4").reshape(-1, len(names))
-    lines = ["ply", "format binary_big_endian 1.0", "obj_info made elsewhere", f"element vertex {len(table)}"]
-    lines += [f"property double {name}" for name in names] + ["property uchar extra", "element face 0"]
+    lines = [
+        "ply",
+        "format binary_big_endian 1.0",
+        "obj_info made elsewhere",
+        f"element vertex {len(table)}",
+    ]
+    lines += [f"property double {name}" for name in names] + [
+        "property uchar extra",
+        "element face 0",
+    ]
     lines += ["property list uchar int vertex_indices", "end_header", ""]
     rows = np.empty(len(table), [(name, ">f8") for name in names] + [("extra", "u1")])
     for column, name in enumerate(names):
@@ -182,7 +213,9 @@ def test_what_is_no_ply_is_one_sentence(tmp_path):
     assert "not a PLY" in complain(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(b"")
     assert "not a PLY" in complain(tmp_path / "a.ply")
-    (tmp_path / "a.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n")
+    (tmp_path / "a.ply").write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
+    )
     assert "end of its header" in complain(tmp_path / "a.ply")
 
 
@@ -195,7 +228,11 @@ def test_truncated_ply_says_how_much_is_there(tmp_path):
 
 def test_absurd_count_is_refused_without_reserving_memory(tmp_path):
     save_ply(tmp_path / "a.ply", scene(5))
-    content = (tmp_path / "a.ply").read_bytes().replace(b"element vertex 5\n", b"element vertex 99999999999999\n")
+    content = (
+        (tmp_path / "a.ply")
+        .read_bytes()
+        .replace(b"element vertex 5\n", b"element vertex 99999999999999\n")
+    )
     (tmp_path / "a.ply").write_bytes(content)
     assert "5 are there" in complain(tmp_path / "a.ply")
 
@@ -204,9 +241,17 @@ def test_absurd_count_is_refused_without_reserving_memory(tmp_path):
     ("old", "new", "expected"),
     [
         (b"property float opacity\n", b"property float other\n", "lacks opacity"),
-        (b"property float f_rest_0\n", b"property float f_more_0\n", "8 f_rest properties"),
+        (
+            b"property float f_rest_0\n",
+            b"property float f_more_0\n",
+            "8 f_rest properties",
+        ),
         (b"property float opacity\n", b"property quad opacity\n", "unknown type"),
-        (b"element vertex 5\n", b"element vertex five\n", "expected a number of vertices"),
+        (
+            b"element vertex 5\n",
+            b"element vertex five\n",
+            "expected a number of vertices",
+        ),
         (b"property float scale_1\n", b"property float scale_0\n", "same name"),
         (b"format binary_little_endian", b"format morse", "known format"),
         (b"element vertex", b"element face 0\nelement vertex", "first element"),
@@ -214,7 +259,9 @@ def test_absurd_count_is_refused_without_reserving_memory(tmp_path):
 )
 def test_header_faults_are_named(tmp_path, old, new, expected):
     save_ply(tmp_path / "a.ply", scene(5, degree=1))
-    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes().replace(old, new, 1))
+    (tmp_path / "a.ply").write_bytes(
+        (tmp_path / "a.ply").read_bytes().replace(old, new, 1)
+    )
     assert expected in complain(tmp_path / "a.ply")
 
 
@@ -226,18 +273,26 @@ def test_plain_point_cloud_is_told_apart(tmp_path):
 
 
 def test_ascii_is_refused_with_the_way_out(tmp_path):
-    (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    )
     assert "save it as binary PLY" in complain(tmp_path / "a.ply")
 
 
-def test_a_scene_that_was_saved_and_loaded_keeps_its_bytes_when_it_is_saved_again(tmp_path):
+def test_a_scene_that_was_saved_and_loaded_keeps_its_bytes_when_it_is_saved_again(
+    tmp_path,
+):
     """Editing again relies on it: what no edit touches goes from file to file."""
     generator = torch.Generator().manual_seed(0)
     count = 100_000
     scales = 10 ** (8 * torch.rand(1, count, 3, generator=generator) - 6)
-    opacities = torch.rand(1, count, generator=generator) ** torch.randint(1, 20, (1, count), generator=generator)
+    opacities = torch.rand(1, count, generator=generator) ** torch.randint(
+        1, 20, (1, count), generator=generator
+    )
     quats = torch.randn(1, count, 4, generator=generator)
-    means, harmonics = (torch.randn(1, count, *shape, generator=generator) for shape in ((3,), (4, 3)))
+    means, harmonics = (
+        torch.randn(1, count, *shape, generator=generator) for shape in ((3,), (4, 3))
+    )
     save_ply(tmp_path / "1.ply", Gaussians(means, scales, quats, opacities, harmonics))
     save_ply(tmp_path / "2.ply", load_ply(tmp_path / "1.ply"))
     save_ply(tmp_path / "3.ply", load_ply(tmp_path / "2.ply"))
@@ -251,19 +306,33 @@ def test_a_long_comment_is_cut_so_that_the_file_stays_readable(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "runs", ["0:1000000000000", "0:-3 0:53", "0:50 1:" + "9" * 5000, "9" * 5000 + ":50", "0 50", "a:b"]
+    "runs",
+    [
+        "0:1000000000000",
+        "0:-3 0:53",
+        "0:50 1:" + "9" * 5000,
+        "9" * 5000 + ":50",
+        "0 50",
+        "a:b",
+    ],
 )
 def test_runs_of_views_that_do_not_fit_are_left_out(tmp_path, runs):
     save_ply(tmp_path / "a.ply", scene(view_index=torch.zeros(50, dtype=torch.int64)))
     content = (tmp_path / "a.ply").read_bytes()
     assert b"(view:count) 0:50\n" in content
-    (tmp_path / "a.ply").write_bytes(content.replace(b"(view:count) 0:50", b"(view:count) " + runs.encode()))
+    (tmp_path / "a.ply").write_bytes(
+        content.replace(b"(view:count) 0:50", b"(view:count) " + runs.encode())
+    )
     assert (load_ply(tmp_path / "a.ply").view_index == -1).all()
 
 
 def test_a_count_of_thousands_of_digits_is_one_sentence(tmp_path):
     save_ply(tmp_path / "a.ply", scene())
-    content = (tmp_path / "a.ply").read_bytes().replace(b"vertex 50", b"vertex " + b"9" * 5000)
+    content = (
+        (tmp_path / "a.ply")
+        .read_bytes()
+        .replace(b"vertex 50", b"vertex " + b"9" * 5000)
+    )
     (tmp_path / "a.ply").write_bytes(content)
     assert "expected a number of vertices" in complain(tmp_path / "a.ply")
 

@@ -7,9 +7,15 @@ from pydantic import Field, SecretStr
 
 from edit3r.config import Settings
 from edit3r.io.images import load_photos
-from edit3r.io.run_folder import PluginRecord, RunManifest, WeightsRecord, installed_versions, write_manifest
+from edit3r.io.run_folder import (
+    PluginRecord,
+    RunManifest,
+    WeightsRecord,
+    installed_versions,
+    write_manifest,
+)
+from edit3r.pipeline.verdict import Verdict
 from edit3r.reporting import StageRecord
-from edit3r.verdict import Verdict
 
 
 class RemoteSettings(Settings):
@@ -24,12 +30,23 @@ def manifest(tmp_path):
         prompt="paint it grün",
         seed=3,
         device="cpu",
-        settings={"editor": RemoteSettings(), "alpha": {"token": "hf_456", "tokens": 7, "key_frames": "all"}},
+        settings={
+            "editor": RemoteSettings(),
+            "alpha": {"token": "hf_456", "tokens": 7, "key_frames": "all"},
+        },
         plugins=[PluginRecord("editor", "recolor", "recolor", "0.1.0", "Apache-2.0")],
         inputs=load_photos(tmp_path / "a.png", fov=60).photos,
         masks={},
         weights=[WeightsRecord("small.safetensors", "ab" * 32, "Apache-2.0")],
-        verdict=Verdict("good", "well", (30.0, None), (25.0, None), (True, False), (1.0, None), (0.1, None)),
+        verdict=Verdict(
+            "good",
+            "well",
+            (30.0, None),
+            (25.0, None),
+            (True, False),
+            (1.0, None),
+            (0.1, None),
+        ),
         gaussians=131072,
         harmonics_degree=0,
         stages=[StageRecord("edit", 1.5, 1.25, 300.0)],
@@ -45,13 +62,30 @@ def written(tmp_path, manifest):
 
 def test_manifest_says_what_was_run(tmp_path, manifest):
     content = json.loads(written(tmp_path, manifest))
-    assert content["prompt"] == "paint it grün" and content["seed"] == 3 and content["gaussians"] == 131072
+    assert (
+        content["prompt"] == "paint it grün"
+        and content["seed"] == 3
+        and content["gaussians"] == 131072
+    )
     assert content["plugins"][0]["licence"] == "Apache-2.0"
     photo = content["inputs"][0]
-    assert photo["intrinsics_source"] == "--fov 60" and photo["size"] == [30, 40] and len(photo["sha256"]) == 64
+    assert (
+        photo["intrinsics_source"] == "--fov 60"
+        and photo["size"] == [30, 40]
+        and len(photo["sha256"]) == 64
+    )
     assert photo["frame"]["target"] == [30, 40]
-    assert content["stages"][0] == {"name": "edit", "seconds": 1.5, "cpu_seconds": 1.25, "peak_memory_mb": 300.0}
-    assert content["versions"]["torch"] and content["versions"]["python"] and content["versions"]["edit3r"]
+    assert content["stages"][0] == {
+        "name": "edit",
+        "seconds": 1.5,
+        "cpu_seconds": 1.25,
+        "peak_memory_mb": 300.0,
+    }
+    assert (
+        content["versions"]["torch"]
+        and content["versions"]["python"]
+        and content["versions"]["edit3r"]
+    )
 
 
 def test_secrets_are_never_written(tmp_path, manifest):
@@ -64,9 +98,13 @@ def test_secrets_are_never_written(tmp_path, manifest):
 
 def test_manifest_is_strict_json_in_a_stable_order(tmp_path, manifest):
     text = written(tmp_path, manifest)
-    content = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    content = json.loads(
+        text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON")
+    )
     assert content["notes"] == {"a": 0.5, "b": [1, [2, 3]], "z": None}
-    assert list(content)[:3] == ["prompt", "seed", "device"] and list(content["notes"]) == ["a", "b", "z"]
+    assert list(content)[:3] == ["prompt", "seed", "device"] and list(
+        content["notes"]
+    ) == ["a", "b", "z"]
     assert text == written(tmp_path, manifest)
 
 

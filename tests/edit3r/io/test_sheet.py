@@ -24,7 +24,9 @@ def share(sheet, colour):
 @pytest.mark.parametrize("size", [(256, 256), (512, 288), (200, 500)])
 def test_every_view_shows_photo_edit_and_result_at_one_size(views, size):
     sheet = drawn(views, size, title="a prompt", subtitle="editor none")
-    shares = [share(sheet, colour) for colour in ([255, 0, 0], [0, 255, 0], [0, 0, 255])]
+    shares = [
+        share(sheet, colour) for colour in ([255, 0, 0], [0, 255, 0], [0, 0, 255])
+    ]
     assert shares[0] == shares[1] == shares[2] > 0.12
     assert max(sheet.size) < 2900
 
@@ -35,7 +37,9 @@ def test_pictures_keep_their_shape():
     assert red.any(0).sum() == pytest.approx(3 * red.any(1).sum(), abs=2)
 
 
-@pytest.mark.parametrize("title", ["", "word " * 400, "x" * 2000, "größer, 更红, 🎨", "two\nlines"])
+@pytest.mark.parametrize(
+    "title", ["", "word " * 400, "x" * 2000, "größer, 更红, 🎨", "two\nlines"]
+)
 def test_any_prompt_fits(title):
     sheet = drawn(2, (64, 64), title=title, names=["a very long photo name " * 20, ""])
     assert share(sheet, [255, 0, 0]) > 0.05 and sheet.height < 2000
@@ -48,4 +52,6 @@ def test_extreme_shapes_are_drawn(size):
 
 def test_mismatched_counts_are_an_error():
     with pytest.raises(ValueError, match="as many images of each kind as views"):
-        draw_sheet({"photo": flat(2, (4, 4), [0.0] * 3), "edit": flat(1, (4, 4), [0.0] * 3)})
+        draw_sheet(
+            {"photo": flat(2, (4, 4), [0.0] * 3), "edit": flat(1, (4, 4), [0.0] * 3)}
+        )

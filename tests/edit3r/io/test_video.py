@@ -11,7 +11,9 @@ from edit3r.io.video import save_video
 
 def smooth_frames(count, height, width):
     """Colour ramps that drift, so that every frame differs and codes well."""
-    ys, xs = torch.meshgrid(torch.linspace(0, 1, height), torch.linspace(0, 1, width), indexing="ij")
+    ys, xs = torch.meshgrid(
+        torch.linspace(0, 1, height), torch.linspace(0, 1, width), indexing="ij"
+    )
     return [torch.stack((xs, ys, torch.full_like(xs, i / count))) for i in range(count)]
 
 
@@ -40,7 +42,9 @@ def test_independent_decoder_sees_every_frame(tmp_path, size):
         assert -10 * math.log10((error**2).mean()) > 32
 
 
-def test_frames_after_the_first_second_are_in_further_clusters_and_can_be_sought(tmp_path):
+def test_frames_after_the_first_second_are_in_further_clusters_and_can_be_sought(
+    tmp_path,
+):
     frames = [torch.full((3, 32, 32), i / 100) for i in range(100)]
     save_video(tmp_path / "a.webm", frames, fps=20)
     capture = cv2.VideoCapture(str(tmp_path / "a.webm"))

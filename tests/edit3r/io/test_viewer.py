@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io.viewer import colours_before, save_viewer
 from edit3r.reporting import Report, collecting
-from edit3r.types import Cameras, Gaussians, Rendering, Views
 
 
 def scene(count=200, degree=0, seed=0):
@@ -32,7 +32,9 @@ def scene(count=200, degree=0, seed=0):
 def cameras(count=2):
     c2w = torch.eye(4).repeat(1, count, 1, 1)
     c2w[0, :, 0, 3] = torch.arange(count)
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(1, count, 1, 1)
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(
+        1, count, 1, 1
+    )
     return Cameras(c2w, intrinsics, (300, 400))
 
 
@@ -62,7 +64,11 @@ def opened(path):
     meta = json.loads(scripts["meta"])
     n, degree = meta["count"], meta["degree"]
     rows = 17 + 3 * meta["before"] + 3 * ((degree + 1) ** 2 - 1)
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(scripts["data"])), "u1").reshape(rows, n).astype(np.int64)
+    planes = (
+        np.frombuffer(zlib.decompress(base64.b64decode(scripts["data"])), "u1")
+        .reshape(rows, n)
+        .astype(np.int64)
+    )
     summed = np.cumsum(planes, axis=1) % 256
     steps = np.cumsum(planes[:3] + 256 * planes[3:6], axis=1) % 65536
     x, y = steps[:2] / 32767.5 - 1
@@ -83,8 +89,14 @@ def opened(path):
         "quats": planes[13:17].astype("u1").view("i1").T / 127,
     }
     if meta["before"]:
-        arrays["before"] = meta["colourLow"] + meta["colourStep"] * ((planes[17:20] + summed[6:9]) % 256).T
-    harmonics = planes[17 + 3 * meta["before"] :].astype("u1").view("i1") * meta["harmonicsStep"]
+        arrays["before"] = (
+            meta["colourLow"]
+            + meta["colourStep"] * ((planes[17:20] + summed[6:9]) % 256).T
+        )
+    harmonics = (
+        planes[17 + 3 * meta["before"] :].astype("u1").view("i1")
+        * meta["harmonicsStep"]
+    )
     arrays["harmonics"] = harmonics.T.reshape(n, len(harmonics) // 3, 3)
     return meta, arrays
 
@@ -95,25 +107,37 @@ def test_page_holds_the_scene_within_its_stated_precision(tmp_path):
     save_viewer(tmp_path / "v.html", gaussians, cameras())
     meta, arrays = opened(tmp_path / "v.html")
     offsets = gaussians.means[0].numpy() - np.array(meta["eye"])
-    wrong = np.linalg.norm(arrays["means"] - gaussians.means[0].numpy(), axis=1) / np.linalg.norm(offsets, axis=1)
+    wrong = np.linalg.norm(
+        arrays["means"] - gaussians.means[0].numpy(), axis=1
+    ) / np.linalg.norm(offsets, axis=1)
     assert wrong.max() < 1e-4  # of the distance: 1/20 of a pixel at 512 pixels
-    np.testing.assert_allclose(arrays["scales"], gaussians.scales[0].numpy(), rtol=0.5 * np.log(1000) / 255 + 1e-3)
+    np.testing.assert_allclose(
+        arrays["scales"],
+        gaussians.scales[0].numpy(),
+        rtol=0.5 * np.log(1000) / 255 + 1e-3,
+    )
     quats = torch.nn.functional.normalize(gaussians.quats[0], dim=-1).numpy()
     np.testing.assert_allclose(arrays["quats"], quats, atol=0.5 / 127 + 1e-6)
     colours = (gaussians.harmonics[0, :, 0] * 0.28209479 + 0.5).numpy()
     np.testing.assert_allclose(arrays["colours"], colours, atol=0.5 / 255 + 1e-6)
-    np.testing.assert_allclose(arrays["opacities"], gaussians.opacities[0].numpy(), atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(
+        arrays["opacities"], gaussians.opacities[0].numpy(), atol=0.5 / 255 + 1e-6
+    )
 
 
 @pytest.mark.parametrize("degree", [1, 3, 4])
 @pytest.mark.parametrize("size", [0.1, 3.0])
 def test_page_holds_the_harmonics(tmp_path, degree, size):
     gaussians = scene(50, degree)
-    gaussians.harmonics[:, :, 1:] = size * torch.randn(gaussians.harmonics[:, :, 1:].shape)
+    gaussians.harmonics[:, :, 1:] = size * torch.randn(
+        gaussians.harmonics[:, :, 1:].shape
+    )
     save_viewer(tmp_path / "v.html", gaussians, cameras(), before=torch.rand(50, 3))
     meta, arrays = opened(tmp_path / "v.html")
     expected = gaussians.harmonics[0, :, 1:].numpy()
-    np.testing.assert_allclose(arrays["harmonics"], expected, atol=0.51 * max(0.01, abs(expected).max() / 127))
+    np.testing.assert_allclose(
+        arrays["harmonics"], expected, atol=0.51 * max(0.01, abs(expected).max() / 127)
+    )
     assert meta["degree"] == degree
 
 
@@ -122,25 +146,43 @@ def test_page_holds_a_second_look_for_the_same_gaussians(tmp_path):
     gaussians.opacities[0, ::2] = 0.001  # never drawn: not in the page
     save_viewer(tmp_path / "v.html", gaussians, cameras(), before=before)
     _, arrays = opened(tmp_path / "v.html")
-    np.testing.assert_allclose(arrays["before"], before[1::2].numpy(), atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(
+        arrays["before"], before[1::2].numpy(), atol=0.5 / 255 + 1e-6
+    )
 
 
 def test_colours_before_are_those_of_the_unedited_photos():
     """A wall of one Gaussian per pixel, and one hidden behind it in another colour."""
-    ys, xs = torch.meshgrid(torch.arange(30) + 0.5, torch.arange(40) + 0.5, indexing="ij")
-    rays = torch.stack(((xs / 40 - 0.5) / 0.9, (ys / 30 - 0.5) / 1.2, torch.ones(30, 40)), -1).flatten(0, 1)
+    ys, xs = torch.meshgrid(
+        torch.arange(30) + 0.5, torch.arange(40) + 0.5, indexing="ij"
+    )
+    rays = torch.stack(
+        ((xs / 40 - 0.5) / 0.9, (ys / 30 - 0.5) / 1.2, torch.ones(30, 40)), -1
+    ).flatten(0, 1)
     means = torch.cat((2 * rays, 4 * rays[:1]))[None]
     count = means.shape[1]
     photos, edited = torch.rand(1, 1, 3, 30, 40), torch.rand(1, 1, 3, 30, 40)
     colours = torch.cat((edited[0, 0].flatten(1).T, 1 - edited[0, 0, :, :1, 0].T))[None]
     quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
-    made = Gaussians(means, torch.ones(1, count, 3), quats, torch.ones(1, count), colour_to_dc(colours)[:, :, None])
+    made = Gaussians(
+        means,
+        torch.ones(1, count, 3),
+        quats,
+        torch.ones(1, count),
+        colour_to_dc(colours)[:, :, None],
+    )
     one = cameras(1)
-    rendered = Rendering(edited, torch.ones(1, 1, 1, 30, 40), torch.full((1, 1, 1, 30, 40), 2.0))
+    rendered = Rendering(
+        edited, torch.ones(1, 1, 1, 30, 40), torch.full((1, 1, 1, 30, 40), 2.0)
+    )
     views = [Views(images, one.intrinsics) for images in (photos, edited)]
     for view in (-1, 0):
-        found = colours_before(replace(made, view_index=torch.full((count,), view)), one, *views, rendered)
-        torch.testing.assert_close(found[:-1], photos[0, 0].flatten(1).T, atol=1e-4, rtol=0)
+        found = colours_before(
+            replace(made, view_index=torch.full((count,), view)), one, *views, rendered
+        )
+        torch.testing.assert_close(
+            found[:-1], photos[0, 0].flatten(1).T, atol=1e-4, rtol=0
+        )
         torch.testing.assert_close(found[-1], colours[0, -1])
 
 
@@ -152,8 +194,12 @@ def test_page_needs_no_network(tmp_path):
 
 
 def test_page_of_the_least_orderly_scene_stays_under_27_bytes_a_gaussian(tmp_path):
-    """380,000 make 10 MB with a second look; real scenes, whose neighbours are alike, need a third."""
-    save_viewer(tmp_path / "v.html", scene(50_000), cameras(), before=torch.rand(50_000, 3))
+    """380,000 make 10 MB with a second look; real scenes, whose neighbours are alike, need a
+    third.
+    """
+    save_viewer(
+        tmp_path / "v.html", scene(50_000), cameras(), before=torch.rand(50_000, 3)
+    )
     assert (tmp_path / "v.html").stat().st_size < 27 * 50_000
 
 
@@ -162,26 +208,40 @@ def test_page_starts_at_the_first_camera_and_stands_upright(tmp_path):
     meta, _ = opened(tmp_path / "v.html")
     assert [view["name"] for view in meta["views"]] == ["left", "right"]
     assert meta["views"][0]["c2w"] == torch.eye(4).tolist()
-    assert meta["views"][0]["lens"] == pytest.approx(dict(fx=360, fy=360, cx=200, cy=150, width=400, height=300))
+    assert meta["views"][0]["lens"] == pytest.approx(
+        dict(fx=360, fy=360, cx=200, cy=150, width=400, height=300)
+    )
     assert meta["up"] == [0, -1, 0]
     assert 4 < meta["distance"] < 6
 
 
 def test_text_cannot_break_out_of_the_page(tmp_path):
     evil = '</script><script>alert("1")</script><b>'
-    save_viewer(tmp_path / "v.html", scene(), cameras(), names=[evil, evil], title=evil, subtitle=evil)
+    save_viewer(
+        tmp_path / "v.html",
+        scene(),
+        cameras(),
+        names=[evil, evil],
+        title=evil,
+        subtitle=evil,
+    )
     page = (tmp_path / "v.html").read_text(encoding="utf-8")
     assert 'alert("1")' not in page
     meta, _ = opened(tmp_path / "v.html")
     assert meta["title"] == evil
 
 
-@pytest.mark.parametrize("title", ["__META__", "__DATA__", "__TITLE____META__</script>", "\\1 __DATA__ \udcff"])
+@pytest.mark.parametrize(
+    "title",
+    ["__META__", "__DATA__", "__TITLE____META__</script>", "\\1 __DATA__ \udcff"],
+)
 def test_a_title_is_never_taken_for_a_place_to_fill(tmp_path, title):
     save_viewer(tmp_path / "a.html", scene(), cameras(), title=title)
     meta, _ = opened(tmp_path / "a.html")
     assert meta["title"] == title and meta["count"] == 200
-    shown = re.search("<title>(.*?)</title>", (tmp_path / "a.html").read_text(encoding="utf-8"))[1]
+    shown = re.search(
+        "<title>(.*?)</title>", (tmp_path / "a.html").read_text(encoding="utf-8")
+    )[1]
     assert html.unescape(shown) == title.replace("\udcff", "?")
 
 

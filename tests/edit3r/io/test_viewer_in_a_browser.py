@@ -8,21 +8,30 @@ import pytest
 import torch
 from PIL import Image
 
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io.viewer import save_viewer
-from edit3r.registry import build
-from edit3r.types import Cameras, Gaussians
+from edit3r.plugins.registry import build
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="needs playwright: pip install playwright"
+)
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 WIDTH, HEIGHT = 320, 240
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium: apt-get install chromium")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="needs the program chromium: apt-get install chromium"
+)
 
 
 @pytest.fixture(scope="module")
 def browser():
-    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    flags = [
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist",
+    ]
     with playwright.sync_playwright() as manager:
         yield manager.chromium.launch(executable_path=CHROMIUM, args=flags)
 
@@ -31,7 +40,9 @@ def browser():
 def cameras():
     c2w = torch.eye(4).repeat(1, 2, 1, 1)
     c2w[0, 1, 0, 3] = 0.4
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(1, 2, 1, 1)
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).repeat(
+        1, 2, 1, 1
+    )
     return Cameras(c2w, intrinsics, (HEIGHT, WIDTH))
 
 
@@ -40,21 +51,39 @@ def scene():
     """A cloud of small and large Gaussians whose colour changes with the direction."""
     torch.manual_seed(0)
     plain = colour_to_dc(0.35 + 0.3 * torch.rand(1, 600, 1, 3))
-    harmonics = torch.cat((plain, 0.1 * torch.randn(1, 600, 15, 3)), 2)  # within [0, 1]: a browser shows no more
-    means = torch.randn(1, 600, 3) * torch.tensor([1.2, 0.9, 0.7]) + torch.tensor([0, 0, 5.0])
+    harmonics = torch.cat(
+        (plain, 0.1 * torch.randn(1, 600, 15, 3)), 2
+    )  # within [0, 1]: a browser shows no more
+    means = torch.randn(1, 600, 3) * torch.tensor([1.2, 0.9, 0.7]) + torch.tensor(
+        [0, 0, 5.0]
+    )
     scales = 10 ** (torch.rand(1, 600, 3) - 1.7)
-    return Gaussians(means, scales, torch.randn(1, 600, 4), torch.rand(1, 600) * 0.8 + 0.2, harmonics)
+    return Gaussians(
+        means, scales, torch.randn(1, 600, 4), torch.rand(1, 600) * 0.8 + 0.2, harmonics
+    )
 
 
 @pytest.fixture
 def page(browser, scene, cameras, tmp_path):
     """The page, opened and drawn once; errors on its console fail the test."""
     look = torch.tensor([0.0, 1.0, 0.0]).expand(scene.count, 3)
-    save_viewer(tmp_path / "v.html", scene, cameras, names=["left", "right"], title="a/b: c", before=look)
+    save_viewer(
+        tmp_path / "v.html",
+        scene,
+        cameras,
+        names=["left", "right"],
+        title="a/b: c",
+        before=look,
+    )
     opened = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
     complaints = []
     opened.on("pageerror", lambda error: complaints.append(str(error)))
-    opened.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    opened.on(
+        "console",
+        lambda message: (
+            complaints.append(message.text) if message.type == "error" else None
+        ),
+    )
     opened.goto((tmp_path / "v.html").as_uri())
     opened.wait_for_selector("body[data-drawn]", timeout=60_000)
     yield opened
@@ -88,11 +117,19 @@ def drag(page, way):
 def test_the_page_shows_what_the_rasterizer_shows(page, scene, cameras, view):
     background = [22 / 255, 22 / 255, 24 / 255]
     rasterizer = build("rasterizer", "torch", background=background)
-    expected = rasterizer.render(scene, cameras.select([view])).images[0, 0].clamp(0, 1).permute(1, 2, 0).numpy()
+    expected = (
+        rasterizer.render(scene, cameras.select([view]))
+        .images[0, 0]
+        .clamp(0, 1)
+        .permute(1, 2, 0)
+        .numpy()
+    )
     page.keyboard.press(str(view + 1))
     settle(page)
     error = np.square(seen(page) - expected).mean()
-    assert -10 * np.log10(error) > 32, "the centres, ellipses, order or harmonics differ"
+    assert -10 * np.log10(error) > 32, (
+        "the centres, ellipses, order or harmonics differ"
+    )
 
 
 def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
@@ -102,7 +139,10 @@ def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
     page.click("#switch")
     settle(page)
     before = seen(page)
-    assert before[..., 1].sum() > 1.2 * after[..., 1].sum() and before[..., 0].sum() < 0.9 * after[..., 0].sum()
+    assert (
+        before[..., 1].sum() > 1.2 * after[..., 1].sum()
+        and before[..., 0].sum() < 0.9 * after[..., 0].sum()
+    )
     page.keyboard.press("b")
     settle(page)
     np.testing.assert_array_equal(seen(page), after)
@@ -111,15 +151,27 @@ def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
 
 def test_turning_ends_where_no_photo_shows_the_scene_and_fades_on_the_way(page):
     drag(page, 15)
-    near, clear = page.evaluate("away(pose.t)"), float(page.evaluate("canvas.style.opacity"))
+    near, clear = (
+        page.evaluate("away(pose.t)"),
+        float(page.evaluate("canvas.style.opacity")),
+    )
     for _ in range(4):
         drag(page, 150)
-    far, faded = page.evaluate("away(pose.t)"), float(page.evaluate("canvas.style.opacity"))
+    far, faded = (
+        page.evaluate("away(pose.t)"),
+        float(page.evaluate("canvas.style.opacity")),
+    )
     assert 0 < near < far <= page.evaluate("FARTHEST") + 1e-6
-    assert clear > 0.9 and faded < 0.7 and page.evaluate("element('beyond').style.opacity") == "1"
+    assert (
+        clear > 0.9
+        and faded < 0.7
+        and page.evaluate("element('beyond').style.opacity") == "1"
+    )
     page.click("text=right")
     settle(page)
-    assert page.evaluate("away(pose.t)") < 1e-6 and page.evaluate("pose.t[0]") == pytest.approx(0.4)
+    assert page.evaluate("away(pose.t)") < 1e-6 and page.evaluate(
+        "pose.t[0]"
+    ) == pytest.approx(0.4)
 
 
 def test_the_wheel_enlarges_what_is_under_it_and_leaves_the_camera(page):
@@ -136,7 +188,9 @@ def test_the_wheel_enlarges_what_is_under_it_and_leaves_the_camera(page):
 
 def test_two_fingers_enlarge_and_one_turns(browser, scene, cameras, tmp_path):
     save_viewer(tmp_path / "v.html", scene, cameras)
-    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT}, has_touch=True)
+    context = browser.new_context(
+        viewport={"width": WIDTH, "height": HEIGHT}, has_touch=True
+    )
     page = context.new_page()
     page.goto((tmp_path / "v.html").as_uri())
     page.wait_for_selector("body[data-drawn]", timeout=60_000)

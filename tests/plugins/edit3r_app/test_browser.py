@@ -1,7 +1,8 @@
-"""The app in a real browser, from dropped photos to a download, with a second tab and a server that is killed.
+"""The app in a real browser, from dropped photos to a download, with a second tab and a server that
+is killed.
 
-Skipped where Playwright or Chromium is missing: `pip install playwright`, and Chromium of the system or of
-`playwright install chromium`.
+Skipped where Playwright or Chromium is missing: `pip install playwright`, and Chromium of the
+system or of `playwright install chromium`.
 """
 
 import contextlib
@@ -19,10 +20,17 @@ import pytest
 
 from edit3r.io.images import packaged_pair
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, see this file's docstring")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="needs playwright, see this file's docstring"
+)
 pytest.importorskip("nicegui", reason='needs the app: pip install "edit3r[app]"')
 PATIENCE = 400_000  # [ms]
-SOFTWARE_GL = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+SOFTWARE_GL = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 
 
 class Server:
@@ -36,10 +44,24 @@ class Server:
         self.start()
 
     def start(self):
-        call = [sys.executable, "-m", "edit3r.cli.main", "app", "--no-browser", "--size", "128"]
+        call = [
+            sys.executable,
+            "-m",
+            "edit3r.cli.main",
+            "app",
+            "--no-browser",
+            "--size",
+            "128",
+        ]
         call += ["--port", str(self.port), "--jobs", str(self.folder)]
-        plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "NICEGUI"))}
-        self.process = subprocess.Popen(call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain)
+        plain = {
+            name: value
+            for name, value in os.environ.items()
+            if not name.startswith(("PYTEST", "NICEGUI"))
+        }
+        self.process = subprocess.Popen(
+            call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain
+        )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         for _ in range(3000):
             with contextlib.suppress(OSError):
@@ -64,7 +86,11 @@ def server(tmp_path_factory):
 @pytest.fixture(scope="module")
 def browser():
     with playwright.sync_playwright() as driver:
-        path = os.environ.get("EDIT3R_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+        path = (
+            os.environ.get("EDIT3R_CHROMIUM")
+            or shutil.which("chromium")
+            or shutil.which("google-chrome")
+        )
         try:
             browser = driver.chromium.launch(executable_path=path, args=SOFTWARE_GL)
         except playwright.Error as error:
@@ -76,16 +102,26 @@ def browser():
 @pytest.fixture
 def tab(browser, server):
     """A new tab that notes every console error and every request to elsewhere."""
-    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    context = browser.new_context(
+        viewport={"width": 1280, "height": 900}, accept_downloads=True
+    )
     context.set_default_timeout(PATIENCE)
     problems = []
 
     def new_tab():
         page = context.new_page()
-        page.on("console", lambda line: problems.append(line.text) if line.type == "error" else None)
+        page.on(
+            "console",
+            lambda line: problems.append(line.text) if line.type == "error" else None,
+        )
         page.on("pageerror", lambda error: problems.append(str(error)))
         ours = (server.address, server.address.replace("http", "ws"), "data:", "blob:")
-        page.on("request", lambda request: None if request.url.startswith(ours) else problems.append(request.url))
+        page.on(
+            "request",
+            lambda request: (
+                None if request.url.startswith(ours) else problems.append(request.url)
+            ),
+        )
         return page
 
     new_tab.problems = problems
@@ -99,7 +135,9 @@ def go(page, address):
     except playwright.Error as error:
         if "interrupted by another navigation" not in str(error):
             raise
-        page.goto(address, wait_until="domcontentloaded")  # the page had begun to reload itself: the server is back
+        page.goto(
+            address, wait_until="domcontentloaded"
+        )  # the page had begun to reload itself: the server is back
 
 
 def upload(page, files):
@@ -113,8 +151,13 @@ def click_photo(page, view=0, x=0.5, y=0.5):
     before = image.get_attribute("src")
     place = image.bounding_box()
     image.click(position={"x": place["width"] * x, "y": place["height"] * y})
-    page.wait_for_function("([one, before]) => one.getAttribute('src') != before", arg=[image.element_handle(), before])
-    shown = page.evaluate("(one) => one.decode().then(() => one.naturalWidth)", image.element_handle())
+    page.wait_for_function(
+        "([one, before]) => one.getAttribute('src') != before",
+        arg=[image.element_handle(), before],
+    )
+    shown = page.evaluate(
+        "(one) => one.decode().then(() => one.naturalWidth)", image.element_handle()
+    )
     assert shown == 128
 
 
@@ -142,7 +185,8 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     first = other.locator("img.e3-mark").nth(1).get_attribute("src")
     click_photo(page)
     other.wait_for_function(
-        "(before) => document.querySelectorAll('img.e3-mark')[1].getAttribute('src') != before", arg=first
+        "(before) => document.querySelectorAll('img.e3-mark')[1].getAttribute('src') != before",
+        arg=first,
     )
     other.close()
 
@@ -158,7 +202,8 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
         assert page.locator("canvas.e3-stroke").count() == 1
         page.mouse.up()
         page.wait_for_function(
-            "([one, before]) => one.getAttribute('src') != before", arg=[image.element_handle(), before]
+            "([one, before]) => one.getAttribute('src') != before",
+            arg=[image.element_handle(), before],
         )
 
     # the edit, through a server that is killed and started again meanwhile
@@ -176,7 +221,9 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     page.locator(".e3-node").nth(1).click(timeout=PATIENCE)  # enabled when it is done
     finished(page)
     run = page.url.partition("at=")[2]
-    assert sorted(path.name for path in server.folder.iterdir() if not path.name.startswith(".")) == [run[:-2], run]
+    assert sorted(
+        path.name for path in server.folder.iterdir() if not path.name.startswith(".")
+    ) == [run[:-2], run]
 
     # the verdict, the slider, the scene in 3D
     assert page.get_by_text("the scene shows its photos at").count() == 1
@@ -186,8 +233,12 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     page.locator(".e3-viewer").scroll_into_view_if_needed()
     viewer = page.frame_locator(".e3-viewer")
     viewer.locator("canvas").first.wait_for()
-    viewer.locator("canvas").first.evaluate("(one) => new Promise(requestAnimationFrame)")
-    assert page.evaluate("document.querySelector('.e3-viewer').contentDocument") is None, "it has an origin of its own"
+    viewer.locator("canvas").first.evaluate(
+        "(one) => new Promise(requestAnimationFrame)"
+    )
+    assert (
+        page.evaluate("document.querySelector('.e3-viewer').contentDocument") is None
+    ), "it has an origin of its own"
 
     # downloads
     with page.expect_download() as loading:
@@ -223,7 +274,14 @@ def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "address", ["/s/..%2F..%2Fetc", "/viewer/..", "/download/x/..%2Frun.json", "/photo/.edit3r-app/0", "/shown/a/b/0"]
+    "address",
+    [
+        "/s/..%2F..%2Fetc",
+        "/viewer/..",
+        "/download/x/..%2Frun.json",
+        "/photo/.edit3r-app/0",
+        "/shown/a/b/0",
+    ],
 )
 def test_addresses_lead_nowhere_else(server, address):
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))

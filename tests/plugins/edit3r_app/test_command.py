@@ -15,7 +15,9 @@ from edit3r.cli.main import main
         (["--host", "999.1.1.1"], "--host 999.1.1.1: cannot be listened on"),
     ],
 )
-def test_wrong_arguments_are_one_sentence_and_leave_no_folder(arguments, told, tmp_path, monkeypatch, capsys):
+def test_wrong_arguments_are_one_sentence_and_leave_no_folder(
+    arguments, told, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     assert main(["app", "--no-browser", *arguments]) == 2
     assert told in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -1,4 +1,6 @@
-"""Foreign hosts, foreign origins, missing tokens and endless bodies get an answer, but not from the app."""
+"""Foreign hosts, foreign origins, missing tokens and endless bodies get an answer, but not from the
+app.
+"""
 
 import asyncio
 
@@ -17,19 +19,34 @@ def ask(kind="http", token=None, path="/", query="", **headers):
         sent.append(message)
 
     scope = {"type": kind, "path": path, "query_string": query.encode()}
-    scope["headers"] = [(key.replace("_", "-").encode(), value.encode()) for key, value in headers.items()]
+    scope["headers"] = [
+        (key.replace("_", "-").encode(), value.encode())
+        for key, value in headers.items()
+    ]
     asyncio.run(Guard(app, token=token, most_bytes=1000)(scope, None, send))
-    return sent[0].get("status") or sent[0].get("code"), dict(sent[0].get("headers", []))
+    return sent[0].get("status") or sent[0].get("code"), dict(
+        sent[0].get("headers", [])
+    )
 
 
-@pytest.mark.parametrize("host", ["localhost:8090", "127.0.0.1:8090", "[::1]:8090", "localhost", "127.0.0.1"])
+@pytest.mark.parametrize(
+    "host", ["localhost:8090", "127.0.0.1:8090", "[::1]:8090", "localhost", "127.0.0.1"]
+)
 def test_this_machine_may(host):
     assert ask(host=host)[0] == 200
     assert ask(host=host, origin=f"http://{host}")[0] == 200
 
 
 @pytest.mark.parametrize(
-    "host", ["", "evil.com", "evil.com:8090", "localhost.evil.com:8090", "192.168.0.7:8090", "0.0.0.0:8090"]
+    "host",
+    [
+        "",
+        "evil.com",
+        "evil.com:8090",
+        "localhost.evil.com:8090",
+        "192.168.0.7:8090",
+        "0.0.0.0:8090",
+    ],
 )
 def test_other_hosts_may_not_as_after_dns_rebinding(host):
     assert ask(host=host)[0] == 421
@@ -37,7 +54,15 @@ def test_other_hosts_may_not_as_after_dns_rebinding(host):
 
 
 @pytest.mark.parametrize(
-    "origin", ["http://evil.com", "null", "http://localhost:9", "http://localhost:8090.evil.com", "file://", ""]
+    "origin",
+    [
+        "http://evil.com",
+        "null",
+        "http://localhost:9",
+        "http://localhost:8090.evil.com",
+        "file://",
+        "",
+    ],
 )
 @pytest.mark.parametrize("kind", ["http", "websocket"])
 def test_other_pages_may_not(kind, origin):
@@ -50,17 +75,32 @@ def test_elsewhere_a_token_is_asked_for():
     assert ask(token="s3cret", host="h", cookie=f"{COOKIE}=wrong")[0] == 401
     assert ask(token="s3cret", host="h", query="token=ünfug")[0] == 401
     assert ask(token="s3cret", host="h", cookie=f"{COOKIE}=s3cret")[0] == 200
-    assert ask("websocket", token="s3cret", host="h", origin="http://evil.com", cookie=f"{COOKIE}=s3cret")[0] == 4403
+    assert (
+        ask(
+            "websocket",
+            token="s3cret",
+            host="h",
+            origin="http://evil.com",
+            cookie=f"{COOKIE}=s3cret",
+        )[0]
+        == 4403
+    )
 
 
 def test_the_token_of_the_address_becomes_a_cookie_and_leaves_the_address():
-    status, headers = ask(token="s3cret", host="h", path="//evil.com/x", query="token=s3cret&at=bear-1")
+    status, headers = ask(
+        token="s3cret", host="h", path="//evil.com/x", query="token=s3cret&at=bear-1"
+    )
     assert status == 303 and headers[b"location"] == b"/evil.com/x?at=bear-1"
-    assert b"HttpOnly" in headers[b"set-cookie"] and b"SameSite=Strict" in headers[b"set-cookie"]
+    assert (
+        b"HttpOnly" in headers[b"set-cookie"]
+        and b"SameSite=Strict" in headers[b"set-cookie"]
+    )
 
 
 @pytest.mark.parametrize(
-    ("length", "status"), [("1000", 200), ("1001", 413), ("1073741824", 413), ("-1", 413), ("x", 413)]
+    ("length", "status"),
+    [("1000", 200), ("1001", 413), ("1073741824", 413), ("-1", 413), ("x", 413)],
 )
 def test_bodies_are_limited_by_their_own_word(length, status):
     assert ask(host="localhost", content_length=length)[0] == status
@@ -68,4 +108,8 @@ def test_bodies_are_limited_by_their_own_word(length, status):
 
 def test_pages_fetch_nothing_from_elsewhere_and_are_shown_in_no_foreign_frame():
     policy = ask(host="localhost")[1][b"content-security-policy"].decode()
-    assert policy.startswith("default-src 'self'") and "frame-ancestors 'self'" in policy and "http" not in policy
+    assert (
+        policy.startswith("default-src 'self'")
+        and "frame-ancestors 'self'" in policy
+        and "http" not in policy
+    )

@@ -1,4 +1,6 @@
-"""The jobs folder: names are never paths, folders of the command line are listed, history is a tree."""
+"""The jobs folder: names are never paths, folders of the command line are listed, history is a
+tree.
+"""
 
 import json
 
@@ -18,12 +20,27 @@ def make_run(folder, name, **manifest):
     for kind in ("inputs", "edited", "renders"):
         (folder.root / name / kind).mkdir(parents=True)
         for view in ("a", "b"):
-            Image.new("RGB", (8, 6), "grey").save(folder.root / name / kind / f"{view}.png")
+            Image.new("RGB", (8, 6), "grey").save(
+                folder.root / name / kind / f"{view}.png"
+            )
     (folder.root / name / "run.json").write_text(json.dumps(manifest))
 
 
 @pytest.mark.parametrize(
-    "name", ["..", ".", "", "../jobs", "a/b", "a\\b", "/etc", ".edit3r-app", "x\0", "nothing", None]
+    "name",
+    [
+        "..",
+        ".",
+        "",
+        "../jobs",
+        "a/b",
+        "a\\b",
+        "/etc",
+        ".edit3r-app",
+        "x\0",
+        "nothing",
+        None,
+    ],
 )
 def test_names_that_are_no_folder_of_ours_are_refused(folder, name):
     with pytest.raises(InputError, match="no photos and no run"):
@@ -32,7 +49,9 @@ def test_names_that_are_no_folder_of_ours_are_refused(folder, name):
         folder.job(name)
 
 
-@pytest.mark.parametrize("wish", ["../../etc/passwd", "", "..", "CON", "a" * 500, "<b>x</b>", "bear"])
+@pytest.mark.parametrize(
+    "wish", ["../../etc/passwd", "", "..", "CON", "a" * 500, "<b>x</b>", "bear"]
+)
 def test_new_sets_lie_directly_in_the_jobs_folder(folder, wish):
     first, second = folder.new_scene(wish), folder.new_scene(wish)
     assert first.casefold() != second.casefold()
@@ -41,7 +60,12 @@ def test_new_sets_lie_directly_in_the_jobs_folder(folder, wish):
 
 
 def test_a_run_of_the_command_line_is_listed_with_its_wish_and_verdict(folder):
-    make_run(folder, "mine", prompt="paint it red", verdict={"label": "fair", "reason": "so so"})
+    make_run(
+        folder,
+        "mine",
+        prompt="paint it red",
+        verdict={"label": "fair", "reason": "so so"},
+    )
     job = folder.job("mine")
     assert (job.scene, job.state, job.prompt, job.label, job.sentence) == (
         "mine",
@@ -54,7 +78,10 @@ def test_a_run_of_the_command_line_is_listed_with_its_wish_and_verdict(folder):
     assert [path.name for path in folder.photos("mine")] == ["a.png", "b.png"]
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{", '{"verdict": 3, "prompt": null}', "[" * 100_000, "\x00\xff"])
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "{", '{"verdict": 3, "prompt": null}', "[" * 100_000, "\x00\xff"],
+)
 def test_a_damaged_run_json_breaks_no_listing(folder, content):
     make_run(folder, "mine")
     (folder.root / "mine" / "run.json").write_text(content, encoding="latin-1")
@@ -62,7 +89,10 @@ def test_a_damaged_run_json_breaks_no_listing(folder, content):
     assert isinstance(manifest_of(folder.root / "mine"), dict)
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"name": 5}', '{"name": "../../x", "scene": "y", "state": "odd"}'])
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", '{"name": 5}', '{"name": "../../x", "scene": "y", "state": "odd"}'],
+)
 def test_a_damaged_record_is_passed_over(folder, content):
     (folder.private / "bear-1.json").write_text(content)
     assert list(folder.jobs()) == []
@@ -96,13 +126,27 @@ def history():
 
 def test_undo_goes_to_the_parent_and_redo_to_the_newest_finished_child():
     jobs = history()
-    assert undo(jobs, "bear-3") == "bear-1" and undo(jobs, "bear-1") == "" and undo(jobs, "bear") is None
-    assert redo(jobs, "bear-1") == "bear-3" and redo(jobs, "") == "bear-4" and redo(jobs, "bear-3") is None
+    assert (
+        undo(jobs, "bear-3") == "bear-1"
+        and undo(jobs, "bear-1") == ""
+        and undo(jobs, "bear") is None
+    )
+    assert (
+        redo(jobs, "bear-1") == "bear-3"
+        and redo(jobs, "") == "bear-4"
+        and redo(jobs, "bear-3") is None
+    )
 
 
 def test_branches_stand_below_what_they_go_on_from():
     depths = [(depth, job.name) for depth, job in tree(history())]
-    assert depths == [(0, "bear-1"), (1, "bear-2"), (1, "bear-3"), (0, "bear-4"), (0, "bear-5")]
+    assert depths == [
+        (0, "bear-1"),
+        (1, "bear-2"),
+        (1, "bear-3"),
+        (0, "bear-4"),
+        (0, "bear-5"),
+    ]
 
 
 def test_the_history_of_a_run_of_the_command_line_begins_with_itself(folder):
@@ -111,7 +155,10 @@ def test_the_history_of_a_run_of_the_command_line_begins_with_itself(folder):
     jobs = folder.history("mine")
     assert sorted(one.name for one in jobs) == ["mine", job.name]
     assert undo(jobs, "mine") is None and undo(jobs, job.name) == "mine"
-    assert [(depth, one.name) for depth, one in tree(jobs)] == [(0, "mine"), (1, job.name)]
+    assert [(depth, one.name) for depth, one in tree(jobs)] == [
+        (0, "mine"),
+        (1, job.name),
+    ]
 
 
 def test_a_jobs_folder_that_cannot_be_made_is_said(tmp_path):

@@ -1,4 +1,6 @@
-"""The queue: one at a time, in order; cancelled, failed and interrupted runs leave a sentence and no half result."""
+"""The queue: one at a time, in order; cancelled, failed and interrupted runs leave a sentence and
+no half result.
+"""
 
 import json
 import os
@@ -34,7 +36,9 @@ WRONG = "import sys; print('noise'); print('edit3r: too dark.', file=sys.stderr)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "PATIENCE", 0.5)  # the suite may run where SIGINT is ignored
+    monkeypatch.setattr(
+        runner_module, "PATIENCE", 0.5
+    )  # the suite may run where SIGINT is ignored
     return JobsFolder(tmp_path)
 
 
@@ -64,7 +68,10 @@ def test_jobs_run_one_after_the_other(folder):
     runner, first = runner_of(folder, QUICK), queued(folder)
     queued(folder, first.scene)
     seen = set()
-    wait_until(runner, lambda: seen.add(tuple(states(folder))) or states(folder) == ["done", "done"])
+    wait_until(
+        runner,
+        lambda: seen.add(tuple(states(folder))) or states(folder) == ["done", "done"],
+    )
     assert ("running", "running") not in seen
     wait_until(runner, lambda: not list(folder.private.glob("*.pid")))
     runner.stop()
@@ -121,12 +128,15 @@ time.sleep(60)
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="files have no locks (flock) on Windows")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="files have no locks (flock) on Windows"
+)
 def test_a_server_that_was_killed_finds_its_child_still_running(folder):
     job = queued(folder)
     slow_but_good = f"import time; time.sleep(3)\n{QUICK}"
     with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(folder.root), slow_but_good], stdout=subprocess.PIPE
+        [sys.executable, "-c", KILLED, str(folder.root), slow_but_good],
+        stdout=subprocess.PIPE,
     ) as server:
         assert server.stdout.readline() == b"begun\n"
         server.send_signal(signal.SIGKILL)
@@ -150,13 +160,20 @@ def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
     scene = folder.new_scene("bear")
     photo = folder.path(scene) / "images" / "a.png"
     photo.write_bytes(b"")
-    command = command_of(folder, queued(folder, scene, settings={"prompt": "gold"}, masks=2, size=96))
+    command = command_of(
+        folder, queued(folder, scene, settings={"prompt": "gold"}, masks=2, size=96)
+    )
     assert str(photo) in command and "--from" not in command
-    assert [path.rpartition("/")[2] for path in command[command.index("--mask") + 1 :]] == ["000.png", "001.png"]
+    assert [
+        path.rpartition("/")[2] for path in command[command.index("--mask") + 1 :]
+    ] == ["000.png", "001.png"]
     settings = command[command.index("--config") + 1]
     assert Path(settings).read_text() == "prompt: gold\nsize: 96\n"
     command = command_of(folder, queued(folder, scene, parent=scene))
-    assert command[command.index("--from") + 1] == str(folder.path(scene)) and str(photo) not in command
+    assert (
+        command[command.index("--from") + 1] == str(folder.path(scene))
+        and str(photo) not in command
+    )
 
 
 def test_progress_is_read_from_the_log(tmp_path):
@@ -166,11 +183,23 @@ def test_progress_is_read_from_the_log(tmp_path):
         ("warn", "dark", 0, 0, 3.6),
         ("start", "render", 0, 0, 4.0),
     ]
-    lines = [json.dumps(dict(zip(("event", "text", "done", "total", "at"), event))) for event in events]
+    lines = [
+        json.dumps(dict(zip(("event", "text", "done", "total", "at"), event)))
+        for event in events
+    ]
     (tmp_path / "log").write_text(
-        "\n".join([*lines, "no json", "[3]", '{"event": "progress", "text": "x", "done": 1, "total": 4}'])
+        "\n".join(
+            [
+                *lines,
+                "no json",
+                "[3]",
+                '{"event": "progress", "text": "x", "done": 1, "total": 4}',
+            ]
+        )
     )
-    assert read_progress(tmp_path / "log") == Progress([("edit", 2.5)], "render", 0.25, 4.0, ["dark"])
+    assert read_progress(tmp_path / "log") == Progress(
+        [("edit", 2.5)], "render", 0.25, 4.0, ["dark"]
+    )
     assert read_progress(tmp_path / "none") == Progress()
 
 
@@ -181,6 +210,21 @@ def test_the_time_left_is_that_of_the_newest_run_of_the_same_components(folder):
     stages = [{"name": "edit", "seconds": 4.0}, {"name": "render", "seconds": 10.0}]
     (folder.root / run.name / "run.json").write_text(json.dumps({"stages": stages}))
     job = queued(folder, settings=settings)
-    assert time_left(folder, job, Progress(stage="edit", since=100.0), now=101.0) == 13.0
-    assert time_left(folder, job, Progress([("edit", 9.0)], "render", since=100.0), now=120.0) == 0.0
-    assert time_left(folder, queued(folder, settings={"editor": {"name": "none"}}), Progress(), now=0.0) is None
+    assert (
+        time_left(folder, job, Progress(stage="edit", since=100.0), now=101.0) == 13.0
+    )
+    assert (
+        time_left(
+            folder, job, Progress([("edit", 9.0)], "render", since=100.0), now=120.0
+        )
+        == 0.0
+    )
+    assert (
+        time_left(
+            folder,
+            queued(folder, settings={"editor": {"name": "none"}}),
+            Progress(),
+            now=0.0,
+        )
+        is None
+    )

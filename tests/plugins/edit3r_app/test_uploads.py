@@ -16,13 +16,20 @@ from edit3r.errors import InputError
 
 def picture(form="PNG", size=(32, 24), seed=0, **options):
     content = io.BytesIO()
-    pixels = np.random.default_rng(seed).integers(0, 255, (*size[::-1], 3), dtype=np.uint8)
+    pixels = np.random.default_rng(seed).integers(
+        0, 255, (*size[::-1], 3), dtype=np.uint8
+    )
     Image.fromarray(pixels).save(content, form, **options)
     return content.getvalue()
 
 
 def chunk(kind, content):
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return (
+        struct.pack(">I", len(content))
+        + kind
+        + content
+        + struct.pack(">I", zlib.crc32(kind + content))
+    )
 
 
 def bomb(width=30_000, height=30_000):
@@ -41,11 +48,17 @@ HOSTILE = {
     "html": ("x.html", b"<html></html>"),
     "svg": ("x.svg", b'<svg xmlns="http://www.w3.org/2000/svg" onload="alert(1)"/>'),
     "svg as jpg": ("x.jpg", b'<svg xmlns="http://www.w3.org/2000/svg"/>'),
-    "eps as jpg": ("x.jpg", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(touch /tmp/edit3r-escaped) run\n"),
+    "eps as jpg": (
+        "x.jpg",
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(touch /tmp/edit3r-escaped) run\n",
+    ),
     "pdf as png": ("x.png", b"%PDF-1.4\n%\xe2\xe3"),
     "zip as png": ("x.png", b"PK\x03\x04" + bytes(100)),
     "program as jpg": ("x.jpg", b"\x7fELF" + bytes(100)),
-    "pickle as png": ("x.png", b"\x80\x04cos\nsystem\n(S'touch /tmp/edit3r-escaped'\ntR."),
+    "pickle as png": (
+        "x.png",
+        b"\x80\x04cos\nsystem\n(S'touch /tmp/edit3r-escaped'\ntR.",
+    ),
     "empty": ("x.png", b""),
     "one byte": ("x.png", b"\x89"),
     "cut off png": ("x.png", picture()[:200]),
@@ -53,7 +66,9 @@ HOSTILE = {
     "zip bomb png": ("x.png", bomb()),
     "text bomb png": (
         "x.png",
-        picture()[:33] + chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(2 * 10**8))) + picture()[33:],
+        picture()[:33]
+        + chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(2 * 10**8)))
+        + picture()[33:],
     ),
     "no suffix": ("x", picture()),
     "program by name": ("x.png.exe", picture()),
@@ -85,11 +100,17 @@ def scene(folder):
 
 
 def everything(folder):
-    return sorted(str(path.relative_to(folder.root)) for path in folder.root.rglob("*") if path.is_file())
+    return sorted(
+        str(path.relative_to(folder.root))
+        for path in folder.root.rglob("*")
+        if path.is_file()
+    )
 
 
 @pytest.mark.parametrize("case", HOSTILE)
-def test_what_is_no_photo_is_refused_in_one_sentence_and_leaves_nothing(case, folder, scene):
+def test_what_is_no_photo_is_refused_in_one_sentence_and_leaves_nothing(
+    case, folder, scene
+):
     name, content = HOSTILE[case]
     with pytest.raises(InputError) as refused:
         send(folder, scene, name, content)
@@ -120,7 +141,11 @@ PATHS = [
 @pytest.mark.parametrize("name", PATHS)
 def test_names_never_become_paths(name, folder, scene, tmp_path):
     kept = send(folder, scene, name, picture())
-    assert kept.parent == folder.root / scene / "images" and kept.suffix == ".png" and not kept.name.startswith(".")
+    assert (
+        kept.parent == folder.root / scene / "images"
+        and kept.suffix == ".png"
+        and not kept.name.startswith(".")
+    )
     assert everything(folder) == [str(kept.relative_to(folder.root))]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["jobs"]
 
@@ -130,7 +155,9 @@ def test_a_claim_of_a_gigabyte_is_refused_before_anything_is_read(folder, scene)
         send(folder, scene, "x.png", b"", size=2**30)
 
 
-def test_a_body_that_is_longer_than_it_said_is_refused_on_the_way(folder, scene, monkeypatch):
+def test_a_body_that_is_longer_than_it_said_is_refused_on_the_way(
+    folder, scene, monkeypatch
+):
     monkeypatch.setattr(uploads, "MOST_BYTES", 2000)
     with pytest.raises(InputError, match="photos of at most"):
         send(folder, scene, "x.png", picture(size=(200, 200)), size=10)
@@ -173,8 +200,17 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
     from edit3r.io.video import save_video
 
-    wide = np.random.default_rng(0).integers(0, 255, (60, 300, 3), dtype=np.uint8).repeat(4, 0).repeat(4, 1)
-    save_video(tmp_path / "pan.webm", [wide[:, 16 * step : 16 * step + 320] for step in range(20)], fps=10)
+    wide = (
+        np.random.default_rng(0)
+        .integers(0, 255, (60, 300, 3), dtype=np.uint8)
+        .repeat(4, 0)
+        .repeat(4, 1)
+    )
+    save_video(
+        tmp_path / "pan.webm",
+        [wide[:, 16 * step : 16 * step + 320] for step in range(20)],
+        fps=10,
+    )
     kept = send(folder, scene, "pan.webm", (tmp_path / "pan.webm").read_bytes())
     assert kept.name == "pan-00.png" and 2 <= len(folder.photos(scene)) <= 8
     assert not list(folder.private.iterdir())

@@ -1,4 +1,6 @@
-"""A plugin for tests: an editor that does what the prompt says, and writes down that it was asked."""
+"""A plugin for tests: an editor that does what the prompt says, and writes down that it was
+asked.
+"""
 
 import os
 import signal
@@ -7,13 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from edit3r import Component, hookimpl
+from edit3r.contract.interfaces import Editor
 from edit3r.errors import RunError
-from edit3r.interfaces import Editor
 
 
 @hookimpl
 def register_editors():
-    return Component("harmful", "harmful:HarmfulEditor", "test stand-in: dies, fails, waits or inverts")
+    return Component(
+        "harmful",
+        "harmful:HarmfulEditor",
+        "test stand-in: dies, fails, waits or inverts",
+    )
 
 
 class HarmfulEditor(Editor):

@@ -1,4 +1,6 @@
-"""`edit3r batch`: each job once, an ordinary run folder each, whoever did it and however often it was interrupted."""
+"""`edit3r batch`: each job once, an ordinary run folder each, whoever did it and however often it
+was interrupted.
+"""
 
 import json
 import os
@@ -15,9 +17,32 @@ from edit3r.cli.main import main
 from edit3r.io.images import packaged_pair
 
 HERE = Path(__file__).parent
-QUICK = ["--set", "editor=harmful", "--set", "reconstructor=flat", "--set", "rasterizer=torch", "--set", "refine=0"]
-QUICK += ["--set", "gaussians=all", "--set", "size=24", "--set", "frames=2", "--set", "outputs=scene,images"]
-QUICK += ["--plugin", str(HERE / "harmful.py"), "--plugin", str(HERE.parent / "flat_scene.py")]
+QUICK = [
+    "--set",
+    "editor=harmful",
+    "--set",
+    "reconstructor=flat",
+    "--set",
+    "rasterizer=torch",
+    "--set",
+    "refine=0",
+]
+QUICK += [
+    "--set",
+    "gaussians=all",
+    "--set",
+    "size=24",
+    "--set",
+    "frames=2",
+    "--set",
+    "outputs=scene,images",
+]
+QUICK += [
+    "--plugin",
+    str(HERE / "harmful.py"),
+    "--plugin",
+    str(HERE.parent / "flat_scene.py"),
+]
 
 
 @pytest.fixture
@@ -29,8 +54,13 @@ def place(tmp_path, monkeypatch):
 
 
 def jobs_file(place, *prompts, **settings):
-    lines = [{"photos": ["a.png", "b.png"], "prompt": p, "seed": n, **settings} for n, p in enumerate(prompts, 1)]
-    (place / "jobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    lines = [
+        {"photos": ["a.png", "b.png"], "prompt": p, "seed": n, **settings}
+        for n, p in enumerate(prompts, 1)
+    ]
+    (place / "jobs.jsonl").write_text(
+        "".join(json.dumps(line) + "\n" for line in lines)
+    )
     return str(place / "jobs.jsonl")
 
 
@@ -39,37 +69,70 @@ def batch(file, out, *options):
 
 
 def done_seeds(place):
-    return sorted(int(line.split()[0]) for line in (place / "log").read_text().splitlines())
+    return sorted(
+        int(line.split()[0]) for line in (place / "log").read_text().splitlines()
+    )
 
 
 def is_alive(pid):
     """On Linux; elsewhere nobody waits."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return (
+            Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        )
     except OSError:
         return False
 
 
 def contents(out):
-    """Every file and what it holds, but for the times of run.json and the sizes that the marker lists."""
-    files = [path for path in out.rglob("*") if path.is_file() and path.name not in ("run.json", ".edit3r-run")]
+    """Every file and what it holds, but for the times of run.json and the sizes that the marker
+    lists.
+    """
+    files = [
+        path
+        for path in out.rglob("*")
+        if path.is_file() and path.name not in ("run.json", ".edit3r-run")
+    ]
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
 
 def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
-    options = ["--size", "64", "--frames", "2", "--prompt", "make it warmer", "--fov", "50", "--refine", "2"]
+    options = [
+        "--size",
+        "64",
+        "--frames",
+        "2",
+        "--prompt",
+        "make it warmer",
+        "--fov",
+        "50",
+        "--refine",
+        "2",
+    ]
     photos = [str(place / "a.png"), str(place / "b.png")]
     assert main(["run", *photos, *options, "--out", str(place / "run"), "--quiet"]) == 0
     for name in ("first", "second"):  # the second finds everything loaded
         line = {"id": name, "photos": ["a.png", "b.png"], "prompt": "make it warmer"}
         with (place / "jobs.jsonl").open("a") as file:
-            file.write(json.dumps({**line, "fov": 50, "size": 64, "frames": 2, "refine": 2}) + "\n")
+            file.write(
+                json.dumps({**line, "fov": 50, "size": 64, "frames": 2, "refine": 2})
+                + "\n"
+            )
     assert main(["batch", str(place / "jobs.jsonl"), "--out", str(place / "out")]) == 0
     for name in ("first", "second"):
         made = contents(place / "out" / name)
         assert json.loads(made.pop("job.json"))["fov"] == 50
         assert made == contents(place / "run")
-    again = [*("--from", str(place / "out" / "second"), "--out", str(place / "more"), "--quiet"), *options[2:6]]
+    again = [
+        *(
+            "--from",
+            str(place / "out" / "second"),
+            "--out",
+            str(place / "more"),
+            "--quiet",
+        ),
+        *options[2:6],
+    ]
     assert main(["run", *again]) == 0
     assert "2 jobs: 2 " in capsys.readouterr().out
 
@@ -77,21 +140,31 @@ def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
 def test_two_workers_leave_the_files_of_one_and_weights_are_loaded_once_in_each(place):
     file = jobs_file(place, *"abcdef")
     assert batch(file, place / "one") == 0
-    assert len({line.split()[2] for line in (place / "log").read_text().splitlines()}) == 1
+    assert (
+        len({line.split()[2] for line in (place / "log").read_text().splitlines()}) == 1
+    )
     (place / "log").unlink()
     assert batch(file, place / "two", "--workers", "2") == 0
     assert contents(place / "one") == contents(place / "two")
     assert done_seeds(place) == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(place, capsys):
+def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(
+    place, capsys
+):
     file = jobs_file(place, "die", "ok", "fail", "crash", "ok")
     assert batch(file, place / "out", "--workers", "2") == 1
     told = capsys.readouterr()
-    assert "3 of 5 jobs gave no result" in told.err and "5 jobs: 3 no result, 2 " in told.out
+    assert (
+        "3 of 5 jobs gave no result" in told.err
+        and "5 jobs: 3 no result, 2 " in told.out
+    )
     summary = json.loads((place / "out" / "summary.json").read_text())
     reasons = [row["reason"] for row in summary["rows"]]
-    assert "worker process died" in reasons[0] and reasons[2] == "the model | is not in the mood."
+    assert (
+        "worker process died" in reasons[0]
+        and reasons[2] == "the model | is not in the mood."
+    )
     assert "ZeroDivisionError" in reasons[3] and summary["verdicts"]["no result"] == 3
     assert r"the model \| is" in (place / "out" / "summary.md").read_text()
     folders = {path.name for path in (place / "out").iterdir() if path.is_dir()}
@@ -100,23 +173,34 @@ def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(p
     assert done_seeds(place) == [1, 1, 2, 3, 3, 4, 4, 5]
 
 
-def test_a_job_with_other_settings_is_told_and_replaced_only_with_overwrite(place, capsys):
+def test_a_job_with_other_settings_is_told_and_replaced_only_with_overwrite(
+    place, capsys
+):
     assert batch(jobs_file(place, *"abc"), place / "out") == 0
     before = contents(place / "out")
     changed = jobs_file(place, *"axc")
     assert batch(changed, place / "out") == 2
-    assert "line 2: 'job-000002' was done with another prompt; give" in capsys.readouterr().err
+    assert (
+        "line 2: 'job-000002' was done with another prompt; give"
+        in capsys.readouterr().err
+    )
     assert contents(place / "out") == before
     assert batch(changed, place / "out", "--overwrite") == 0
     assert done_seeds(place) == [1, 2, 2, 3]
-    assert json.loads((place / "out" / "job-000002" / "job.json").read_text())["prompt"] == "x"
+    assert (
+        json.loads((place / "out" / "job-000002" / "job.json").read_text())["prompt"]
+        == "x"
+    )
 
 
 def test_a_folder_that_is_no_job_is_left_alone(place, capsys):
     (place / "out" / "job-000002").mkdir(parents=True)
     (place / "out" / "job-000002" / "thesis.tex").write_text("mine")
     assert batch(jobs_file(place, *"ab"), place / "out", "--overwrite") == 2
-    assert "thesis.tex" in capsys.readouterr().err and not (place / "out" / "job-000001").exists()
+    assert (
+        "thesis.tex" in capsys.readouterr().err
+        and not (place / "out" / "job-000001").exists()
+    )
 
 
 def test_a_folder_that_was_taken_away_is_made_again(place):
@@ -124,13 +208,27 @@ def test_a_folder_that_was_taken_away_is_made_again(place):
     assert batch(file, place / "out") == 0
     (place / "out" / "job-000001").rename(place / "elsewhere")
     assert batch(file, place / "out") == 0
-    assert done_seeds(place) == [1, 1, 2] and (place / "out" / "job-000001" / "run.json").is_file()
+    assert (
+        done_seeds(place) == [1, 1, 2]
+        and (place / "out" / "job-000001" / "run.json").is_file()
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups here")
 def test_a_killed_batch_goes_on_with_no_job_lost_or_done_twice(place):
     file = jobs_file(place, *["wait"] * 10)
-    command = [sys.executable, "-m", "edit3r", "batch", file, "--out", str(place / "out"), *QUICK, "--workers", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "edit3r",
+        "batch",
+        file,
+        "--out",
+        str(place / "out"),
+        *QUICK,
+        "--workers",
+        "2",
+    ]
     straight = jobs_file(place, *["wait"] * 10)
     child = subprocess.Popen([*command, "--quiet"])
     while sum(path.name == "run.json" for path in place.glob("out/job-*/*")) < 3:
@@ -138,7 +236,9 @@ def test_a_killed_batch_goes_on_with_no_job_lost_or_done_twice(place):
         time.sleep(0.02)
     child.send_signal(signal.SIGKILL)
     child.wait()
-    workers = {int(line.split()[1]) for line in (place / "log").read_text().splitlines()}
+    workers = {
+        int(line.split()[1]) for line in (place / "log").read_text().splitlines()
+    }
     end = time.monotonic() + 60
     while any(map(is_alive, workers)):  # they end with the process that started them
         assert time.monotonic() < end

@@ -1,4 +1,6 @@
-"""The jobs file: what cannot run is refused with the number of its line, before anything is written."""
+"""The jobs file: what cannot run is refused with the number of its line, before anything is
+written.
+"""
 
 import json
 
@@ -9,7 +11,7 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.errors import InputError
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 GOOD = {"photos": ["a.png", "b.png"], "prompt": "paint it red"}
 
@@ -29,9 +31,20 @@ def read(folder, *lines, **defaults):
 
 def test_settings_are_those_of_a_configuration_file_over_the_defaults(folder):
     line = {**GOOD, "id": "bike", "editor": {"strength": 0.5}, "seed": 3}
-    jobs = read(folder, line, "", {**GOOD, "photos": str(folder)}, size=64, seed=1, editor="recolor")
+    jobs = read(
+        folder,
+        line,
+        "",
+        {**GOOD, "photos": str(folder)},
+        size=64,
+        seed=1,
+        editor="recolor",
+    )
     assert list(jobs) == ["bike", "job-000003"]
-    assert jobs["bike"].settings == {**{"prompt": "paint it red", "size": 64, "seed": 3}, **_editor(0.5)}
+    assert jobs["bike"].settings == {
+        **{"prompt": "paint it red", "size": 64, "seed": 3},
+        **_editor(0.5),
+    }
     assert jobs["job-000003"].settings["seed"] == 1 and jobs["job-000003"].line == 3
     assert jobs["bike"].path("a.png") == str(folder / "a.png")
 
@@ -54,7 +67,10 @@ def _editor(strength):
         ({**GOOD, "mask": "gone.png"}, "gone.png: no such file"),
         ({**GOOD, "size": 1}, "run.size"),
         ({**GOOD, "editor": "recolr"}, "Did you mean 'recolor'?"),
-        ({**GOOD, "editor": {"name": "recolor", "strenth": 1}}, "editor.strenth: unknown setting"),
+        (
+            {**GOOD, "editor": {"name": "recolor", "strenth": 1}},
+            "editor.strenth: unknown setting",
+        ),
         ({**GOOD, "id": "../x"}, "cannot be the name of a folder here; '__x' would do"),
         ({**GOOD, "id": "/tmp/x"}, "cannot be the name of a folder"),
         ({**GOOD, "id": ".."}, "cannot be the name of a folder"),
@@ -69,8 +85,12 @@ def test_a_job_that_cannot_run_is_refused_with_its_line(folder, line, sentence, 
     with pytest.raises(InputError, match=r"jobs.jsonl, line 2: ") as error:
         read(folder, {**GOOD, "id": "first"}, line)
     assert sentence in str(error.value) and len(str(error.value)) < 3000
-    assert main(["batch", str(folder / "jobs.jsonl"), "--out", str(folder / "out")]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1 and not (folder / "out").exists()
+    assert (
+        main(["batch", str(folder / "jobs.jsonl"), "--out", str(folder / "out")]) == 2
+    )
+    assert (
+        len(capsys.readouterr().err.splitlines()) == 1 and not (folder / "out").exists()
+    )
 
 
 @pytest.mark.parametrize("content", [b"", b"\n \n", b"\xff\xfe\x00", None])
@@ -83,4 +103,8 @@ def test_a_file_without_jobs_is_refused(folder, content):
 
 def test_secrets_are_in_no_record(folder):
     job = read(folder, {**GOOD, "editor": {"name": "recolor"}})["job-000001"]
-    assert job.record == {"photos": ["a.png", "b.png"], "prompt": "paint it red", "editor": {"name": "recolor"}}
+    assert job.record == {
+        "photos": ["a.png", "b.png"],
+        "prompt": "paint it red",
+        "editor": {"name": "recolor"},
+    }

@@ -1,4 +1,6 @@
-"""Tiny random models with the real architectures, saved to disk and loaded the way users load theirs."""
+"""Tiny random models with the real architectures, saved to disk and loaded the way users load
+theirs.
+"""
 
 import json
 from pathlib import Path
@@ -41,20 +43,33 @@ class TinyModels:
     def instruct_pix2pix(self) -> Path:
         from diffusers import StableDiffusionInstructPix2PixPipeline
 
-        return self._saved("instruct-pix2pix", lambda: StableDiffusionInstructPix2PixPipeline(**self.sd_parts(8)))
+        return self._saved(
+            "instruct-pix2pix",
+            lambda: StableDiffusionInstructPix2PixPipeline(**self.sd_parts(8)),
+        )
 
     def stable_diffusion(self) -> Path:
         from diffusers import StableDiffusionPipeline
 
-        return self._saved("stable-diffusion", lambda: StableDiffusionPipeline(**self.sd_parts(4)))
+        return self._saved(
+            "stable-diffusion", lambda: StableDiffusionPipeline(**self.sd_parts(4))
+        )
 
     def controlnet(self) -> Path:
-        """With random instead of zero convolutions: as initialised, a ControlNet changes nothing."""
+        """With random instead of zero convolutions: as initialised, a ControlNet changes
+        nothing.
+        """
         from diffusers import ControlNetModel, UNet2DConditionModel
 
         def make():
-            unet = UNet2DConditionModel.from_pretrained(self.stable_diffusion(), subfolder="unet")
-            net = ControlNetModel.from_unet(unet, conditioning_channels=3, conditioning_embedding_out_channels=(16, 32))
+            unet = UNet2DConditionModel.from_pretrained(
+                self.stable_diffusion(), subfolder="unet"
+            )
+            net = ControlNetModel.from_unet(
+                unet,
+                conditioning_channels=3,
+                conditioning_embedding_out_channels=(16, 32),
+            )
             zero = [p for p in net.parameters() if not p.any() and p.ndim == 4]
             assert zero
             with torch.no_grad():
@@ -67,10 +82,16 @@ class TinyModels:
     def flux_kontext(self) -> Path:
         from diffusers import FluxKontextPipeline
 
-        return self._saved("flux-kontext", lambda: FluxKontextPipeline(**self.flux_parts()))
+        return self._saved(
+            "flux-kontext", lambda: FluxKontextPipeline(**self.flux_parts())
+        )
 
     def qwen_image_edit(self) -> Path:
-        from diffusers import AutoencoderKLQwenImage, FlowMatchEulerDiscreteScheduler, QwenImageTransformer2DModel
+        from diffusers import (
+            AutoencoderKLQwenImage,
+            FlowMatchEulerDiscreteScheduler,
+            QwenImageTransformer2DModel,
+        )
 
         parts = {
             "transformer": lambda: QwenImageTransformer2DModel(
@@ -98,11 +119,19 @@ class TinyModels:
             "tokenizer": self.qwen_tokenizer,
             "processor": self.qwen_pictures,
         }
-        return self._saved_by_parts("qwen-image-edit", "QwenImageEditPlusPipeline", parts)
+        return self._saved_by_parts(
+            "qwen-image-edit", "QwenImageEditPlusPipeline", parts
+        )
 
     def longcat_image_edit(self) -> Path:
-        """With a VAE that halves three times, as theirs: the class enlarges every picture to a megapixel."""
-        from diffusers import AutoencoderKL, FlowMatchEulerDiscreteScheduler, LongCatImageTransformer2DModel
+        """With a VAE that halves three times, as theirs: the class enlarges every picture to a
+        megapixel.
+        """
+        from diffusers import (
+            AutoencoderKL,
+            FlowMatchEulerDiscreteScheduler,
+            LongCatImageTransformer2DModel,
+        )
 
         parts = {
             "transformer": lambda: LongCatImageTransformer2DModel(
@@ -132,10 +161,16 @@ class TinyModels:
             "tokenizer": self.qwen_tokenizer,
             "text_processor": self.qwen_pictures,
         }
-        return self._saved_by_parts("longcat-image-edit", "LongCatImageEditPipeline", parts)
+        return self._saved_by_parts(
+            "longcat-image-edit", "LongCatImageEditPipeline", parts
+        )
 
     def flux2_klein(self) -> Path:
-        from diffusers import AutoencoderKLFlux2, FlowMatchEulerDiscreteScheduler, Flux2Transformer2DModel
+        from diffusers import (
+            AutoencoderKLFlux2,
+            FlowMatchEulerDiscreteScheduler,
+            Flux2Transformer2DModel,
+        )
         from transformers import Qwen3Config, Qwen3ForCausalLM
 
         text = Qwen3Config(
@@ -162,13 +197,18 @@ class TinyModels:
                 guidance_embeds=False,
             ),
             "vae": lambda: self.vae(
-                AutoencoderKLFlux2, latent_channels=4, use_quant_conv=False, use_post_quant_conv=False
+                AutoencoderKLFlux2,
+                latent_channels=4,
+                use_quant_conv=False,
+                use_post_quant_conv=False,
             ),
             "scheduler": FlowMatchEulerDiscreteScheduler,
             "text_encoder": lambda: Qwen3ForCausalLM(text).eval(),
             "tokenizer": self.qwen_tokenizer,
         }
-        return self._saved_by_parts("flux2-klein", "Flux2KleinPipeline", parts, is_distilled=True)
+        return self._saved_by_parts(
+            "flux2-klein", "Flux2KleinPipeline", parts, is_distilled=True
+        )
 
     def qwen_vl(self):
         from transformers import Qwen2_5_VLConfig, Qwen2_5_VLForConditionalGeneration
@@ -181,7 +221,11 @@ class TinyModels:
                 "num_attention_heads": 2,
                 "num_key_value_heads": 2,
                 "vocab_size": 300,
-                "rope_parameters": {"mrope_section": [1, 1, 2], "rope_type": "default", "rope_theta": 10000.0},
+                "rope_parameters": {
+                    "mrope_section": [1, 1, 2],
+                    "rope_type": "default",
+                    "rope_theta": 10000.0,
+                },
             },
             vision_config={
                 "depth": 1,
@@ -205,13 +249,25 @@ class TinyModels:
         folder = self.root / "qwen-vocabulary"
         folder.mkdir(exist_ok=True)
         letters = bytes_to_unicode().values()
-        (folder / "vocab.json").write_text(json.dumps({letter: index for index, letter in enumerate(letters)}))
+        (folder / "vocab.json").write_text(
+            json.dumps({letter: index for index, letter in enumerate(letters)})
+        )
         (folder / "merges.txt").write_text("#version: 0.2\n")
-        names = ("im_start", "im_end", "vision_start", "vision_end", "image_pad", "video_pad")
+        names = (
+            "im_start",
+            "im_end",
+            "vision_start",
+            "vision_end",
+            "image_pad",
+            "video_pad",
+        )
         special = [f"<|{name}|>" for name in names]
-        tokenizer = Qwen2Tokenizer.from_pretrained(folder, additional_special_tokens=special)
+        tokenizer = Qwen2Tokenizer.from_pretrained(
+            folder, additional_special_tokens=special
+        )
         tokenizer.chat_template = (
-            "{% for m in messages %}<|im_start|>{{ m.role }}\n{{ m.content }}<|im_end|>\n{% endfor %}"
+            "{% for m in messages %}<|im_start|>{{ m.role }}\n{{ m.content }}<|im_end|>\n{% "
+            "endfor %}"
             "<|im_start|>assistant\n"
         )
         return tokenizer
@@ -222,7 +278,9 @@ class TinyModels:
         return Qwen2VLImageProcessor(min_pixels=56 * 56, max_pixels=56 * 56)
 
     def _saved_by_parts(self, name: str, pipeline: str, parts: dict, **flags) -> Path:
-        """A pipeline's folder written part by part; its processor of class Qwen2VLProcessor cannot be made here."""
+        """A pipeline's folder written part by part; its processor of class Qwen2VLProcessor cannot
+        be made here.
+        """
         folder = self.root / name
         if not folder.is_dir():
             torch.manual_seed(0)
@@ -231,7 +289,10 @@ class TinyModels:
                 made = make()
                 made.save_pretrained(folder / part)
                 library = type(made).__module__.partition(".")[0]
-                index[part] = [library, "Qwen2VLProcessor" if "processor" in part else type(made).__name__]
+                index[part] = [
+                    library,
+                    "Qwen2VLProcessor" if "processor" in part else type(made).__name__,
+                ]
             (folder / "model_index.json").write_text(json.dumps(index))
         return folder
 
@@ -243,7 +304,9 @@ class TinyModels:
         return folder
 
     def sd_parts(self, latent_channels: int) -> dict:
-        """Parts of a Stable Diffusion 1.x pipeline; InstructPix2Pix's UNet takes 8 channels: latents and photo."""
+        """Parts of a Stable Diffusion 1.x pipeline; InstructPix2Pix's UNet takes 8 channels:
+        latents and photo.
+        """
         from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
 
         unet = UNet2DConditionModel(
@@ -278,7 +341,11 @@ class TinyModels:
         }
 
     def flux_parts(self) -> dict:
-        from diffusers import AutoencoderKL, FlowMatchEulerDiscreteScheduler, FluxTransformer2DModel
+        from diffusers import (
+            AutoencoderKL,
+            FlowMatchEulerDiscreteScheduler,
+            FluxTransformer2DModel,
+        )
         from transformers import T5Config, T5EncoderModel
 
         transformer = FluxTransformer2DModel(
@@ -292,12 +359,18 @@ class TinyModels:
             axes_dims_rope=(4, 4, 8),
             guidance_embeds=True,
         )
-        t5 = T5Config(vocab_size=300, d_model=32, d_kv=8, d_ff=37, num_layers=1, num_heads=4)
+        t5 = T5Config(
+            vocab_size=300, d_model=32, d_kv=8, d_ff=37, num_layers=1, num_heads=4
+        )
         return {
             "transformer": transformer,
             "scheduler": FlowMatchEulerDiscreteScheduler(),
             "vae": self.vae(
-                AutoencoderKL, latent_channels=4, shift_factor=0.1, use_quant_conv=False, use_post_quant_conv=False
+                AutoencoderKL,
+                latent_channels=4,
+                shift_factor=0.1,
+                use_quant_conv=False,
+                use_post_quant_conv=False,
             ),
             "text_encoder": self.clip_text(),
             "tokenizer": self.clip_tokenizer(),
@@ -336,10 +409,17 @@ class TinyModels:
         from transformers.convert_slow_tokenizer import bytes_to_unicode
 
         letters = list(bytes_to_unicode().values())
-        words = [*letters, *(letter + "</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
+        words = [
+            *letters,
+            *(letter + "</w>" for letter in letters),
+            "<|startoftext|>",
+            "<|endoftext|>",
+        ]
         folder = self.root / "clip-vocabulary"
         folder.mkdir(exist_ok=True)
-        (folder / "vocab.json").write_text(json.dumps({word: index for index, word in enumerate(words)}))
+        (folder / "vocab.json").write_text(
+            json.dumps({word: index for index, word in enumerate(words)})
+        )
         (folder / "merges.txt").write_text("#version: 0.2\n")
         return CLIPTokenizer.from_pretrained(folder, model_max_length=77)
 
@@ -348,23 +428,39 @@ class TinyModels:
         from transformers import T5TokenizerFast
 
         pieces = ["<pad>", "</s>", "<unk>", "▁", *map(chr, range(33, 127))]
-        core = Tokenizer(models.Unigram([(piece, -float(i)) for i, piece in enumerate(pieces)], unk_id=2))
+        core = Tokenizer(
+            models.Unigram(
+                [(piece, -float(i)) for i, piece in enumerate(pieces)], unk_id=2
+            )
+        )
         core.pre_tokenizer = pre_tokenizers.Metaspace()
         core.decoder = decoders.Metaspace()
-        core.post_processor = processors.TemplateProcessing(single="$A </s>", special_tokens=[("</s>", 1)])
+        core.post_processor = processors.TemplateProcessing(
+            single="$A </s>", special_tokens=[("</s>", 1)]
+        )
         return T5TokenizerFast(
-            tokenizer_object=core, eos_token="</s>", unk_token="<unk>", pad_token="<pad>", extra_ids=0
+            tokenizer_object=core,
+            eos_token="</s>",
+            unk_token="<unk>",
+            pad_token="<pad>",
+            extra_ids=0,
         )
 
 
 @pytest.fixture(scope="session")
 def two_views() -> edit3r.Views:
     """Two smooth pictures that differ."""
-    y, x = torch.meshgrid(torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij")
+    y, x = torch.meshgrid(
+        torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij"
+    )
     first = torch.stack((x, y, 0.5 * (x + y)))
     second = torch.stack((y, 1 - x, x * y))
-    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
-    return edit3r.Views(torch.stack((first, second))[None], intrinsics, ("left.png", "right.png"))
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(
+        1, 2, 3, 3
+    )
+    return edit3r.Views(
+        torch.stack((first, second))[None], intrinsics, ("left.png", "right.png")
+    )
 
 
 @pytest.fixture(scope="session")

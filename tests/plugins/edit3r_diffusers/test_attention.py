@@ -16,13 +16,17 @@ def attn():
 def test_with_weight_zero_it_is_the_ordinary_attention(attn):
     tokens = torch.randn(6, 5, 16)
     expected = attention.AttnProcessor2_0()(attn, tokens)
-    assert torch.allclose(CrossViewAttention(3, 2, 0.0)(attn, tokens), expected, atol=1e-6)
+    assert torch.allclose(
+        CrossViewAttention(3, 2, 0.0)(attn, tokens), expected, atol=1e-6
+    )
 
 
 def test_equal_views_make_the_weight_irrelevant(attn):
     tokens = torch.randn(2, 1, 5, 16).expand(2, 3, 5, 16).flatten(0, 1)
     expected = attention.AttnProcessor2_0()(attn, tokens)
-    assert torch.allclose(CrossViewAttention(3, 3, 0.7)(attn, tokens), expected, atol=1e-5)
+    assert torch.allclose(
+        CrossViewAttention(3, 3, 0.7)(attn, tokens), expected, atol=1e-5
+    )
 
 
 def test_with_weight_one_and_one_reference_only_view_0_is_looked_at(attn):

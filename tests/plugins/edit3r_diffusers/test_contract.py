@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from edit3r.testing import CONTRACTS, Contract, claims, contract_for
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 FLAT = Path(__file__).parents[1] / "flat_scene.py"
 
@@ -20,14 +20,21 @@ def contracts(tiny):
         "flux2-klein": {"model": str(tiny.flux2_klein()), **cheap, "resolution": 96},
         "controlnet-depth": {"model": str(tiny.stable_diffusion()), **depth, **cheap},
     }
-    bound = {name: contract_for("editor", name, **chosen) for name, chosen in settings.items()}
+    bound = {
+        name: contract_for("editor", name, **chosen)
+        for name, chosen in settings.items()
+    }
     for contract in bound.values():
         contract.plugin_files = (FLAT,)
         contract.image_size = (24, 32)
     return bound
 
 
-@pytest.mark.parametrize("claim", sorted({*claims(CONTRACTS["editor"])} - {*claims(Contract)}))
-@pytest.mark.parametrize("editor", ["instruct-pix2pix", "flux-kontext", "flux2-klein", "controlnet-depth"])
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["editor"])} - {*claims(Contract)})
+)
+@pytest.mark.parametrize(
+    "editor", ["instruct-pix2pix", "flux-kontext", "flux2-klein", "controlnet-depth"]
+)
 def test_contract(contracts, editor, claim):
     getattr(contracts[editor](), claim)()

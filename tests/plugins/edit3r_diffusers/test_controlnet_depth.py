@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.errors import InputError
-from edit3r.interfaces import MatchedGeometry, Matcher
 
 ASK = edit3r.EditRequest("a red bike", seed=3)
 
@@ -21,9 +21,16 @@ class SlopeMatcher(Matcher):
     def match(self, views):
         batch, count = views.images.shape[:2]
         height, width = views.image_size
-        depths = torch.linspace(self.near, self.far, width).expand(batch, count, height, width)
+        depths = torch.linspace(self.near, self.far, width).expand(
+            batch, count, height, width
+        )
         pose = torch.eye(4).expand(batch, count, 4, 4)
-        return MatchedGeometry(pose, depths, torch.ones_like(depths), torch.ones(batch, count, dtype=torch.bool))
+        return MatchedGeometry(
+            pose,
+            depths,
+            torch.ones_like(depths),
+            torch.ones(batch, count, dtype=torch.bool),
+        )
 
 
 @pytest.fixture(scope="module")
@@ -47,17 +54,37 @@ def edited(build, two_views):
 
 
 def test_prompt_and_every_setting_change_the_result(build, edited, two_views):
-    assert not torch.equal(build().edit(two_views, replace(ASK, prompt="snow")).images, edited)
-    settings = [{"guidance": 3.0}, {"negative_prompt": "blurry"}, {"source_prompt": "a bike"}, {"strength": 0.5}]
-    settings += [{"invert": False}, {"eta": 0.5}, {"cross_view": 0.0}, {"references": 1}, {"control_scale": 0.0}]
+    assert not torch.equal(
+        build().edit(two_views, replace(ASK, prompt="snow")).images, edited
+    )
+    settings = [
+        {"guidance": 3.0},
+        {"negative_prompt": "blurry"},
+        {"source_prompt": "a bike"},
+        {"strength": 0.5},
+    ]
+    settings += [
+        {"invert": False},
+        {"eta": 0.5},
+        {"cross_view": 0.0},
+        {"references": 1},
+        {"control_scale": 0.0},
+    ]
     for change in settings:
-        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), change
+        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), (
+            change
+        )
 
 
 def test_depth_changes_the_result_only_through_the_controlnet(build, edited, two_views):
     other = SlopeMatcher(near=4.0, far=1.0)
-    assert not torch.allclose(build(other).edit(two_views, ASK).images, edited, atol=1e-3)
-    without = [build(matcher, control_scale=0.0).edit(two_views, ASK).images for matcher in (other, SlopeMatcher())]
+    assert not torch.allclose(
+        build(other).edit(two_views, ASK).images, edited, atol=1e-3
+    )
+    without = [
+        build(matcher, control_scale=0.0).edit(two_views, ASK).images
+        for matcher in (other, SlopeMatcher())
+    ]
     assert torch.equal(*without)
 
 
@@ -66,24 +93,33 @@ def test_attention_across_views_lets_a_view_depend_on_the_other(build, two_views
     changed.images[:, 1] = changed.images[:, 1].flip(-1)
     # view 1 is no reference, so view 0 must not see it, but view 1 must see view 0
     one_reference = {"references": 1, "cross_view": 0.5, "invert": False}
-    before, after = (build(**one_reference).edit(views, ASK).images for views in (two_views, changed))
+    before, after = (
+        build(**one_reference).edit(views, ASK).images for views in (two_views, changed)
+    )
     assert torch.allclose(before[:, 0], after[:, 0], atol=1e-5)
-    alone = [build(cross_view=weight, references=1).edit(two_views, ASK).images[:, 1] for weight in (0.0, 0.5)]
+    alone = [
+        build(cross_view=weight, references=1).edit(two_views, ASK).images[:, 1]
+        for weight in (0.0, 0.5)
+    ]
     assert not torch.allclose(*alone, atol=1e-4)
 
 
-def test_a_mask_confines_the_edit_along_the_inverted_latents(build, two_views, left_half):
+def test_a_mask_confines_the_edit_along_the_inverted_latents(
+    build, two_views, left_half
+):
     masked = replace(ASK, masks=left_half)
     images = build().edit(two_views, masked).images
     other = build().edit(two_views, replace(masked, prompt="snow")).images
     difference = (images - other).abs()
-    # The latents agree outside; what is left there leaks through the tiny autoencoder's normalisation.
+    # The latents agree outside; what is left there leaks through the tiny autoencoder's
+    # normalisation.
     assert difference[..., -8:].mean() < 0.3 * difference[..., :8].mean()
 
 
 def test_two_scenes_are_edited_apart(build, two_views):
     both = edit3r.Views(
-        torch.cat((two_views.images, two_views.images.flip(-1))), two_views.intrinsics.expand(2, -1, -1, -1)
+        torch.cat((two_views.images, two_views.images.flip(-1))),
+        two_views.intrinsics.expand(2, -1, -1, -1),
     )
     images = build().edit(both, ASK).images
     assert torch.allclose(images[:1], build().edit(two_views, ASK).images, atol=1e-5)

@@ -10,7 +10,16 @@ from PIL import Image
 from edit3r.cli.main import main
 
 FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
-CHEAP = ["--prompt", "paint it red", "--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch"]
+CHEAP = [
+    "--prompt",
+    "paint it red",
+    "--plugin",
+    FLAT,
+    "--recon",
+    "flat",
+    "--rasterizer",
+    "torch",
+]
 CHEAP += ["--frames", "2", "--fov", "60", "--refine", "0", "--outputs", "images"]
 SIDE = 32
 
@@ -20,7 +29,9 @@ def photos(tmp_path_factory) -> list[str]:
     folder = tmp_path_factory.mktemp("photos")
     y, x = np.mgrid[0:SIDE, 0:SIDE] * 255 // SIDE
     for name, channels in (("a", (x, y, x)), ("b", (y, x, 255 - y))):
-        Image.fromarray(np.stack(channels, -1).astype(np.uint8)).save(folder / f"{name}.png")
+        Image.fromarray(np.stack(channels, -1).astype(np.uint8)).save(
+            folder / f"{name}.png"
+        )
     mask = np.zeros((SIDE, SIDE), np.uint8)
     mask[:, : SIDE // 2] = 255
     Image.fromarray(mask).save(folder / "mask.png")
@@ -44,17 +55,43 @@ def choices(tiny):
     }
 
 
-def run(photos, out: Path, editor: str, settings: list[str], *flags: str) -> tuple[np.ndarray, dict]:
+def run(
+    photos, out: Path, editor: str, settings: list[str], *flags: str
+) -> tuple[np.ndarray, dict]:
     """Edited pictures of one run, and its manifest."""
-    settings = [*settings, "editor.steps=2", "editor.resolution=64", "editor.local_files_only=true"]
+    settings = [
+        *settings,
+        "editor.steps=2",
+        "editor.resolution=64",
+        "editor.local_files_only=true",
+    ]
     chosen = [word for setting in settings for word in ("--set", setting)]
-    code = main(["run", *photos[:2], "--editor", editor, *CHEAP, *chosen, "--out", str(out), "--quiet", *flags])
+    code = main(
+        [
+            "run",
+            *photos[:2],
+            "--editor",
+            editor,
+            *CHEAP,
+            *chosen,
+            "--out",
+            str(out),
+            "--quiet",
+            *flags,
+        ]
+    )
     assert code == 0
     edited = [np.array(Image.open(file)) for file in sorted((out / "edited").iterdir())]
     return np.stack(edited), json.loads((out / "run.json").read_text())
 
 
-EDITORS = ("instruct-pix2pix", "flux-kontext", "qwen-image-edit", "flux2-klein", "longcat-image-edit")
+EDITORS = (
+    "instruct-pix2pix",
+    "flux-kontext",
+    "qwen-image-edit",
+    "flux2-klein",
+    "longcat-image-edit",
+)
 
 
 @pytest.mark.parametrize("editor", [*EDITORS, "controlnet-depth"])
@@ -64,19 +101,32 @@ def test_a_two_view_edit_runs_end_to_end(photos, choices, tmp_path, editor):
     other, _ = run(photos, tmp_path / "3", editor, choices[editor], "--seed", "4")
     assert np.array_equal(first, again) and not np.array_equal(first, other)
     noted = json.dumps(manifest)
-    assert "editor.weights" in noted and ("editor.consistency" in noted) == (editor != "controlnet-depth")
+    assert "editor.weights" in noted and ("editor.consistency" in noted) == (
+        editor != "controlnet-depth"
+    )
 
     mask = photos[2]
-    masked, _ = run(photos, tmp_path / "4", editor, choices[editor], "--mask", mask, mask)
+    masked, _ = run(
+        photos, tmp_path / "4", editor, choices[editor], "--mask", mask, mask
+    )
     originals = np.stack([np.array(Image.open(file)) for file in photos[:2]])
     half = SIDE // 2
     assert np.array_equal(masked[:, :, half:], originals[:, :, half:])
     assert not np.array_equal(masked[:, :, :half], originals[:, :, :half])
 
 
-def test_weights_that_are_not_there_end_with_exit_code_2_and_one_sentence(photos, tmp_path, capsys):
+def test_weights_that_are_not_there_end_with_exit_code_2_and_one_sentence(
+    photos, tmp_path, capsys
+):
     missing = f"editor.model={tmp_path / 'nothing'}"
-    flags = ["--editor", "instruct-pix2pix", "--set", missing, "--out", str(tmp_path / "out")]
+    flags = [
+        "--editor",
+        "instruct-pix2pix",
+        "--set",
+        missing,
+        "--out",
+        str(tmp_path / "out"),
+    ]
     code = main(["run", *photos[:2], *CHEAP, *flags])
     said = capsys.readouterr().err
     assert code == 2 and "editor.model: no folder" in said and "Traceback" not in said

@@ -15,7 +15,9 @@ ASK = edit3r.EditRequest("paint it red", seed=3)
 def build(tiny):
     def build(**settings):
         settings = {"steps": 2, "resolution": 0, "local_files_only": True, **settings}
-        return edit3r.build("editor", "flux-kontext", model=str(tiny.flux_kontext()), **settings)
+        return edit3r.build(
+            "editor", "flux-kontext", model=str(tiny.flux_kontext()), **settings
+        )
 
     return build
 
@@ -28,7 +30,9 @@ def edited(build, two_views):
 def test_without_masks_it_is_the_plain_kontext_pipeline(tiny, edited, two_views):
     from diffusers import FluxKontextPipeline
 
-    pipeline = FluxKontextPipeline.from_pretrained(tiny.flux_kontext(), local_files_only=True)
+    pipeline = FluxKontextPipeline.from_pretrained(
+        tiny.flux_kontext(), local_files_only=True
+    )
     plain = pipeline(
         image=two_views.images[0, :1],
         prompt=ASK.prompt,
@@ -44,11 +48,17 @@ def test_without_masks_it_is_the_plain_kontext_pipeline(tiny, edited, two_views)
     assert torch.allclose(edited[0, 0], plain[0], atol=1e-4)
 
 
-def test_prompt_guidance_strength_and_negative_prompt_change_the_result(build, edited, two_views):
-    assert not torch.equal(build().edit(two_views, replace(ASK, prompt="make it snow")).images, edited)
+def test_prompt_guidance_strength_and_negative_prompt_change_the_result(
+    build, edited, two_views
+):
+    assert not torch.equal(
+        build().edit(two_views, replace(ASK, prompt="make it snow")).images, edited
+    )
     negative = {"negative_prompt": "blurry", "true_guidance": 3.0}
     for change in ({"guidance": 7.0}, {"strength": 0.5}, negative):
-        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), change
+        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), (
+            change
+        )
 
 
 def test_a_mask_confines_the_edit_through_the_inpaint_form(build, two_views, left_half):

@@ -26,7 +26,9 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
     mask[..., :8] = 1
     step_end = StepEnd("x", 4, mask, noised(clean, noise))
     for step, timestep in enumerate(scheduler.timesteps):
-        latents = step_end(Pipeline(scheduler), step, timestep, {"latents": edit})["latents"]
+        latents = step_end(Pipeline(scheduler), step, timestep, {"latents": edit})[
+            "latents"
+        ]
         last = step == 3
         following = None if last else scheduler.timesteps[step + 1 : step + 2]
         expected = clean if last else scheduler.add_noise(clean, noise, following)
@@ -37,7 +39,9 @@ def test_outside_the_mask_the_photo_follows_its_own_noise_and_ends_clean(schedul
 def test_a_soft_edge_is_left_to_the_pipeline_which_mixes_it_in_once(scheduler):
     clean, noise, edit = torch.randn(3, 1, 4, 8, 8)
     step_end = StepEnd("x", 4, torch.full((1, 1, 16, 16), 0.1), noised(clean, noise))
-    latents = step_end(Pipeline(scheduler), 0, scheduler.timesteps[0], {"latents": edit})["latents"]
+    latents = step_end(
+        Pipeline(scheduler), 0, scheduler.timesteps[0], {"latents": edit}
+    )["latents"]
     assert torch.equal(latents, edit)
 
 

@@ -12,30 +12,46 @@ ASK = edit3r.EditRequest("paint it red")
 
 
 def edit_with(views, **settings):
-    return edit3r.build("editor", "instruct-pix2pix", **{"steps": 1, **settings}).edit(views, ASK)
+    return edit3r.build("editor", "instruct-pix2pix", **{"steps": 1, **settings}).edit(
+        views, ASK
+    )
 
 
 def test_a_model_that_was_never_downloaded_is_one_sentence_with_the_command(two_views):
-    with pytest.raises(MissingDependencyError, match=r"edit3r weights get instruct-pix2pix"):
+    with pytest.raises(
+        MissingDependencyError, match=r"edit3r weights get instruct-pix2pix"
+    ):
         edit_with(two_views, local_files_only=True)
 
 
-def test_a_missing_folder_and_a_folder_of_something_else_are_told_apart(two_views, tmp_path):
+def test_a_missing_folder_and_a_folder_of_something_else_are_told_apart(
+    two_views, tmp_path
+):
     with pytest.raises(InputError, match=r"editor\.model: no folder"):
         edit_with(two_views, model=str(tmp_path / "nothing"))
-    with pytest.raises(InputError, match="does not hold a StableDiffusionInstructPix2PixPipeline"):
+    with pytest.raises(
+        InputError, match="does not hold a StableDiffusionInstructPix2PixPipeline"
+    ):
         edit_with(two_views, model=str(tmp_path))
 
 
 def test_a_gated_model_names_the_login_command():
     weights = pretrained.ChosenWeights("x/y", "editor.model")
-    error = pretrained.loading_error(OSError("Access to model x/y is gated"), object, weights)
+    error = pretrained.loading_error(
+        OSError("Access to model x/y is gated"), object, weights
+    )
     assert "hf auth login" in str(error) and isinstance(error, MissingDependencyError)
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has the device the test expects missing")
+@pytest.mark.skipif(
+    torch.cuda.is_available(),
+    reason="this machine has the device the test expects missing",
+)
 def test_a_device_that_is_not_there_is_a_sentence(tiny, two_views):
-    with pytest.raises(SettingsError, match=r"editor\.device: 'cuda' cannot be used .* editor\.device=cpu"):
+    with pytest.raises(
+        SettingsError,
+        match=r"editor\.device: 'cuda' cannot be used .* editor\.device=cpu",
+    ):
         edit_with(two_views, model=str(tiny.instruct_pix2pix()), device="cuda")
 
 
@@ -45,19 +61,34 @@ def test_offloading_without_a_gpu_is_a_sentence(tiny, two_views):
 
 
 def test_running_out_of_memory_names_the_settings_that_help(tiny, two_views):
-    editor = edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), steps=1, resolution=0)
+    editor = edit3r.build(
+        "editor",
+        "instruct-pix2pix",
+        model=str(tiny.instruct_pix2pix()),
+        steps=1,
+        resolution=0,
+    )
     unet = editor._loaded(torch.device("cpu")).unet
 
     def forward(*args, **kwargs):
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB.")
 
     unet.forward = forward
-    with pytest.raises(RunError, match=r"out of memory while editing left.png at 32x32; .*editor\.offload=model"):
+    with pytest.raises(
+        RunError,
+        match=r"out of memory while editing left.png at 32x32; .*editor\.offload=model",
+    ):
         editor.edit(two_views, ASK)
 
 
 def test_half_precision_that_overflows_is_a_sentence(tiny, two_views):
-    editor = edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), steps=1, resolution=0)
+    editor = edit3r.build(
+        "editor",
+        "instruct-pix2pix",
+        model=str(tiny.instruct_pix2pix()),
+        steps=1,
+        resolution=0,
+    )
     decoder = editor._loaded(torch.device("cpu")).vae.decoder
     with torch.no_grad():
         decoder.conv_out.bias.fill_(float("nan"))
@@ -68,10 +99,22 @@ def test_half_precision_that_overflows_is_a_sentence(tiny, two_views):
 def test_low_memory_gives_the_same_picture(tiny, two_views):
     model = str(tiny.instruct_pix2pix())
     plain = edit_with(two_views, model=model, resolution=0).images
-    assert torch.allclose(edit_with(two_views, model=model, resolution=0, low_memory=True).images, plain, atol=1e-4)
+    assert torch.allclose(
+        edit_with(two_views, model=model, resolution=0, low_memory=True).images,
+        plain,
+        atol=1e-4,
+    )
 
 
 def test_auto_dtype_is_half_only_off_the_cpu():
-    assert loading.pick_dtype("auto", torch.device("cpu"), torch.float16) is torch.float32
-    assert loading.pick_dtype("auto", torch.device("cuda"), torch.bfloat16) is torch.bfloat16
-    assert loading.pick_dtype("float16", torch.device("cpu"), torch.bfloat16) is torch.float16
+    assert (
+        loading.pick_dtype("auto", torch.device("cpu"), torch.float16) is torch.float32
+    )
+    assert (
+        loading.pick_dtype("auto", torch.device("cuda"), torch.bfloat16)
+        is torch.bfloat16
+    )
+    assert (
+        loading.pick_dtype("float16", torch.device("cpu"), torch.bfloat16)
+        is torch.float16
+    )

@@ -1,4 +1,6 @@
-"""The configurations of the paper's tables, run but for tiny random weights: they work, and measure nothing."""
+"""The configurations of the paper's tables, run but for tiny random weights: they work, and measure
+nothing.
+"""
 
 import json
 
@@ -7,7 +9,7 @@ import pytest
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.registry import build
+from edit3r.plugins.registry import build
 
 SIDE = 64
 
@@ -17,22 +19,43 @@ def manifest(tmp_path_factory):
     """One scene of three posed photos, and its five edits."""
     folder = tmp_path_factory.mktemp("scenes") / "room"
     folder.mkdir()
-    sample = build("dataset", "procedural", image_size=SIDE, context=3, targets=0, angles=(4, 5), seed=5)[0]
+    sample = build(
+        "dataset",
+        "procedural",
+        image_size=SIDE,
+        context=3,
+        targets=0,
+        angles=(4, 5),
+        seed=5,
+    )[0]
     cameras = []
     for index, image in enumerate(sample.context):
-        Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(folder / f"{index}.png")
+        Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(
+            folder / f"{index}.png"
+        )
         k = sample.context_cameras.intrinsics[0, index].numpy() * [[SIDE], [SIDE], [1]]
         pose = {"K": k.tolist(), "c2w": sample.context_cameras.c2w[0, index].tolist()}
         cameras.append({"file": f"{index}.png", "width": SIDE, "height": SIDE, **pose})
     (folder / "cameras.json").write_text(json.dumps(cameras))
     out = folder.parent / "bench.json"
-    options = ["--labels", "wall", "--no-vetting", "--size", str(SIDE), "--out", str(out), "--quiet"]
+    options = [
+        "--labels",
+        "wall",
+        "--no-vetting",
+        "--size",
+        str(SIDE),
+        "--out",
+        str(out),
+        "--quiet",
+    ]
     assert main(["bench", "build", str(folder.parent), *options]) == 0
     return out
 
 
 def columns(out):
-    """The methods of a report, each with its failures, after reading them from the folder of a run."""
+    """The methods of a report, each with its failures, after reading them from the folder of a
+    run.
+    """
     assert main(["bench", "report", str(out), "--quiet"]) == 0
     methods = json.loads((out / "report" / "report.json").read_text())["methods"]
     return {label: method["failures"] for label, method in methods.items()}
@@ -40,7 +63,10 @@ def columns(out):
 
 def settings(**by_label):
     return [
-        word for label, own in by_label.items() for s in own for word in ("--set", f"{label.replace('_', '-')}.{s}")
+        word
+        for label, own in by_label.items()
+        for s in own
+        for word in ("--set", f"{label.replace('_', '-')}.{s}")
     ]
 
 
@@ -49,7 +75,11 @@ CHEAP = ["editor.steps=2", "editor.resolution=64", "editor.local_files_only=true
 
 def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
     ip2p = [*CHEAP, f"editor.model={tiny.instruct_pix2pix()}"]
-    control = [*CHEAP, f"editor.model={tiny.stable_diffusion()}", f"editor.controlnet={tiny.controlnet()}"]
+    control = [
+        *CHEAP,
+        f"editor.model={tiny.stable_diffusion()}",
+        f"editor.controlnet={tiny.controlnet()}",
+    ]
     fit = ["reconstructor.steps=2", "reconstructor.edit_steps=2"]
     vit = "{name: asymmetric-vit, width: 48, depth: 2, heads: 2, decoder_width: 48, decoder_depth: 4, decoder_heads: 2}"
     head = "{name: dpt-gaussian, feature_width: 8, point_width: 8, layer_widths: [8, 8, 16, 16]}"
@@ -63,20 +93,82 @@ def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
         edit3r=[*ip2p, *small],
         edit3r_small=[*ip2p, *small],
     )
-    run = ["bench", "run", str(manifest), "--config", "bench/main", "--edits", "1", "--no-effnet", "--quiet"]
+    run = [
+        "bench",
+        "run",
+        str(manifest),
+        "--config",
+        "bench/main",
+        "--edits",
+        "1",
+        "--no-effnet",
+        "--quiet",
+    ]
     assert main([*run, *changes, "--out", str(tmp_path / "out")]) == 0
-    assert list(columns(tmp_path / "out")) == ["gaussctrl", "editsplat", "noposplat", "edit3r", "edit3r-small"]
+    assert list(columns(tmp_path / "out")) == [
+        "gaussctrl",
+        "editsplat",
+        "noposplat",
+        "edit3r",
+        "edit3r-small",
+    ]
 
 
 def test_tables_2_and_3_run_with_tiny_weights(manifest, tiny, tmp_path):
     small = ["reconstructor.weights=untrained", "reconstructor.matcher=posed"]
     run = ["bench", "run", str(manifest), "--edits", "1", "--no-effnet", "--quiet"]
-    labels = ("full", "without_recolor", "without_3d_loss", "without_mask_augmentation", "without_random_drop")
+    labels = (
+        "full",
+        "without_recolor",
+        "without_3d_loss",
+        "without_mask_augmentation",
+        "without_random_drop",
+    )
     changes = settings(**{label: ["editor=none", *small] for label in labels})
-    assert main([*run, "--config", "bench/training-ablation", *changes, "--out", str(tmp_path / "2")]) == 0
-    assert [label.replace("-", "_") for label in columns(tmp_path / "2")] == list(labels)
-    editors = {"instruct_pix2pix": tiny.instruct_pix2pix(), "flux_kontext": tiny.flux_kontext()}
-    changes = settings(**{label: [*CHEAP, f"editor.model={model}", *small] for label, model in editors.items()})
-    only = ["--only", "instruct-pix2pix", "--only", "flux-kontext"]  # the two services want keys
-    assert main([*run, "--config", "bench/editor-ablation", *only, *changes, "--out", str(tmp_path / "3")]) == 0
+    assert (
+        main(
+            [
+                *run,
+                "--config",
+                "bench/training-ablation",
+                *changes,
+                "--out",
+                str(tmp_path / "2"),
+            ]
+        )
+        == 0
+    )
+    assert [label.replace("-", "_") for label in columns(tmp_path / "2")] == list(
+        labels
+    )
+    editors = {
+        "instruct_pix2pix": tiny.instruct_pix2pix(),
+        "flux_kontext": tiny.flux_kontext(),
+    }
+    changes = settings(
+        **{
+            label: [*CHEAP, f"editor.model={model}", *small]
+            for label, model in editors.items()
+        }
+    )
+    only = [
+        "--only",
+        "instruct-pix2pix",
+        "--only",
+        "flux-kontext",
+    ]  # the two services want keys
+    assert (
+        main(
+            [
+                *run,
+                "--config",
+                "bench/editor-ablation",
+                *only,
+                *changes,
+                "--out",
+                str(tmp_path / "3"),
+            ]
+        )
+        == 0
+    )
     assert columns(tmp_path / "3") == {"instruct-pix2pix": {}, "flux-kontext": {}}

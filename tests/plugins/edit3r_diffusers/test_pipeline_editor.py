@@ -26,8 +26,15 @@ def build(tiny):
 @pytest.mark.parametrize("name", PRESETS)
 def test_each_preset_edits_by_its_prompt(build, two_views, name):
     editor = build(name)
-    edited, other = (editor.edit(two_views, replace(ASK, prompt=prompt)).images for prompt in ("red", "snow"))
-    assert edited.shape == two_views.images.shape and torch.isfinite(edited).all() and not torch.equal(other, edited)
+    edited, other = (
+        editor.edit(two_views, replace(ASK, prompt=prompt)).images
+        for prompt in ("red", "snow")
+    )
+    assert (
+        edited.shape == two_views.images.shape
+        and torch.isfinite(edited).all()
+        and not torch.equal(other, edited)
+    )
 
 
 def test_equal_views_get_equal_edits(build, two_views):
@@ -36,22 +43,34 @@ def test_equal_views_get_equal_edits(build, two_views):
     assert torch.equal(edited[0, 0], edited[0, 1])
 
 
-def test_a_mask_goes_to_the_class_for_masks_made_of_the_same_parts(build, two_views, left_half):
+def test_a_mask_goes_to_the_class_for_masks_made_of_the_same_parts(
+    build, two_views, left_half
+):
     editor = build("flux2-klein")
     masked = replace(ASK, masks=left_half)
     images = editor.edit(two_views, masked).images
     other = editor.edit(two_views, replace(masked, seed=4)).images
     assert type(editor._masked).__name__ == "Flux2KleinInpaintPipeline"
-    assert editor._masked.transformer is editor._plain.transformer and editor._masked.config.is_distilled
+    assert (
+        editor._masked.transformer is editor._plain.transformer
+        and editor._masked.config.is_distilled
+    )
     outside = (images - other).abs()[..., -8:].mean()
     assert outside < 0.3 * (images - other).abs()[..., :8].mean()
 
 
 def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two_views):
-    given = {"model": str(tiny.instruct_pix2pix()), "steps": 2, "resolution": 0, "local_files_only": True}
+    given = {
+        "model": str(tiny.instruct_pix2pix()),
+        "steps": 2,
+        "resolution": 0,
+        "local_files_only": True,
+    }
     given["pipeline"] = "StableDiffusionInstructPix2PixPipeline"
     plain = edit3r.build("editor", "diffusers", **given).edit(two_views, ASK).images
-    closer = edit3r.build("editor", "diffusers", **given, arguments={"image_guidance_scale": 3.0})
+    closer = edit3r.build(
+        "editor", "diffusers", **given, arguments={"image_guidance_scale": 3.0}
+    )
     assert plain.shape == two_views.images.shape
     assert not torch.equal(closer.edit(two_views, ASK).images, plain)
 
@@ -67,18 +86,27 @@ def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two
             r"editor\.strength: LongCatImageEditPipeline has no argument strength.*guidance_scale",
         ),
         (
-            {"pipeline": "Flux2KleinPipeline", "model": "a/b", "arguments": {"colour": 1}},
+            {
+                "pipeline": "Flux2KleinPipeline",
+                "model": "a/b",
+                "arguments": {"colour": 1},
+            },
             r"editor\.arguments\.colour: Flux2KleinPipeline has no argument colour",
         ),
     ],
 )
-def test_what_a_class_lacks_is_told_before_anything_is_loaded(two_views, settings, told):
+def test_what_a_class_lacks_is_told_before_anything_is_loaded(
+    two_views, settings, told
+):
     with pytest.raises(SettingsError, match=told):
         edit3r.build("editor", "diffusers", **settings).edit(two_views, ASK)
 
 
 def test_what_a_class_refuses_is_a_sentence(build, two_views):
-    with pytest.raises(RunError, match=r"editing left\.png: Flux2KleinPipeline refused: Image too small"):
+    with pytest.raises(
+        RunError,
+        match=r"editing left\.png: Flux2KleinPipeline refused: Image too small",
+    ):
         build("flux2-klein", resolution=32).edit(two_views, ASK)
 
 

@@ -1,4 +1,6 @@
-"""Edits begun from a picture instead of noise, and the optimisation methods that use them, on tiny random models."""
+"""Edits begun from a picture instead of noise, and the optimisation methods that use them, on tiny
+random models.
+"""
 
 from dataclasses import replace
 
@@ -8,9 +10,9 @@ from edit3r_diffusers.attention import WordAttention
 from edit3r_diffusers.latents import skipping, steps_left
 
 import edit3r
-from edit3r.interfaces import Matcher
+from edit3r.contract.interfaces import Matcher
 from edit3r.reporting import Report, collecting
-from edit3r.testing.scenes import photograph
+from edit3r_testing.scenes import photograph
 
 ASK = edit3r.EditRequest("paint it red", seed=3)
 STEPS = 6
@@ -19,7 +21,9 @@ STEPS = 6
 @pytest.fixture(scope="module")
 def editor(tiny):
     settings = {"steps": STEPS, "resolution": 0, "local_files_only": True}
-    return edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings)
+    return edit3r.build(
+        "editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings
+    )
 
 
 @pytest.fixture
@@ -36,7 +40,9 @@ def posed():
 def steps_shown(call) -> int:
     """Denoising steps of the first view, as the progress bar shows them."""
     shown = []
-    with collecting(Report(on_event=lambda event, text, done, total: shown.append((text, total)))):
+    with collecting(
+        Report(on_event=lambda event, text, done, total: shown.append((text, total)))
+    ):
         call()
     return next(total for text, total in shown if text.startswith("editing"))
 
@@ -47,15 +53,23 @@ def test_strength_is_a_share_of_the_steps():
 
 def test_only_the_steps_that_are_left_are_taken(editor, one_view):
     call = lambda: editor.edit_from(one_view, 1 - one_view.images, ASK, 0.5)  # noqa: E731
-    assert steps_shown(call) == 3 and steps_shown(lambda: editor.edit(one_view, ASK)) == STEPS
+    assert (
+        steps_shown(call) == 3
+        and steps_shown(lambda: editor.edit(one_view, ASK)) == STEPS
+    )
 
 
 def test_less_strength_keeps_more_of_the_picture_it_starts_from(editor, one_view):
-    """By how much another start changes the result: all of it survives one step, little survives all of them."""
+    """By how much another start changes the result: all of it survives one step, little survives
+    all of them.
+    """
 
     def difference(strength):
         dark, light = (torch.full_like(one_view.images, level) for level in (0.2, 0.8))
-        results = [editor.edit_from(one_view, start, ASK, strength).images for start in (dark, light)]
+        results = [
+            editor.edit_from(one_view, start, ASK, strength).images
+            for start in (dark, light)
+        ]
         return float((results[0] - results[1]).abs().mean())
 
     assert difference(0.15) > 2 * difference(1.0)
@@ -64,7 +78,9 @@ def test_less_strength_keeps_more_of_the_picture_it_starts_from(editor, one_view
 def test_the_photos_stay_the_condition(editor, one_view):
     start = torch.full_like(one_view.images, 0.5)
     other = replace(one_view, images=one_view.images.flip(-1))
-    first, second = (editor.edit_from(views, start, ASK, 0.5).images for views in (one_view, other))
+    first, second = (
+        editor.edit_from(views, start, ASK, 0.5).images for views in (one_view, other)
+    )
     assert not torch.equal(first, second)
 
 
@@ -72,10 +88,15 @@ def test_a_whole_edit_afterwards_is_what_it_was_before(editor, one_view):
     before = editor.edit(one_view, ASK).images
     begun = editor.edit_from(one_view, one_view.images, ASK, 0.2).images
     assert torch.equal(editor.edit(one_view, ASK).images, before)
-    assert torch.equal(editor.edit_from(one_view, one_view.images, ASK, 0.2).images, begun)
+    assert torch.equal(
+        editor.edit_from(one_view, one_view.images, ASK, 0.2).images, begun
+    )
 
 
-@pytest.mark.parametrize("name", ["DDIMScheduler", "EulerAncestralDiscreteScheduler", "EulerDiscreteScheduler"])
+@pytest.mark.parametrize(
+    "name",
+    ["DDIMScheduler", "EulerAncestralDiscreteScheduler", "EulerDiscreteScheduler"],
+)
 def test_skipped_steps_are_the_first_whatever_the_sampler(name):
     import diffusers
 
@@ -87,9 +108,11 @@ def test_skipped_steps_are_the_first_whatever_the_sampler(name):
         scheduler.set_timesteps(8)
         assert torch.equal(scheduler.timesteps, whole[5:])
         for timestep in scheduler.timesteps:
-            sample = scheduler.step(torch.zeros_like(sample), timestep, scheduler.scale_model_input(sample, timestep))[
-                0
-            ]
+            sample = scheduler.step(
+                torch.zeros_like(sample),
+                timestep,
+                scheduler.scale_model_input(sample, timestep),
+            )[0]
     assert torch.isfinite(sample).all()
     scheduler.set_timesteps(8)
     assert torch.equal(scheduler.timesteps, whole)
@@ -98,14 +121,24 @@ def test_skipped_steps_are_the_first_whatever_the_sampler(name):
 def test_attention_is_a_map_of_every_view_that_hangs_on_the_words(editor, two_views):
     before = editor.edit(two_views, ASK).images
     maps = editor.attention(two_views, ASK)
-    assert maps.shape == (1, 2, *two_views.image_size) and maps.min() >= 0 and maps.max() <= 1
-    assert maps.std() > 0 and not torch.equal(maps, editor.attention(two_views, replace(ASK, prompt="make it snow")))
-    assert torch.equal(editor.edit(two_views, ASK).images, before)  # nothing of the listening stays
+    assert (
+        maps.shape == (1, 2, *two_views.image_size)
+        and maps.min() >= 0
+        and maps.max() <= 1
+    )
+    assert maps.std() > 0 and not torch.equal(
+        maps, editor.attention(two_views, replace(ASK, prompt="make it snow"))
+    )
+    assert torch.equal(
+        editor.edit(two_views, ASK).images, before
+    )  # nothing of the listening stays
 
 
 def test_attention_is_read_without_guidance_too(tiny, two_views):
     settings = {"steps": 1, "resolution": 0, "local_files_only": True, "guidance": 1}
-    unguided = edit3r.build("editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings)
+    unguided = edit3r.build(
+        "editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings
+    )
     maps = unguided.attention(two_views.select([0]), ASK)
     assert torch.isfinite(maps).all() and maps.std() > 0
 
@@ -121,8 +154,13 @@ def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
     listener = WordAttention(words=2, halves=3)
     layer.set_processor(listener)
     assert torch.allclose(layer(places, words), expected, atol=1e-5)
-    query, key = (t[0].view(-1, 2, 4).transpose(0, 1) for t in (layer.to_q(places), layer.to_k(words)))
-    shares = (query @ key.transpose(-1, -2) / 2).softmax(-1)  # 2: root of the heads' width
+    query, key = (
+        t[0].view(-1, 2, 4).transpose(0, 1)
+        for t in (layer.to_q(places), layer.to_k(words))
+    )
+    shares = (query @ key.transpose(-1, -2) / 2).softmax(
+        -1
+    )  # 2: root of the heads' width
     by_hand = shares[..., 1] + shares[..., 2]
     assert torch.allclose(listener.maps[12], by_hand.mean(0), atol=1e-5)
     picture = listener.image((6, 8))
@@ -136,16 +174,28 @@ TINY = {"steps": 3, "edit_steps": 4, "points": 60}
 def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
     report = Report()
     with collecting(report):
-        settings = {"refit": {"edit": "renders"}, "instruct-nerf2nerf": {"every": 2}}.get(method, {})
-        recon = edit3r.build("reconstructor", method, {"editor": editor}, **TINY, **settings)
+        settings = {
+            "refit": {"edit": "renders"},
+            "instruct-nerf2nerf": {"every": 2},
+        }.get(method, {})
+        recon = edit3r.build(
+            "reconstructor", method, {"editor": editor}, **TINY, **settings
+        )
         result = recon(posed, posed, ASK)
     assert result.gaussians.count > 0
-    assert not any("cannot start from a given picture" in text for text in report.warnings)
+    assert not any(
+        "cannot start from a given picture" in text for text in report.warnings
+    )
     if method == "editsplat":
-        assert report.notes["editsplat.trimmed"]["attention_told_by"] == "the editor's cross-attention"
+        assert (
+            report.notes["editsplat.trimmed"]["attention_told_by"]
+            == "the editor's cross-attention"
+        )
 
 
-def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_reference_views(tiny, posed):
+def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_reference_views(
+    tiny, posed
+):
     class Refusing(Matcher):
         def match(self, views):
             raise AssertionError("the fitted depth was to be used")
@@ -163,7 +213,14 @@ def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_refere
     )
     report = Report()
     with collecting(report):
-        recon = edit3r.build("reconstructor", "gaussctrl", {"editor": editor}, **TINY, together=2)
+        recon = edit3r.build(
+            "reconstructor", "gaussctrl", {"editor": editor}, **TINY, together=2
+        )
         result = recon(posed, posed, ASK)
-    assert result.gaussians.count > 0 and not [text for text in report.warnings if text.startswith("gaussctrl")]
-    assert report.notes["gaussctrl.editor"]["aligns_views"] and report.notes["gaussctrl.editor"]["depth_of_the_fit"]
+    assert result.gaussians.count > 0 and not [
+        text for text in report.warnings if text.startswith("gaussctrl")
+    ]
+    assert (
+        report.notes["gaussctrl.editor"]["aligns_views"]
+        and report.notes["gaussctrl.editor"]["depth_of_the_fit"]
+    )

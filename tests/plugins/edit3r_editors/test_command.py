@@ -9,12 +9,14 @@ import pytest
 import torch
 from edit3r_editors.command import parse_command
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import RunError, SettingsError
-from edit3r.registry import build
-from edit3r.testing import EditorContract
-from edit3r.types import EditRequest, Views
+from edit3r.plugins.registry import build
+from edit3r_testing import EditorContract
 
-VIEWS = Views(torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right"))
+VIEWS = Views(
+    torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right")
+)
 
 INVERT = """
 import sys
@@ -37,11 +39,20 @@ def program(tmp_path: Path, code: str, arguments: str) -> str:
     return f"{shlex.quote(sys.executable)} {shlex.quote(str(script))} {arguments}"
 
 
-def edit(command: str, prompt: str = "", seed: int = 0, masks=None, **settings) -> torch.Tensor:
-    return build("editor", "command", command=command, **settings).edit(VIEWS, EditRequest(prompt, seed, masks)).images
+def edit(
+    command: str, prompt: str = "", seed: int = 0, masks=None, **settings
+) -> torch.Tensor:
+    return (
+        build("editor", "command", command=command, **settings)
+        .edit(VIEWS, EditRequest(prompt, seed, masks))
+        .images
+    )
 
 
-@pytest.mark.parametrize("code, arguments", [(INVERT, "{input} {output}"), (INVERT_FOLDER, "{input_dir} {output_dir}")])
+@pytest.mark.parametrize(
+    "code, arguments",
+    [(INVERT, "{input} {output}"), (INVERT_FOLDER, "{input_dir} {output_dir}")],
+)
 def test_the_program_edits_each_view(tmp_path, code, arguments):
     edited = edit(program(tmp_path, code, arguments))
     assert torch.allclose(edited, 1 - VIEWS.images, atol=1 / 255)
@@ -51,16 +62,24 @@ def test_prompt_and_seed_arrive_as_they_are_and_no_shell_reads_them(tmp_path):
     said = tmp_path / "said.txt"
     code = f"import sys; open({str(said)!r}, 'w').write(repr(sys.argv[3:]))" + INVERT
     prompt = """it's "red"; rm -rf $HOME {seed} && echo"""
-    edit(program(tmp_path, code, "{input} {output} {prompt} --seed={seed}"), prompt, seed=7)
+    edit(
+        program(tmp_path, code, "{input} {output} {prompt} --seed={seed}"),
+        prompt,
+        seed=7,
+    )
     assert said.read_text() == repr([prompt, "--seed=7"])
 
 
 def test_the_mask_is_given_as_a_picture(tmp_path):
-    code = "import sys\nfrom PIL import Image\nImage.open(sys.argv[1]).save(sys.argv[2])"
+    code = (
+        "import sys\nfrom PIL import Image\nImage.open(sys.argv[1]).save(sys.argv[2])"
+    )
     masks = torch.zeros(1, 2, 6, 8)
     masks[:, 1, :3] = 1
     command = program(tmp_path, code, "{mask} {output}")
-    assert torch.equal(edit(command, masks=masks), masks[:, :, None].expand(1, 2, 3, 6, 8))
+    assert torch.equal(
+        edit(command, masks=masks), masks[:, :, None].expand(1, 2, 3, 6, 8)
+    )
     assert (edit(command) == 1).all()
 
 
@@ -75,7 +94,9 @@ def test_the_time_limit_ends_a_program_also_when_its_children_go_on(tmp_path):
     started = time.monotonic()
     with pytest.raises(RunError, match=r"longer than 0\.5 s.*editor\.timeout"):
         edit(program(tmp_path, code, "{input} {output}"), timeout=0.5)
-    assert time.monotonic() - started < 15  # it would be 20 if the end of the child were waited for
+    assert (
+        time.monotonic() - started < 15
+    )  # it would be 20 if the end of the child were waited for
 
 
 def test_a_program_that_writes_nothing_is_an_error(tmp_path):

@@ -3,13 +3,15 @@ from pathlib import Path
 import pytest
 import torch
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, SettingsError
 from edit3r.io.images import save_image
-from edit3r.registry import build
+from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting
-from edit3r.types import EditRequest, Views
 
-VIEWS = Views(torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right"))
+VIEWS = Views(
+    torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right")
+)
 
 
 def flat(level: float, height: int = 6, width: int = 8) -> torch.Tensor:
@@ -18,7 +20,9 @@ def flat(level: float, height: int = 6, width: int = 8) -> torch.Tensor:
 
 def edit(folder: Path, views: Views = VIEWS) -> tuple[torch.Tensor, Report]:
     with collecting(Report()) as report:
-        edited = build("editor", "folder", path=str(folder)).edit(views, EditRequest(""))
+        edited = build("editor", "folder", path=str(folder)).edit(
+            views, EditRequest("")
+        )
     return edited.images[0], report
 
 
@@ -26,11 +30,15 @@ def test_pictures_are_matched_by_name_whatever_their_order_and_suffix(tmp_path):
     save_image(flat(0.2), tmp_path / "right.png")
     save_image(flat(0.8), tmp_path / "Left.webp")
     images, report = edit(tmp_path)
-    assert torch.allclose(images[0], flat(0.8), atol=0.02) and torch.equal(images[1], flat(0.2))
+    assert torch.allclose(images[0], flat(0.8), atol=0.02) and torch.equal(
+        images[1], flat(0.2)
+    )
     assert report.warnings == []
 
 
-def test_pictures_without_the_views_names_are_matched_in_natural_order_and_that_is_said(tmp_path):
+def test_pictures_without_the_views_names_are_matched_in_natural_order_and_that_is_said(
+    tmp_path,
+):
     save_image(flat(0.2), tmp_path / "out10.png")
     save_image(flat(0.8), tmp_path / "out9.png")
     images, report = edit(tmp_path)
@@ -42,7 +50,10 @@ def test_another_size_is_resampled(tmp_path):
     save_image(flat(0.4, 12, 16), tmp_path / "left.png")
     save_image(flat(0.6, 3, 4), tmp_path / "right.png")
     images, report = edit(tmp_path)
-    assert torch.equal(images, torch.stack((flat(0.4), flat(0.6)))) and report.warnings == []
+    assert (
+        torch.equal(images, torch.stack((flat(0.4), flat(0.6))))
+        and report.warnings == []
+    )
 
 
 def test_another_shape_is_cropped_around_its_middle_and_that_is_said(tmp_path):
@@ -82,7 +93,9 @@ def test_an_unreadable_picture_is_named(tmp_path):
         edit(tmp_path)
 
 
-@pytest.mark.parametrize("path, error", [("", SettingsError), ("/nowhere/at/all", InputError)])
+@pytest.mark.parametrize(
+    "path, error", [("", SettingsError), ("/nowhere/at/all", InputError)]
+)
 def test_a_folder_must_be_given_and_exist(path, error):
     with pytest.raises(error, match=r"editor\.path"):
         build("editor", "folder", path=path).edit(VIEWS, EditRequest(""))

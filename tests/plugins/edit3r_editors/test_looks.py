@@ -1,4 +1,6 @@
-"""Named looks: which one a prompt means, and that a look follows the surfaces and not the picture's frame."""
+"""Named looks: which one a prompt means, and that a look follows the surfaces and not the picture's
+frame.
+"""
 
 import numpy as np
 import pytest
@@ -7,14 +9,20 @@ from edit3r_editors.looks import LOOKS, read_look
 from skimage import data
 
 from edit3r.cli.main import main
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import PromptError, SettingsError
 from edit3r.io.images import packaged_pair
-from edit3r.registry import build
+from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting
-from edit3r.types import EditRequest, Views
 
-PHOTO = torch.from_numpy(data.astronaut()[:256, 100:420].astype(np.float32) / 255).permute(2, 0, 1)
-VIEWS = Views(torch.stack((PHOTO, PHOTO.flip(2)))[None], torch.eye(3).expand(1, 2, 3, 3), ("a", "b"))
+PHOTO = torch.from_numpy(
+    data.astronaut()[:256, 100:420].astype(np.float32) / 255
+).permute(2, 0, 1)
+VIEWS = Views(
+    torch.stack((PHOTO, PHOTO.flip(2)))[None],
+    torch.eye(3).expand(1, 2, 3, 3),
+    ("a", "b"),
+)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +56,9 @@ def test_a_prompt_chooses_a_look(prompt, look):
 def test_what_names_no_one_look_is_an_error_with_the_way_out(prompt, says):
     with pytest.raises(PromptError, match=says) as caught:
         read_look(prompt, masked=False)
-    assert "--from" in str(caught.value) or all(look in str(caught.value) for look in LOOKS)
+    assert "--from" in str(caught.value) or all(
+        look in str(caught.value) for look in LOOKS
+    )
 
 
 def test_other_words_may_say_what_is_masked():
@@ -78,7 +88,11 @@ def test_looks_differ_from_each_other():
 
 
 @pytest.mark.parametrize(
-    ("look", "green"), [("autumn", lambda c: c[0] > c[1] > c[2]), ("winter", lambda c: max(c) - min(c) < 0.2)]
+    ("look", "green"),
+    [
+        ("autumn", lambda c: c[0] > c[1] > c[2]),
+        ("winter", lambda c: max(c) - min(c) < 0.2),
+    ],
 )
 def test_seasons_change_what_is_green(look, green):
     meadow = torch.tensor([0.25, 0.5, 0.2])[:, None, None].expand(1, 3, 24, 24)
@@ -89,13 +103,17 @@ def test_greyscale_is_grey_and_strength_is_the_share_of_a_look():
     grey = edited("black and white")
     assert (grey - grey.mean(2, keepdim=True)).abs().max() < 1e-5
     assert torch.equal(edited("night", strength=0), VIEWS.images)
-    assert torch.allclose(edited("night", strength=0.5), 0.5 * (VIEWS.images + edited("night")), atol=1e-6)
+    assert torch.allclose(
+        edited("night", strength=0.5), 0.5 * (VIEWS.images + edited("night")), atol=1e-6
+    )
 
 
 def test_what_was_understood_is_noted():
     with collecting(Report()) as report:
         edited("make it look like autumn")
-    assert report.notes["edit.understood"].startswith("look autumn on the whole picture")
+    assert report.notes["edit.understood"].startswith(
+        "look autumn on the whole picture"
+    )
 
 
 def test_an_unknown_look_is_refused_before_any_photo_is_read():
@@ -114,14 +132,51 @@ def test_describe_lists_every_look(capsys):
     [
         (["--editor", "looks", "--prompt", "like mars"], "names no look"),
         (["--editor", "looks", "--prompt", "turn the motorcycle into gold"], "--point"),
-        (["--editor", "looks", "--prompt", "turn the motorcycle into gold", "--segmenter", "classical"], "not a word"),
+        (
+            [
+                "--editor",
+                "looks",
+                "--prompt",
+                "turn the motorcycle into gold",
+                "--segmenter",
+                "classical",
+            ],
+            "not a word",
+        ),
         ([], "nothing is asked for"),
-        (["--prompt", "paint the door green and the wall white", "--point", "100,100"], "several places"),
-        (["--prompt", "paint the door green and the wall white"], "'door' is not a word"),
+        (
+            [
+                "--prompt",
+                "paint the door green and the wall white",
+                "--point",
+                "100,100",
+            ],
+            "several places",
+        ),
+        (
+            ["--prompt", "paint the door green and the wall white"],
+            "'door' is not a word",
+        ),
         (["--prompt", "from green to brown", "--point", "100,100"], "near green"),
     ],
 )
-def test_what_cannot_be_carried_out_ends_with_exit_code_2_and_leaves_nothing(flags, says, tmp_path, capsys):
+def test_what_cannot_be_carried_out_ends_with_exit_code_2_and_leaves_nothing(
+    flags, says, tmp_path, capsys
+):
     photos = [str(file) for file in packaged_pair()[0]]
-    assert main(["run", *photos, "--size", "64", "--quiet", "--out", str(tmp_path / "out"), *flags]) == 2
+    assert (
+        main(
+            [
+                "run",
+                *photos,
+                "--size",
+                "64",
+                "--quiet",
+                "--out",
+                str(tmp_path / "out"),
+                *flags,
+            ]
+        )
+        == 2
+    )
     assert says in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -7,26 +7,30 @@ import torch
 from edit3r_editors.retouch import RetouchEditor, _spanned
 
 import edit3r
-import edit3r.pipeline
+import edit3r.pipeline.steps
+from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import MatchingError, PromptError
 from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.interfaces import MatchedGeometry, Matcher
+from edit3r.pipeline.config import RunConfig
 from edit3r.reporting import Report, collecting
-from edit3r.run_config import RunConfig
-from edit3r.types import EditRequest, Views
 
 SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
 """A striped wall, a board before it, and a second camera that stands to the right of the first."""
 
 
 def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
-    """Two views of wall and board, the same without the board, where the board is, and the true geometry."""
+    """Two views of wall and board, the same without the board, where the board is, and the true
+    geometry.
+    """
     k = intrinsics_from_fov(1.0, (SIZE, SIZE))
     column = (torch.arange(SIZE) + 0.5) / SIZE
     images, empty, masks, depths = [], [], [], []
     for view in range(2):
         x = WALL * (column - k[0, 2]) / k[0, 0] + STEP * view  # of the wall's points
-        wall = torch.stack([0.5 + 0.4 * torch.sin(speed * x) for speed in (3.0, 5.0, 7.0)])
+        wall = torch.stack(
+            [0.5 + 0.4 * torch.sin(speed * x) for speed in (3.0, 5.0, 7.0)]
+        )
         board = (BOARD * (column - k[0, 2]) / k[0, 0] + STEP * view).abs() < 0.1
         picture = torch.where(board, torch.tensor([[1.0], [0.0], [0.0]]), wall)
         grid = (SIZE, SIZE)
@@ -37,7 +41,9 @@ def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
     c2w = torch.eye(4).repeat(1, 2, 1, 1)
     c2w[0, 1, 0, 3] = STEP
     depths = torch.stack(depths)[None]
-    geometry = MatchedGeometry(c2w, depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool))
+    geometry = MatchedGeometry(
+        c2w, depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool)
+    )
     views = Views(torch.stack(images)[None], k.expand(1, 2, 3, 3), ("left", "right"))
     return views, torch.stack(empty), torch.stack(masks)[None], geometry
 
@@ -52,7 +58,9 @@ class _Known(Matcher):
         return self.geometry
 
 
-def _retouched(geometry: MatchedGeometry | None, views: Views, masks: torch.Tensor) -> tuple[torch.Tensor, Report]:
+def _retouched(
+    geometry: MatchedGeometry | None, views: Views, masks: torch.Tensor
+) -> tuple[torch.Tensor, Report]:
     editor = RetouchEditor(RetouchEditor.Settings(), _Known(geometry))
     with collecting(Report()) as report:
         return editor.edit(views, EditRequest("", 0, masks)).images[0], report
@@ -71,7 +79,9 @@ def test_the_hole_shows_what_the_other_view_sees_and_not_what_surrounds_it():
 
 
 def test_depths_that_were_filled_in_around_the_object_do_not_move_what_is_behind():
-    """Where nothing was measured, a matcher's depth runs from the board into the wall: it must not be carried."""
+    """Where nothing was measured, a matcher's depth runs from the board into the wall: it must not
+    be carried.
+    """
     views, truth, masks, geometry = _scene()
     beside = torch.nn.functional.max_pool2d(masks, (1, 13), 1, (0, 6)) > 0
     smeared = replace(
@@ -80,7 +90,10 @@ def test_depths_that_were_filled_in_around_the_object_do_not_move_what_is_behind
         confidence=torch.where(beside, 0.0, geometry.confidence),
     )
     carried, report = _retouched(smeared, views, masks)
-    assert _error(carried, truth, masks) < 0.02 and min(report.notes["retouch.seen_by_other_photos"]) > 0.8
+    assert (
+        _error(carried, truth, masks) < 0.02
+        and min(report.notes["retouch.seen_by_other_photos"]) > 0.8
+    )
 
 
 def test_what_one_of_three_photos_shows_against_its_own_depth_is_not_believed():
@@ -88,16 +101,25 @@ def test_what_one_of_three_photos_shows_against_its_own_depth_is_not_believed():
     far = 6 * STEP  # the third view does not see what is behind the board
     c2w = torch.cat((geometry.c2w, torch.eye(4)[None, None]), 1)
     c2w[0, 2, 0, 3] = far
-    depths = torch.cat((geometry.depths, torch.full_like(geometry.depths[:, :1], WALL)), 1)
+    depths = torch.cat(
+        (geometry.depths, torch.full_like(geometry.depths[:, :1], WALL)), 1
+    )
     blind = Views(
-        torch.cat((views.images, torch.zeros_like(views.images[:, :1])), 1), views.intrinsics[:, :1].expand(1, 3, 3, 3)
+        torch.cat((views.images, torch.zeros_like(views.images[:, :1])), 1),
+        views.intrinsics[:, :1].expand(1, 3, 3, 3),
     )
     masks = torch.cat((masks, torch.zeros_like(masks[:, :1])), 1)
-    known = MatchedGeometry(c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool))
-    doubtful = replace(known, depths=depths.clone(), confidence=known.confidence.clone())
+    known = MatchedGeometry(
+        c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool)
+    )
+    doubtful = replace(
+        known, depths=depths.clone(), confidence=known.confidence.clone()
+    )
     doubtful.depths[:, 1:], doubtful.confidence[:, 1:] = 1.5 * WALL, 0
     right = _retouched(known, blind, masks)[1].notes["retouch.seen_by_other_photos"][0]
-    wrong = _retouched(doubtful, blind, masks)[1].notes["retouch.seen_by_other_photos"][0]
+    wrong = _retouched(doubtful, blind, masks)[1].notes["retouch.seen_by_other_photos"][
+        0
+    ]
     assert right > 0.8 and wrong < 0.2
 
 
@@ -111,30 +133,45 @@ def test_the_surface_behind_a_hole_continues_the_plane_around_it():
 
 def test_a_photo_without_any_measured_depth_is_still_filled():
     views, _, masks, geometry = _scene()
-    image, _ = _retouched(replace(geometry, confidence=torch.zeros_like(geometry.confidence)), views, masks)
-    assert torch.isfinite(image).all() and torch.equal(image[:, 0][masks[0] == 0], views.images[0, :, 0][masks[0] == 0])
+    image, _ = _retouched(
+        replace(geometry, confidence=torch.zeros_like(geometry.confidence)),
+        views,
+        masks,
+    )
+    assert torch.isfinite(image).all() and torch.equal(
+        image[:, 0][masks[0] == 0], views.images[0, :, 0][masks[0] == 0]
+    )
 
 
 def test_what_no_other_view_sees_is_invented_and_said():
     views, _, masks, geometry = _scene()
     apart = replace(geometry, registered=torch.tensor([[True, False]]))
     image, report = _retouched(apart, views, masks)
-    assert report.notes["retouch.seen_by_other_photos"] == [0, 0] and "invented" in report.warnings[0]
-    assert torch.isfinite(image).all() and (image != views.images[0]).any(1)[masks[0] > 0].float().mean() > 0.9
+    assert (
+        report.notes["retouch.seen_by_other_photos"] == [0, 0]
+        and "invented" in report.warnings[0]
+    )
+    assert (
+        torch.isfinite(image).all()
+        and (image != views.images[0]).any(1)[masks[0] > 0].float().mean() > 0.9
+    )
 
 
 def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     seen = []
 
-    class Spy(edit3r.interfaces.Reconstructor):
+    class Spy(edit3r.contract.interfaces.Reconstructor):
         def __call__(self, views, source=None, request=None):
             seen.append(source)
             raise MatchingError("enough.")
 
     views, truth, masks, geometry = _scene()
-    parts = {"editor": RetouchEditor(RetouchEditor.Settings(), _Known(geometry)), "reconstructor": Spy()}
+    parts = {
+        "editor": RetouchEditor(RetouchEditor.Settings(), _Known(geometry)),
+        "reconstructor": Spy(),
+    }
     with pytest.raises(MatchingError):
-        edit3r.pipeline.run(views, RunConfig(), masks=masks, components=parts)
+        edit3r.pipeline.steps.run(views, RunConfig(), masks=masks, components=parts)
     assert _error(seen[0].images[0], truth, masks) < 0.02
     with pytest.raises(PromptError, match="changes what is masked, and nothing is"):
-        edit3r.pipeline.run(views, RunConfig(), components=parts)
+        edit3r.pipeline.steps.run(views, RunConfig(), components=parts)

@@ -1,4 +1,6 @@
-"""A room with exact geometry, ray-cast: a leaning back wall, a floor and a box, all with rich textures."""
+"""A room with exact geometry, ray-cast: a leaning back wall, a floor and a box, all with rich
+textures.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,21 +43,33 @@ def camera_at(x: float, y: float = 0.0, turn: float = 0.0) -> np.ndarray:
 def texture(seed: int) -> np.ndarray:
     """Noise of several sizes, `[512, 512, 3]` in [0, 1]."""
     random = np.random.default_rng(seed)
-    layers = [cv2.resize(random.random((n, n, 3)), (512, 512), interpolation=cv2.INTER_CUBIC) for n in (8, 16, 32, 64)]
+    layers = [
+        cv2.resize(random.random((n, n, 3)), (512, 512), interpolation=cv2.INTER_CUBIC)
+        for n in (8, 16, 32, 64)
+    ]
     mixed = np.mean(layers, axis=0)
     return np.clip(0.5 + 2.2 * (mixed - mixed.mean()), 0, 1).astype(np.float32)
 
 
 def rectangles(seed: int) -> list[Rectangle]:
     shapes = [
-        ((-5, -3, 4.5), (10, 0, 1.0), (0, 4.2, 0)),  # back wall, leaning away to the right
+        (
+            (-5, -3, 4.5),
+            (10, 0, 1.0),
+            (0, 4.2, 0),
+        ),  # back wall, leaning away to the right
         ((-5, 1.2, 1.0), (10, 0, 0), (0, 0, 5.0)),  # floor
         ((-0.6, -0.3, 2.6), (1.1, 0, 0.2), (0, 1.5, 0)),  # front of the box
     ]
-    return [Rectangle(*(np.array(v, float) for v in shape), texture(seed + i)) for i, shape in enumerate(shapes)]
+    return [
+        Rectangle(*(np.array(v, float) for v in shape), texture(seed + i))
+        for i, shape in enumerate(shapes)
+    ]
 
 
-def picture(c2w: np.ndarray, intrinsics: np.ndarray, size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray]:
+def picture(
+    c2w: np.ndarray, intrinsics: np.ndarray, size: tuple[int, int], seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """What a camera sees, antialiased by nine rays a pixel, and the depth along the middle ray."""
     sums = 0.0
     for dy in (-1 / 3, 0, 1 / 3):
@@ -69,7 +83,10 @@ def picture(c2w: np.ndarray, intrinsics: np.ndarray, size: tuple[int, int], seed
 
 def cast(c2w, intrinsics, size, shift, seed) -> tuple[np.ndarray, np.ndarray]:
     height, width = size
-    x, y = np.meshgrid((np.arange(width) + 0.5 + shift[0]) / width, (np.arange(height) + 0.5 + shift[1]) / height)
+    x, y = np.meshgrid(
+        (np.arange(width) + 0.5 + shift[0]) / width,
+        (np.arange(height) + 0.5 + shift[1]) / height,
+    )
     rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(intrinsics).T
     directions, origin = rays @ c2w[:3, :3].T, c2w[:3, 3]
     nearest, colours = np.full(size, np.inf), np.zeros((*size, 3), np.float32)
@@ -78,27 +95,56 @@ def cast(c2w, intrinsics, size, shift, seed) -> tuple[np.ndarray, np.ndarray]:
         depth = ((shape.corner - origin) @ normal) / (directions @ normal)
         local = origin + directions * depth[..., None] - shape.corner
         u, v = (local @ axis / (axis @ axis) for axis in (shape.right, shape.down))
-        hit = (depth > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (depth < nearest)
-        seen = cv2.remap(shape.texture, (u * 511).astype(np.float32), (v * 511).astype(np.float32), cv2.INTER_LINEAR)
-        nearest, colours = np.where(hit, depth, nearest), np.where(hit[..., None], seen, colours)
+        hit = (
+            (depth > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (depth < nearest)
+        )
+        seen = cv2.remap(
+            shape.texture,
+            (u * 511).astype(np.float32),
+            (v * 511).astype(np.float32),
+            cv2.INTER_LINEAR,
+        )
+        nearest, colours = (
+            np.where(hit, depth, nearest),
+            np.where(hit[..., None], seen, colours),
+        )
     return colours, nearest
 
 
 @pytest.fixture(scope="session")
 def make_room() -> Callable[..., Room]:
-    """`make_room(places, size=(128, 160), focals=None, seed=0)`: the room seen from each (x, y, turn in degrees)."""
+    """`make_room(places, size=(128, 160), focals=None, seed=0)`: the room seen from each (x, y,
+    turn in degrees).
+    """
 
     def make(
-        places: Sequence[tuple[float, ...]], size=(128, 160), focals: Sequence[float] | None = None, seed: int = 0
+        places: Sequence[tuple[float, ...]],
+        size=(128, 160),
+        focals: Sequence[float] | None = None,
+        seed: int = 0,
     ) -> Room:
         height, width = size
         cameras = [camera_at(*place) for place in places]
         focals = focals or [FOCAL] * len(cameras)
-        intrinsics = np.array([[[f, 0, 0.5], [0, f * width / height, 0.5], [0, 0, 1]] for f in focals])
-        seen = [picture(c2w, matrix, size, seed) for c2w, matrix in zip(cameras, intrinsics)]
-        images = torch.from_numpy(np.stack([image for image, _ in seen])).permute(0, 3, 1, 2).float()
-        views = Views(images[None].contiguous(), torch.from_numpy(intrinsics).float()[None])
-        return Room(views, np.linalg.inv(cameras[0]) @ np.stack(cameras), np.stack([depth for _, depth in seen]))
+        intrinsics = np.array(
+            [[[f, 0, 0.5], [0, f * width / height, 0.5], [0, 0, 1]] for f in focals]
+        )
+        seen = [
+            picture(c2w, matrix, size, seed) for c2w, matrix in zip(cameras, intrinsics)
+        ]
+        images = (
+            torch.from_numpy(np.stack([image for image, _ in seen]))
+            .permute(0, 3, 1, 2)
+            .float()
+        )
+        views = Views(
+            images[None].contiguous(), torch.from_numpy(intrinsics).float()[None]
+        )
+        return Room(
+            views,
+            np.linalg.inv(cameras[0]) @ np.stack(cameras),
+            np.stack([depth for _, depth in seen]),
+        )
 
     return make
 

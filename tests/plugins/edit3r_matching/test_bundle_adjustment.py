@@ -1,4 +1,6 @@
-"""Bundle adjustment finds the poses that the pixels were made with, whatever order or outliers the matches have."""
+"""Bundle adjustment finds the poses that the pixels were made with, whatever order or outliers the
+matches have.
+"""
 
 import signal
 import subprocess
@@ -23,15 +25,26 @@ ASIDE = Pose(cv2.Rodrigues(np.array([0.0, 0.3, 0]))[0], np.array([-1.5, 0.1, 0.2
 
 @pytest.fixture
 def scene():
-    """Images of a camera that moves past a cloud of points: (images, keypoints, matches, true poses)."""
+    """Images of a camera that moves past a cloud of points: (images, keypoints, matches, true
+    poses).
+    """
     rng = np.random.default_rng(0)
     points = rng.uniform((-2, -1.5, 4), (2, 1.5, 8), (POINTS, 3))
     k = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
     image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), k)
-    turns = [cv2.Rodrigues(np.array([0.02 * v, -0.08 * v, 0.01 * v]))[0] for v in range(VIEWS)]
-    poses = {v: Pose(turn, -turn @ np.array([0.5 * v, 0.1 * v * v, 0.05 * v])) for v, turn in enumerate(turns)}
+    turns = [
+        cv2.Rodrigues(np.array([0.02 * v, -0.08 * v, 0.01 * v]))[0]
+        for v in range(VIEWS)
+    ]
+    poses = {
+        v: Pose(turn, -turn @ np.array([0.5 * v, 0.1 * v * v, 0.05 * v]))
+        for v, turn in enumerate(turns)
+    }
     keypoints = [project(pose.apply(points), k) for pose in poses.values()]
-    matches = {pair: np.stack([np.arange(POINTS)] * 2, 1) for pair in combinations(range(VIEWS), 2)}
+    matches = {
+        pair: np.stack([np.arange(POINTS)] * 2, 1)
+        for pair in combinations(range(VIEWS), 2)
+    }
     return [image] * VIEWS, keypoints, matches, poses
 
 
@@ -40,14 +53,25 @@ def disturbed(poses, angle=0.01, shift=0.03):
     moved = {0: poses[0]}
     for view in range(1, len(poses)):
         turn = cv2.Rodrigues(rng.normal(0, angle, 3))[0]
-        moved[view] = Pose(turn @ poses[view].rotation, poses[view].translation + rng.normal(0, shift, 3))
+        moved[view] = Pose(
+            turn @ poses[view].rotation,
+            poses[view].translation + rng.normal(0, shift, 3),
+        )
     return moved
 
 
 def errors(found, true):
     """Largest rotation error [degrees], and largest error of a camera's place after scaling."""
-    turns = [np.degrees(np.linalg.norm(cv2.Rodrigues(found[v].rotation @ true[v].rotation.T)[0])) for v in true]
-    own, other = (np.stack([poses[v].inverse().translation for v in poses]) for poses in (found, true))
+    turns = [
+        np.degrees(
+            np.linalg.norm(cv2.Rodrigues(found[v].rotation @ true[v].rotation.T)[0])
+        )
+        for v in true
+    ]
+    own, other = (
+        np.stack([poses[v].inverse().translation for v in poses])
+        for poses in (found, true)
+    )
     own = own * np.linalg.norm(other) / np.linalg.norm(own)
     return max(turns), float(np.abs(own - other).max())
 
@@ -72,7 +96,10 @@ def test_wrong_matches_and_noise_do_little(scene):
 
 def test_the_same_matches_give_the_same_poses(scene):
     images, keypoints, matches, true = scene
-    once, again = (adjust(images, keypoints, matches, disturbed(true), threshold=2.0)[0] for _ in range(2))
+    once, again = (
+        adjust(images, keypoints, matches, disturbed(true), threshold=2.0)[0]
+        for _ in range(2)
+    )
     assert all((once[v].matrix == again[v].matrix).all() for v in once)
 
 
@@ -87,7 +114,10 @@ def test_views_without_a_pose_are_left_alone(scene):
     images, keypoints, matches, true = scene
     known = {v: pose for v, pose in disturbed(true).items() if v != 2}
     after = adjust(images, keypoints, matches, known, threshold=2.0)[0]
-    assert sorted(after) == [0, 1, 3] and errors(after, {v: true[v] for v in after})[0] < 0.01
+    assert (
+        sorted(after) == [0, 1, 3]
+        and errors(after, {v: true[v] for v in after})[0] < 0.01
+    )
 
 
 def test_no_match_at_all_leaves_the_poses_as_they_are(scene):
@@ -101,7 +131,9 @@ def test_a_focal_length_that_nobody_knows_comes_back_with_the_poses(scene, wrong
     images, keypoints, matches, true = scene
     taken = [image.zoomed(wrong) for image in images]
     fixed, kept = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0)
-    poses, zoom = adjust(taken, keypoints, matches, disturbed(true), threshold=2.0, free_focal=True)
+    poses, zoom = adjust(
+        taken, keypoints, matches, disturbed(true), threshold=2.0, free_focal=True
+    )
     assert kept == 1 and zoom * wrong == pytest.approx(1, abs=0.005)
     assert errors(poses, true)[0] < 0.05 < errors(fixed, true)[0]
 
@@ -109,7 +141,9 @@ def test_a_focal_length_that_nobody_knows_comes_back_with_the_poses(scene, wrong
 def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
     images, keypoints, matches, true = scene
     taken = [image.zoomed(1.6) for image in images]
-    poses, zoom = adjust(taken, keypoints, matches, true, threshold=4.0, free_focal=True)
+    poses, zoom = adjust(
+        taken, keypoints, matches, true, threshold=4.0, free_focal=True
+    )
     fixed = adjust(taken, keypoints, matches, true, threshold=4.0)[0]
     assert zoom == 1 and all((poses[v].matrix == fixed[v].matrix).all() for v in true)
 
@@ -119,7 +153,10 @@ def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
     images, keypoints, matches, true = scene
     k, rng = images[0].intrinsics, np.random.default_rng(8)
     rays = [(points - k[:2, 2]) / FOCAL for points in keypoints]
-    bent = [FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2] for ray in rays]
+    bent = [
+        FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2]
+        for ray in rays
+    ]
     noisy = [points + rng.normal(0, 0.1, points.shape) for points in bent]
     taken = [image.zoomed(1.04) for image in images]
     found, gain = fit_distortion(taken, noisy, matches, disturbed(true), threshold=2.0)
@@ -130,30 +167,46 @@ def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
 def test_matches_that_share_a_keypoint_are_one_track():
     keypoints = [np.zeros((3, 2))] * 3
     matches = {(0, 1): np.array([[0, 2], [1, 1]]), (1, 2): np.array([[2, 0]])}
-    assert sorted(join_tracks(matches, keypoints), key=len) == [{0: 1, 1: 1}, {0: 0, 1: 2, 2: 0}]
+    assert sorted(join_tracks(matches, keypoints), key=len) == [
+        {0: 1, 1: 1},
+        {0: 0, 1: 2, 2: 0},
+    ]
 
 
 def test_a_track_that_sees_a_view_twice_is_left_out():
     keypoints = [np.zeros((3, 2))] * 3
-    matches = {(0, 1): np.array([[0, 0]]), (1, 2): np.array([[0, 0]]), (0, 2): np.array([[1, 0]])}
+    matches = {
+        (0, 1): np.array([[0, 0]]),
+        (1, 2): np.array([[0, 0]]),
+        (0, 2): np.array([[1, 0]]),
+    }
     assert join_tracks(matches, keypoints) == []
 
 
-@pytest.mark.parametrize("where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"])
+@pytest.mark.parametrize(
+    "where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"]
+)
 def test_a_process_that_is_ended_prints_no_stack_trace(where):
     load = "import sys, threading, time; load = lambda: __import__('edit3r_matching.bundle_adjustment')"
     code = f"{load}; {where}; print(1, flush=True); time.sleep(60)"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     process.stdout.readline()
     process.terminate()
-    assert process.communicate(timeout=60)[1] == b"" and process.returncode == -signal.SIGTERM
+    assert (
+        process.communicate(timeout=60)[1] == b""
+        and process.returncode == -signal.SIGTERM
+    )
 
 
 @pytest.fixture
 def surface():
     """Two images of 300 points on a wavy wall: (images, pixels in both)."""
     rng = np.random.default_rng(4)
-    points = np.column_stack((rng.uniform((-2, -1.5), (2, 1.5), (300, 2)), np.zeros(300)))
+    points = np.column_stack(
+        (rng.uniform((-2, -1.5), (2, 1.5), (300, 2)), np.zeros(300))
+    )
     points[:, 2] = 5 + 0.5 * np.sin(points[:, 0])
     k = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
     image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), k)
@@ -161,27 +214,42 @@ def surface():
 
 
 def placed(images, pixels, count, sift):
-    """Whether `count` matches, the first `sift` of them SIFT's and the others learned, place the two images."""
-    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in pixels)
-    found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(count)] * 2, 1)}, (sift, sift))
+    """Whether `count` matches, the first `sift` of them SIFT's and the others learned, place the
+    two images.
+    """
+    keys = tuple(
+        Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in pixels
+    )
+    found = FoundFeatures(
+        keys, {(0, 1): np.stack([np.arange(count)] * 2, 1)}, (sift, sift)
+    )
     try:
-        return registration.register(images, "ab", found, threshold=1.0, seed=0).registered.all()
+        return registration.register(
+            images, "ab", found, threshold=1.0, seed=0
+        ).registered.all()
     except MatchingError as error:
         assert "too few to be sure" in str(error)
         return False
 
 
-@pytest.mark.parametrize(("count", "sift", "enough"), [(25, 25, True), (25, 20, True), (25, 0, False), (60, 0, True)])
+@pytest.mark.parametrize(
+    ("count", "sift", "enough"),
+    [(25, 25, True), (25, 20, True), (25, 0, False), (60, 0, True)],
+)
 def test_a_few_learned_matches_alone_place_nothing(surface, count, sift, enough):
     assert placed(*surface, count, sift) == enough
 
 
 def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surface):
-    """Shifted along their epipolar lines they agree as well as before, which is all that SIFT's are asked for."""
+    """Shifted along their epipolar lines they agree as well as before, which is all that SIFT's are
+    asked for.
+    """
     images, (first, second) = surface
     rng = np.random.default_rng(5)
     k = images[0].intrinsics
-    jumping = project(ASIDE.apply(rays_through(first, k) * rng.uniform(3, 8, (len(first), 1))), k)
+    jumping = project(
+        ASIDE.apply(rays_through(first, k) * rng.uniform(3, 8, (len(first), 1))), k
+    )
     assert placed(images, (first, second), 150, 0)
     assert placed(images, (first, jumping), 150, 150)
     assert not placed(images, (first, jumping), 150, 0)
@@ -206,46 +274,86 @@ def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface)
 
 
 def test_what_agrees_in_one_corner_of_both_pictures_only_is_a_poster(surface):
-    """SIFT's matches of a poster are right, but say where the poster was and not where the camera."""
+    """SIFT's matches of a poster are right, but say where the poster was and not where the
+    camera.
+    """
     images, (first, second) = surface
     rng = np.random.default_rng(9)
     on_it = (np.abs(first - np.median(first, axis=0)) < (45, 34)).all(axis=1)
-    apart = np.where(on_it[:, None], second, rng.uniform((0, 0), SIZE[::-1], second.shape))
+    apart = np.where(
+        on_it[:, None], second, rng.uniform((0, 0), SIZE[::-1], second.shape)
+    )
     chosen = np.concatenate((np.flatnonzero(on_it), np.flatnonzero(~on_it)[:60]))
     assert on_it.sum() > 20
     with pytest.raises(MatchingError, match="as on a poster"):
-        keys = tuple(Keypoints(points[chosen], np.zeros((len(chosen), 128), np.float32)) for points in (first, apart))
+        keys = tuple(
+            Keypoints(points[chosen], np.zeros((len(chosen), 128), np.float32))
+            for points in (first, apart)
+        )
         found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(len(chosen))] * 2, 1)})
         registration.register(images, "ab", found, threshold=1.0, seed=0)
-    alone = np.flatnonzero(on_it)  # the same thing before a plain wall, where nothing else is to be matched
+    alone = np.flatnonzero(
+        on_it
+    )  # the same thing before a plain wall, where nothing else is to be matched
     assert placed(images, (first[alone], second[alone]), len(alone), len(alone))
 
 
 def test_a_pair_that_the_other_photos_contradict_is_refused(scene):
-    """Half of the points look elsewhere in one pair, all by the same motion: wrong, but wrong together."""
+    """Half of the points look elsewhere in one pair, all by the same motion: wrong, but wrong
+    together.
+    """
     images, keypoints, matches, true = scene
-    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
-    wrong = Pose(cv2.Rodrigues(np.array([0.0, 0.5, 0.0]))[0], np.array([-1.0, 0.2, 0.1]))
-    rays, rng = rays_through(keypoints[0], images[0].intrinsics), np.random.default_rng(3)
-    moved = project(wrong.apply(rays * rng.uniform(4, 8, (POINTS, 1))), images[0].intrinsics)
+    keys = tuple(
+        Keypoints(points, np.zeros((len(points), 128), np.float32))
+        for points in keypoints
+    )
+    wrong = Pose(
+        cv2.Rodrigues(np.array([0.0, 0.5, 0.0]))[0], np.array([-1.0, 0.2, 0.1])
+    )
+    rays, rng = (
+        rays_through(keypoints[0], images[0].intrinsics),
+        np.random.default_rng(3),
+    )
+    moved = project(
+        wrong.apply(rays * rng.uniform(4, 8, (POINTS, 1))), images[0].intrinsics
+    )
     more = Keypoints(moved, np.zeros((POINTS, 128), np.float32))
     third = keys[2].followed_by(more)
     found = FoundFeatures(
-        (*keys[:2], third, keys[3]), {**matches, (0, 2): np.stack([np.arange(POINTS), POINTS + np.arange(POINTS)], 1)}
+        (*keys[:2], third, keys[3]),
+        {
+            **matches,
+            (0, 2): np.stack([np.arange(POINTS), POINTS + np.arange(POINTS)], 1),
+        },
     )
     pairs, failures = registration.agreeing_pairs(images, found, 1.0, 0)
-    assert set(failures) == {(0, 2)} and "other photos" in failures[0, 2] and len(pairs) == 5
+    assert (
+        set(failures) == {(0, 2)}
+        and "other photos" in failures[0, 2]
+        and len(pairs) == 5
+    )
     result = registration.register(images, "abcd", found, threshold=1.0, seed=0)
-    assert result.registered.all() and errors(dict(enumerate(result.poses)), true)[0] < 0.1
+    assert (
+        result.registered.all() and errors(dict(enumerate(result.poses)), true)[0] < 0.1
+    )
     assert (0, 2) not in result.pairs
 
 
 @pytest.mark.parametrize("why", ["few", "contradicted"])
-def test_two_views_without_a_motion_of_their_own_share_what_agrees_with_the_others_poses(scene, monkeypatch, why):
-    """Ten matches show no motion; right ones of a wall may show a wrong one, which takes right pairs down with it."""
+def test_two_views_without_a_motion_of_their_own_share_what_agrees_with_the_others_poses(
+    scene, monkeypatch, why
+):
+    """Ten matches show no motion; right ones of a wall may show a wrong one, which takes right
+    pairs down with it.
+    """
     images, keypoints, matches, _ = scene
-    keys = tuple(Keypoints(points, np.zeros((len(points), 128), np.float32)) for points in keypoints)
-    found = FoundFeatures(keys, {**matches, (0, 3): matches[0, 3][:10]} if why == "few" else matches)
+    keys = tuple(
+        Keypoints(points, np.zeros((len(points), 128), np.float32))
+        for points in keypoints
+    )
+    found = FoundFeatures(
+        keys, {**matches, (0, 3): matches[0, 3][:10]} if why == "few" else matches
+    )
     own = registration.agreeing_pairs
 
     def without_one(*args):
@@ -254,33 +362,51 @@ def test_two_views_without_a_motion_of_their_own_share_what_agrees_with_the_othe
 
     monkeypatch.setattr(registration, "agreeing_pairs", without_one)
     result = registration.register(images, "abcd", found, threshold=1.0, seed=0)
-    assert len(result.pairs[0, 3].matches) == (10 if why == "few" else POINTS) and 0 in result.neighbours_of(3)
+    assert len(result.pairs[0, 3].matches) == (
+        10 if why == "few" else POINTS
+    ) and 0 in result.neighbours_of(3)
     assert np.median(result.pairs[0, 3].parallax) > 5
 
 
 def test_registration_settles_its_poses_so(scene, monkeypatch):
-    """Views placed one after the other are nearer to the truth when they are adjusted together, twice."""
+    """Views placed one after the other are nearer to the truth when they are adjusted together,
+    twice.
+    """
     images, keypoints, matches, true = scene
     rng = np.random.default_rng(3)
-    noisy = tuple(Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32)) for p in keypoints)
-    found = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
+    noisy = tuple(
+        Keypoints(p + rng.normal(0, 0.5, p.shape), np.zeros((len(p), 128), np.float32))
+        for p in keypoints
+    )
+    found = registration.register(
+        images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0
+    )
     monkeypatch.setattr(bundle_adjustment, "adjust", lambda *args: (args[3], 1.0))
-    raw = registration.register(images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0)
+    raw = registration.register(
+        images, "abcd", FoundFeatures(noisy, matches), threshold=1.0, seed=0
+    )
     turn, step = errors(dict(enumerate(found.poses)), true)
     assert turn < 0.8 * errors(dict(enumerate(raw.poses)), true)[0]
     assert step < errors(dict(enumerate(raw.poses)), true)[1]
 
 
 def test_depth_is_measured_from_photos_at_a_moderate_angle_first(scene):
-    """More matches a right angle away say less of depth than fewer from nearer by: surfaces look different there."""
+    """More matches a right angle away say less of depth than fewer from nearer by: surfaces look
+    different there.
+    """
     _, _, _, true = scene
 
     def pair(count, degrees):
         rays = np.zeros((count, 3))
         return registration.PairView(
-            Matches(rays, rays, FOCAL, 0.01), np.zeros((count, 2), int), Pose.identity(), np.full(count, degrees)
+            Matches(rays, rays, FOCAL, 0.01),
+            np.zeros((count, 2), int),
+            Pose.identity(),
+            np.full(count, degrees),
         )
 
     pairs = {(0, 1): pair(60, 70.0), (0, 2): pair(36, 25.0), (0, 3): pair(60, 0.5)}
-    placed = registration.Registration(tuple(true.values()), np.ones(VIEWS, bool), pairs)
+    placed = registration.Registration(
+        tuple(true.values()), np.ones(VIEWS, bool), pairs
+    )
     assert placed.neighbours_of(0)[0] == 2

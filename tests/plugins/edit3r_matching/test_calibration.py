@@ -19,14 +19,18 @@ def lens(fov):
 
 
 def matches(fov, turn, shift, noise=0.2, outliers=0.3, count=400):
-    """Points seen by two cameras of `fov` degrees, as rays of cameras taken to have 60; a share of them thrown."""
+    """Points seen by two cameras of `fov` degrees, as rays of cameras taken to have 60; a share of
+    them thrown.
+    """
     random = np.random.default_rng(1)
     depth = random.uniform(2, 8, count)
     first = random.uniform(10, SIDE - 10, (count, 2))
     points = rays_through(first, lens(fov)) * depth[:, None]
     moved = points @ cv2.Rodrigues(np.array(turn, float))[0].T + np.array(shift, float)
     second = (moved @ lens(fov).T)[:, :2] / moved[:, 2:]
-    first, second = (places + random.normal(0, noise, places.shape) for places in (first, second))
+    first, second = (
+        places + random.normal(0, noise, places.shape) for places in (first, second)
+    )
     thrown = random.random(count) < outliers
     second[thrown] = random.uniform(0, SIDE, (thrown.sum(), 2))
     rays = (rays_through(places, lens(60)) for places in (first, second))
@@ -62,7 +66,9 @@ def test_matches_that_agree_on_no_motion_tell_nothing():
 
 @pytest.mark.parametrize("fov", [38, 80])
 def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
-    assert contradicted(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))) == pytest.approx(fov, rel=0.15)
+    assert contradicted(
+        matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))
+    ) == pytest.approx(fov, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +81,14 @@ def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
         matches(40, (0.05, 0.35, 0.02), (-1, 0.1, 0.3), count=60),
         matches(40, (0, 0.1, 0), (-1, 0, 0), outliers=1.0),
     ],
-    ids=["right", "a tenth narrower", "a tenth wider", "moved sideways", "few matches", "no motion"],
+    ids=[
+        "right",
+        "a tenth narrower",
+        "a tenth wider",
+        "moved sideways",
+        "few matches",
+        "no motion",
+    ],
 )
 def test_what_is_nearly_right_or_cannot_be_told_is_not_contradicted(found):
     assert contradicted(found) is None
@@ -90,7 +103,12 @@ def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     with pytest.warns(UserWarning, match="not the 77 that were given"):
         believed = matcher.match(replace(pair.views, intrinsics=wrong))
     assert believed.intrinsics is None
-    assert matcher.match(replace(pair.views, intrinsics=wrong, assumed=(True, False))).intrinsics is None
+    assert (
+        matcher.match(
+            replace(pair.views, intrinsics=wrong, assumed=(True, False))
+        ).intrinsics
+        is None
+    )
     views = replace(pair.views, intrinsics=wrong, assumed=(True, True))
     told = matcher.match(views).calibrated(views).intrinsics[0, 0, 0, 0]
     true = pair.views.intrinsics[0, 0, 0, 0]

@@ -3,14 +3,27 @@ import itertools
 import numpy as np
 import pytest
 from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.completion import confirmed, fill, main_plane, push_back, without_speckles
+from edit3r_matching.completion import (
+    confirmed,
+    fill,
+    main_plane,
+    push_back,
+    without_speckles,
+)
 from edit3r_matching.depth_maps import inverse_depth_range
-from edit3r_matching.plane_sweep import Neighbour, RawDepth, matching_cost, plane_inverse_depths
+from edit3r_matching.plane_sweep import (
+    Neighbour,
+    RawDepth,
+    matching_cost,
+    plane_inverse_depths,
+)
 from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
-SIDEWAYS = Pose(np.eye(3), np.array([-0.5, 0, 0]))  # the neighbour stands half a unit to the right
+SIDEWAYS = Pose(
+    np.eye(3), np.array([-0.5, 0, 0])
+)  # the neighbour stands half a unit to the right
 
 
 @pytest.fixture
@@ -52,8 +65,15 @@ def reference_paths(cost, jump):
 
 def test_aggregation_is_the_sum_of_eight_paths():
     random = np.random.default_rng(0)
-    cost, grey = random.random((9, 11, 7)).astype(np.float32), random.random((9, 11)).astype(np.float32)
-    assert np.allclose(aggregate(cost, grey), reference_paths(cost.astype(float), _jump_costs(grey)), atol=1e-4)
+    cost, grey = (
+        random.random((9, 11, 7)).astype(np.float32),
+        random.random((9, 11)).astype(np.float32),
+    )
+    assert np.allclose(
+        aggregate(cost, grey),
+        reference_paths(cost.astype(float), _jump_costs(grey)),
+        atol=1e-4,
+    )
 
 
 def test_best_plane_is_exact_on_a_parabola():
@@ -66,7 +86,9 @@ def test_cost_is_least_at_the_true_plane(noise):
     shift = 6  # pixels: inverse depth shift / (focal * baseline)
     moved = np.roll(noise, -shift, axis=1)
     inverse_depths = np.linspace(0.1, 0.3, 21)
-    cost = matching_cost(CalibratedImage(noise, INTRINSICS), [neighbour(moved)], inverse_depths)
+    cost = matching_cost(
+        CalibratedImage(noise, INTRINSICS), [neighbour(moved)], inverse_depths
+    )
     assert cost.shape == (*SIZE, 21)
     found = inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)]
     assert (np.abs(found - shift / (60 * 0.5)) < 0.006).mean() > 0.99
@@ -77,7 +99,10 @@ def test_what_one_of_three_neighbours_does_not_see_costs_nothing(noise):
     clear = neighbour(np.roll(noise, -6, axis=1))
     hidden = neighbour(np.random.default_rng(1).random((*SIZE, 3)).astype(np.float32))
     picture = CalibratedImage(noise, INTRINSICS)
-    two, three = (matching_cost(picture, around, inverse_depths) for around in ([clear] * 2, [clear, hidden, clear]))
+    two, three = (
+        matching_cost(picture, around, inverse_depths)
+        for around in ([clear] * 2, [clear, hidden, clear])
+    )
     inner = np.s_[5:-5, 20:-5, 10]  # at the true plane, 0.2
     assert np.abs(inverse_depths[10] - 0.2) < 1e-9
     assert np.allclose(three[inner], two[inner], atol=1e-5)
@@ -86,8 +111,12 @@ def test_what_one_of_three_neighbours_does_not_see_costs_nothing(noise):
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
     inverse_depths = np.linspace(0.1, 0.3, 21)
     darker = 0.6 * np.roll(noise, -6, axis=1)
-    cost = matching_cost(CalibratedImage(noise, INTRINSICS), [neighbour(darker)], inverse_depths)
-    assert (np.abs(inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)] - 0.2) < 0.006).mean() > 0.95
+    cost = matching_cost(
+        CalibratedImage(noise, INTRINSICS), [neighbour(darker)], inverse_depths
+    )
+    assert (
+        np.abs(inverse_depths[cost[5:-5, 20:-5].argmin(axis=2)] - 0.2) < 0.006
+    ).mean() > 0.95
 
 
 def test_planes_are_a_pixel_apart(noise):
@@ -104,7 +133,12 @@ def test_range_holds_the_points_with_room_before_them():
 
 def test_a_neighbour_confirms_its_own_surface_but_nothing_hidden_or_floating(noise):
     same, behind, before = (
-        confirmed(raw(own).inverse, CalibratedImage(noise, INTRINSICS), neighbour(noise), raw(0.2))
+        confirmed(
+            raw(own).inverse,
+            CalibratedImage(noise, INTRINSICS),
+            neighbour(noise),
+            raw(0.2),
+        )
         for own in (0.2, 0.1, 0.4)
     )
     assert same[:, 20:].all()
@@ -137,7 +171,12 @@ def test_filling_keeps_what_lies_beside_a_gap():
     inverse[:, 32:] = 0.28  # a small step, which the picture does not show
     measured = np.ones(SIZE, bool)
     measured[:, 26:32] = False
-    filled = fill(np.where(measured, inverse, np.float32(0.9)), measured, 0.005, np.full((*SIZE, 3), 0.5, np.float32))
+    filled = fill(
+        np.where(measured, inverse, np.float32(0.9)),
+        measured,
+        0.005,
+        np.full((*SIZE, 3), 0.5, np.float32),
+    )
     np.testing.assert_allclose(filled[:, 26:29], 0.30, atol=1e-4)
     np.testing.assert_allclose(filled[:, 29:32], 0.28, atol=1e-4)
 
@@ -147,7 +186,9 @@ def test_a_near_surface_does_not_grow_over_what_goes_on_behind_it():
     image[:, 16:28] = 0
     inverse = np.where(image[..., 0] > 0, np.float32(0.1), np.float32(0.4))
     measured = np.ones(SIZE, bool)
-    measured[:, 28:34] = False  # only one photo shows it: for the other the near surface hides it
+    measured[:, 28:34] = (
+        False  # only one photo shows it: for the other the near surface hides it
+    )
     filled = fill(np.where(measured, inverse, np.float32(0.25)), measured, 0.01, image)
     assert filled[:, 28:34].max() < 0.11
 
@@ -180,4 +221,6 @@ def test_a_guess_is_pushed_behind_what_the_neighbour_measured(noise):
     pushed = push_back(guess, nothing, own, picture, beside, other, sure)
     assert np.abs(pushed[:, 20:] - 0.1).max() < 3.5 * other.step
     assert (push_back(guess, sure, own, picture, beside, other, sure) == guess).all()
-    assert (push_back(guess, nothing, own, picture, beside, other, nothing) == guess).all()
+    assert (
+        push_back(guess, nothing, own, picture, beside, other, nothing) == guess
+    ).all()

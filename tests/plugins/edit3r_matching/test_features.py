@@ -27,7 +27,9 @@ def test_points_keep_to_pixel_centres_at_one_half(photo):
 
 
 def test_descriptors_have_unit_length(photo):
-    assert np.allclose(np.linalg.norm(detect(photo, 200, 768).descriptors, axis=1), 1, atol=1e-5)
+    assert np.allclose(
+        np.linalg.norm(detect(photo, 200, 768).descriptors, axis=1), 1, atol=1e-5
+    )
 
 
 def test_a_blank_photo_has_no_features_and_no_matches(photo):
@@ -39,7 +41,10 @@ def test_a_blank_photo_has_no_features_and_no_matches(photo):
 def test_a_feature_that_could_be_two_matches_neither():
     descriptors = np.eye(128, dtype=np.float32)[:2]
     twins = Keypoints(np.array([[1.0, 1], [9, 9]]), descriptors[[0, 0]])
-    assert len(match(Keypoints(np.array([[1.0, 1], [5, 5]]), descriptors), twins, 0.85)) == 0
+    assert (
+        len(match(Keypoints(np.array([[1.0, 1], [5, 5]]), descriptors), twins, 0.85))
+        == 0
+    )
 
 
 def test_a_match_found_twice_at_one_place_counts_once():

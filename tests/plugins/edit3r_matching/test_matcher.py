@@ -12,11 +12,15 @@ from edit3r.reporting import Report, collecting
 
 
 def within_share(depth, truth, tolerance=0.1):
-    """Share of pixels of known truth (> 0) whose depth is right after one common scale, the median ratio."""
+    """Share of pixels of known truth (> 0) whose depth is right after one common scale, the median
+    ratio.
+    """
     known = truth > 0
     measured = known & (depth > 0)
     scale = np.median(truth[measured] / depth[measured])
-    right = measured & (np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance)
+    right = measured & (
+        np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance
+    )
     return right.sum() / known.sum()
 
 
@@ -31,12 +35,16 @@ def matched(matcher, pair):
 
 
 def direction_degrees(a, b):
-    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
+    return np.degrees(
+        np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
+    )
 
 
 def pose_errors(geometry, room, view):
     found, true = geometry.c2w[0, view].numpy(), room.c2w[view]
-    return rotation_degrees(found[:3, :3], true[:3, :3]), direction_degrees(found[:3, 3], true[:3, 3])
+    return rotation_degrees(found[:3, :3], true[:3, :3]), direction_degrees(
+        found[:3, 3], true[:3, 3]
+    )
 
 
 def test_pose_of_a_known_room_is_within_a_third_of_a_degree(matched, pair):
@@ -52,15 +60,24 @@ def test_depth_of_a_known_room_is_right_almost_everywhere(matched, pair, view):
 
 def test_poses_and_depths_share_one_unit_of_length(matched, pair):
     measured = matched.confidence[0, 0].numpy() > 0.5
-    of_depths = np.median(matched.depths[0, 0].numpy()[measured] / pair.depths[0][measured])
-    of_poses = np.linalg.norm(matched.c2w[0, 1, :3, 3]) / np.linalg.norm(pair.c2w[1][:3, 3])
+    of_depths = np.median(
+        matched.depths[0, 0].numpy()[measured] / pair.depths[0][measured]
+    )
+    of_poses = np.linalg.norm(matched.c2w[0, 1, :3, 3]) / np.linalg.norm(
+        pair.c2w[1][:3, 3]
+    )
     assert of_depths == pytest.approx(of_poses, rel=0.03)
 
 
 def test_measured_pixels_are_right_and_most_pixels_are_measured(matched, pair):
     sure = matched.confidence[0, 0].numpy() > 0.5
     assert sure.mean() > 0.6
-    assert within_share(matched.depths[0, 0].numpy(), np.where(sure, pair.depths[0], 0), 0.05) > 0.97
+    assert (
+        within_share(
+            matched.depths[0, 0].numpy(), np.where(sure, pair.depths[0], 0), 0.05
+        )
+        > 0.97
+    )
 
 
 def test_same_photos_give_the_same_bytes(matcher, matched, pair):
@@ -71,7 +88,10 @@ def test_same_photos_give_the_same_bytes(matcher, matched, pair):
 
 def test_a_scene_does_not_depend_on_its_batch(matcher, matched, pair, make_room):
     other = make_room([(0,), (0.3, 0, -3)], seed=50).views
-    both = Views(torch.cat((other.images, pair.views.images)), torch.cat((other.intrinsics, pair.views.intrinsics)))
+    both = Views(
+        torch.cat((other.images, pair.views.images)),
+        torch.cat((other.intrinsics, pair.views.intrinsics)),
+    )
     geometry = matcher.match(both)
     assert torch.equal(geometry.depths[1], matched.depths[0])
     assert torch.equal(geometry.c2w[1], matched.c2w[0])
@@ -96,10 +116,20 @@ def test_three_views_are_placed_in_one_scale(matcher, make_room):
     room = make_room([(0,), (0.35, 0.05, -4), (-0.3, -0.05, 3)])
     geometry = matcher.match(room.views)
     assert geometry.registered.all()
-    lengths = [np.linalg.norm(geometry.c2w[0, view, :3, 3]) / np.linalg.norm(room.c2w[view][:3, 3]) for view in (1, 2)]
+    lengths = [
+        np.linalg.norm(geometry.c2w[0, view, :3, 3])
+        / np.linalg.norm(room.c2w[view][:3, 3])
+        for view in (1, 2)
+    ]
     assert lengths[0] == pytest.approx(lengths[1], rel=0.05)
     assert max(pose_errors(geometry, room, view)[0] for view in (1, 2)) < 0.4
-    assert min(within_share(geometry.depths[0, v].numpy(), room.depths[v]) for v in range(3)) > 0.85
+    assert (
+        min(
+            within_share(geometry.depths[0, v].numpy(), room.depths[v])
+            for v in range(3)
+        )
+        > 0.85
+    )
 
 
 def test_a_photo_of_another_scene_is_reported_not_registered(matcher, pair, make_room):
@@ -119,9 +149,14 @@ def test_a_photo_of_another_scene_is_reported_not_registered(matcher, pair, make
 def test_photos_of_two_scenes_raise_with_the_reason_and_advice(matcher, make_room):
     views = [make_room([(0,)], seed=seed).views for seed in (0, 70)]
     strangers = Views(
-        torch.cat([v.images for v in views], 1), torch.cat([v.intrinsics for v in views], 1), ("a.jpg", "b.jpg")
+        torch.cat([v.images for v in views], 1),
+        torch.cat([v.intrinsics for v in views], 1),
+        ("a.jpg", "b.jpg"),
     )
-    with pytest.raises(MatchingError, match=r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one"):
+    with pytest.raises(
+        MatchingError,
+        match=r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one",
+    ):
         matcher.match(strangers)
 
 
@@ -138,7 +173,9 @@ def test_the_same_photo_twice_raises(matcher, pair):
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (8, 300)])
 def test_tiny_photos_raise_with_the_size_that_is_needed(matcher, size):
     views = Views(torch.rand(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
-    with pytest.raises(MatchingError, match=f"{size[1]} x {size[0]} pixels.*at least 32"):
+    with pytest.raises(
+        MatchingError, match=f"{size[1]} x {size[0]} pixels.*at least 32"
+    ):
         matcher.match(views)
 
 
@@ -159,6 +196,10 @@ def test_the_packaged_motorcycle_pair_has_its_true_depth(matcher):
     intrinsics = views.intrinsics[0].numpy()
     disparity = cv2.resize(disparity, (width, height), interpolation=cv2.INTER_NEAREST)
     known = np.isfinite(disparity) & (disparity > 0)
-    motion = np.where(known, disparity, 1) / pixels + intrinsics[1, 0, 2] - intrinsics[0, 0, 2]
+    motion = (
+        np.where(known, disparity, 1) / pixels
+        + intrinsics[1, 0, 2]
+        - intrinsics[0, 0, 2]
+    )
     truth = np.where(known, 1 / motion, 0)
     assert within_share(geometry.depths[0, 0].numpy(), truth, 0.1) > 0.85

@@ -1,4 +1,6 @@
-"""EfficientLoFTR and SuperPoint + LightGlue of transformers, from tiny random folders of `save_pretrained`."""
+"""EfficientLoFTR and SuperPoint + LightGlue of transformers, from tiny random folders of
+`save_pretrained`.
+"""
 
 import json
 
@@ -11,7 +13,7 @@ from edit3r_matching.registration import FeatureSettings, find_features
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError
-from edit3r.weights import named
+from edit3r.plugins.weights import named
 
 WEIGHTS = {"efficientloftr": "efficientloftr", "superpoint": "superpoint-lightglue"}
 
@@ -38,11 +40,16 @@ def folder(tmp_path_factory):
         coarse_matching_threshold=0.0,
     )
     network = EfficientLoFTRForKeypointMatching(semi_dense)
-    for weight in network.parameters():  # its own beginning gives features that are all the same
+    for (
+        weight
+    ) in network.parameters():  # its own beginning gives features that are all the same
         torch.nn.init.normal_(weight, std=0.3)
     network.save_pretrained(root / "efficientloftr")
     points = SuperPointConfig(
-        encoder_hidden_sizes=[8, 8, 16, 16], decoder_hidden_size=16, descriptor_decoder_dim=32, keypoint_threshold=0.0
+        encoder_hidden_sizes=[8, 8, 16, 16],
+        decoder_hidden_size=16,
+        descriptor_decoder_dim=32,
+        keypoint_threshold=0.0,
     )
     sparse = LightGlueConfig(
         keypoint_detector_config=points.to_dict(),
@@ -61,7 +68,9 @@ def at_hand(folder, monkeypatch):
 
 
 def settings(**chosen):
-    return FeatureSettings(keypoints=300, detection_size=128, learned_keypoints=128, **chosen)
+    return FeatureSettings(
+        keypoints=300, detection_size=128, learned_keypoints=128, **chosen
+    )
 
 
 @pytest.mark.parametrize("source", WEIGHTS)
@@ -82,14 +91,20 @@ def test_matches_of_both_come_after_those_of_sift_and_are_the_same_with_any_numb
         assert (found.indices[pair] == again.indices[pair]).all()
         assert found.learned(*pair).sum() <= 128
     for image, keys in zip(images, found.keypoints):
-        assert (keys.points > -4).all() and (keys.points < np.array(image.size[::-1]) + 4).all()
+        assert (keys.points > -4).all() and (
+            keys.points < np.array(image.size[::-1]) + 4
+        ).all()
 
 
 def test_a_point_that_two_pairs_see_is_one_feature(make_room, folder):
-    """So that tracks through three photos exist: SuperPoint finds the same points in a photo whatever its partner."""
+    """So that tracks through three photos exist: SuperPoint finds the same points in a photo
+    whatever its partner.
+    """
     images = calibrated_images(make_room([(0,), (0.3,), (0.5,)]).views, 0)
     networks = load("superpoint-lightglue", folder / "superpoint-lightglue", 64)
-    found, indices = networks.between({i: one.pixels for i, one in enumerate(images)}, [(0, 1), (0, 2)], 128)
+    found, indices = networks.between(
+        {i: one.pixels for i, one in enumerate(images)}, [(0, 1), (0, 2)], 128
+    )
     assert set(indices[0, 1][:, 0]) & set(indices[0, 2][:, 0])
     assert len(np.unique(found[0].points, axis=0)) == len(found[0])
 
@@ -100,18 +115,29 @@ def test_points_lie_where_a_detector_of_the_same_library_sees_them(make_room, fo
     (image, _) = calibrated_images(make_room([(0,), (0.3,)], size=(128, 160)).views, 0)
     networks = load("superpoint-lightglue", folder / "superpoint-lightglue", 64)
     found, _ = networks.between({0: image.pixels, 1: image.pixels}, [(0, 1)], 320)
-    detector = LightGlueForKeypointMatching.from_pretrained(folder / "superpoint-lightglue").keypoint_detector.eval()
+    detector = LightGlueForKeypointMatching.from_pretrained(
+        folder / "superpoint-lightglue"
+    ).keypoint_detector.eval()
     from edit3r_matching.learned import _grey
 
     grey = torch.from_numpy(_grey(image.pixels, 320))  # twice the size
     with torch.inference_mode():
-        seen = detector(grey.expand(1, 3, -1, -1)).keypoints[0].double().numpy() * np.array([320, 256])
+        seen = detector(grey.expand(1, 3, -1, -1)).keypoints[
+            0
+        ].double().numpy() * np.array([320, 256])
     expected = {tuple(point) for point in np.round((seen + 0.5) / 2, 3)}
-    assert len(found[0]) and {tuple(point) for point in np.round(found[0].points, 3)} <= expected
+    assert (
+        len(found[0])
+        and {tuple(point) for point in np.round(found[0].points, 3)} <= expected
+    )
 
 
-def test_efficientloftr_pairs_what_looks_alike_even_where_the_order_of_the_places_changes(folder):
-    """The library's own lists run in different orders, which shows only where something moves past something else."""
+def test_efficientloftr_pairs_what_looks_alike_even_where_the_order_of_the_places_changes(
+    folder,
+):
+    """The library's own lists run in different orders, which shows only where something moves past
+    something else.
+    """
     networks = load("efficientloftr", folder / "efficientloftr", 1000)
     assert isinstance(networks, PairNetwork)
     network = networks.network
@@ -120,17 +146,28 @@ def test_efficientloftr_pairs_what_looks_alike_even_where_the_order_of_the_place
     features = torch.randn(1, 1, 32, 12, 12, generator=generator)
     features = 40 * features / features.norm(dim=2, keepdim=True)
     rows = torch.randperm(12, generator=generator)
-    keypoints, scores, _ = network._coarse_matching(torch.cat([features, features[..., rows, :]], 1), 8.0)
+    keypoints, scores, _ = network._coarse_matching(
+        torch.cat([features, features[..., rows, :]], 1), 8.0
+    )
     (a, b), sure = (keypoints[0] / 8).long(), scores[0, 0] > 0
     assert sure.sum() > 20 and (scores[0, 0] == scores[0, 1]).all()
-    assert (rows[b[sure][:, 1]] == a[sure][:, 1]).all() and (a[sure][:, 0] == b[sure][:, 0]).all()
-    assert ((a[sure] >= 2) & (a[sure] < 10) & (b[sure] >= 2) & (b[sure] < 10)).all()  # the border is left out
+    assert (rows[b[sure][:, 1]] == a[sure][:, 1]).all() and (
+        a[sure][:, 0] == b[sure][:, 0]
+    ).all()
+    assert (
+        (a[sure] >= 2) & (a[sure] < 10) & (b[sure] >= 2) & (b[sure] < 10)
+    ).all()  # the border is left out
 
 
 @pytest.mark.parametrize("source", WEIGHTS)
-def test_without_the_weights_the_licence_and_the_command_are_named(source, pair, tmp_path, monkeypatch):
+def test_without_the_weights_the_licence_and_the_command_are_named(
+    source, pair, tmp_path, monkeypatch
+):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    with pytest.raises(MissingDependencyError, match=f"edit3r weights get {WEIGHTS[source]} .*commercial use"):
+    with pytest.raises(
+        MissingDependencyError,
+        match=f"edit3r weights get {WEIGHTS[source]} .*commercial use",
+    ):
         find_features(calibrated_images(pair.views, 0), settings(matches=source))
 
 
@@ -144,9 +181,15 @@ def test_files_that_lack_weights_are_refused(folder, tmp_path):
     from safetensors.torch import load_file, save_file
 
     state = load_file(folder / "efficientloftr" / "model.safetensors")
-    save_file(dict(list(state.items())[1:]), tmp_path / "model.safetensors", {"format": "pt"})
-    (tmp_path / "config.json").write_text(json.dumps(json.loads((folder / "efficientloftr/config.json").read_text())))
-    with pytest.raises(InputError, match="lacks 1 weights of EfficientLoFTRForKeypointMatching"):
+    save_file(
+        dict(list(state.items())[1:]), tmp_path / "model.safetensors", {"format": "pt"}
+    )
+    (tmp_path / "config.json").write_text(
+        json.dumps(json.loads((folder / "efficientloftr/config.json").read_text()))
+    )
+    with pytest.raises(
+        InputError, match="lacks 1 weights of EfficientLoFTRForKeypointMatching"
+    ):
         load("efficientloftr", tmp_path, 64)
 
 
@@ -154,6 +197,8 @@ def test_files_that_lack_weights_are_refused(folder, tmp_path):
 def test_random_weights_do_not_move_what_sift_places(source, pair, at_hand):
     """Wrong matches of a network are held to the same gates as the other learned source's."""
     truth = pair.c2w[1][:3, :3]
-    geometry = edit3r.build("matcher", "classical", matches=source, detection_size=256).match(pair.views)
+    geometry = edit3r.build(
+        "matcher", "classical", matches=source, detection_size=256
+    ).match(pair.views)
     turned = np.trace(truth.T @ geometry.c2w[0, 1, :3, :3].double().numpy())
     assert np.degrees(np.arccos(min(1, (turned - 1) / 2))) < 0.5

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import Matcher
 from edit3r.errors import MatchingError
-from edit3r.interfaces import Matcher
-from edit3r.testing.scenes import photograph
+from edit3r_testing.scenes import photograph
 
 
 class Elsewhere(Matcher):
@@ -18,7 +18,9 @@ class Elsewhere(Matcher):
 
 @pytest.fixture(scope="module")
 def matcher():
-    return edit3r.build("matcher", "posed", {"matcher": Elsewhere()}, planes=48, detection_size=256)
+    return edit3r.build(
+        "matcher", "posed", {"matcher": Elsewhere()}, planes=48, detection_size=256
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +45,8 @@ def test_views_without_poses_go_to_the_other_matcher(matcher, large):
 def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
     _, views = large
     away = views.c2w.clone()
-    away[0, 1, :3, :3] = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # turned about the optical axis
+    away[0, 1, :3, :3] = torch.tensor(
+        [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    )  # turned about the optical axis
     with pytest.raises(MatchingError, match="known poses"):
         matcher.match(replace(views, c2w=away))

@@ -6,12 +6,12 @@ from edit3r_measure.metrics import best_blurred_copy, psnr
 
 import edit3r
 from edit3r import Cameras, Views
+from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.surroundings import backdrop
 from edit3r.geometry.warping import contradicted, seen_by_others
-from edit3r.interfaces import MatchedGeometry, Matcher
 
 
 class KnownGeometry(Matcher):
@@ -30,28 +30,46 @@ class KnownGeometry(Matcher):
 def truth(pair):
     depths = torch.from_numpy(pair.depths).float()[None]
     return MatchedGeometry(
-        torch.from_numpy(pair.c2w).float()[None], depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool)
+        torch.from_numpy(pair.c2w).float()[None],
+        depths,
+        torch.ones_like(depths),
+        torch.ones(1, 2, dtype=torch.bool),
     )
 
 
 def build(geometry, **settings):
-    return edit3r.build("reconstructor", "classical", parts={"matcher": KnownGeometry(geometry)}, **settings)
+    return edit3r.build(
+        "reconstructor",
+        "classical",
+        parts={"matcher": KnownGeometry(geometry)},
+        **settings,
+    )
 
 
 def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
     gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians
     height, width = pair.views.image_size
     assert gaussians.count == 2 * height * width
-    assert (gaussians.view_index == torch.arange(2).repeat_interleave(height * width)).all()
-    colours = dc_to_colour(gaussians.harmonics[0, :, 0]).view(2, height, width, 3).permute(0, 3, 1, 2)
+    assert (
+        gaussians.view_index == torch.arange(2).repeat_interleave(height * width)
+    ).all()
+    colours = (
+        dc_to_colour(gaussians.harmonics[0, :, 0])
+        .view(2, height, width, 3)
+        .permute(0, 3, 1, 2)
+    )
     assert torch.allclose(colours, pair.views.images[0], atol=1e-6)
 
 
 def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
     gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians.from_view(1)
-    places, depth = project(gaussians.means, pair.views.intrinsics[:, 1], truth.c2w[:, 1])
+    places, depth = project(
+        gaussians.means, pair.views.intrinsics[:, 1], truth.c2w[:, 1]
+    )
     height, width = pair.views.image_size
-    assert torch.allclose(places[0, 0], torch.tensor([0.5 / width, 0.5 / height]), atol=1e-5)
+    assert torch.allclose(
+        places[0, 0], torch.tensor([0.5 / width, 0.5 / height]), atol=1e-5
+    )
     assert torch.allclose(depth.view(height, width), truth.depths[0, 1], rtol=1e-4)
 
 
@@ -61,19 +79,29 @@ def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     plain, other = reconstructor(pair.views), reconstructor(edited, source=pair.views)
     assert reconstructor.matcher.asked is pair.views
     assert torch.equal(plain.gaussians.means, other.gaussians.means)
-    assert torch.allclose(plain.gaussians.harmonics, -other.gaussians.harmonics, atol=1e-5)
+    assert torch.allclose(
+        plain.gaussians.harmonics, -other.gaussians.harmonics, atol=1e-5
+    )
 
 
-def test_rendering_from_the_middle_shows_what_a_camera_there_sees(pair, truth, make_room):
+def test_rendering_from_the_middle_shows_what_a_camera_there_sees(
+    pair, truth, make_room
+):
     between = make_room([(0,), (0.2, 0.025, -2.5)])
     gaussians = build(truth)(pair.views).gaussians
     cameras = Cameras(
-        torch.from_numpy(between.c2w[1:]).float()[None], between.views.intrinsics[:, 1:], pair.views.image_size
+        torch.from_numpy(between.c2w[1:]).float()[None],
+        between.views.intrinsics[:, 1:],
+        pair.views.image_size,
     )
     seen = edit3r.build("rasterizer", "numba").render(gaussians, cameras)
     image, wanted, *photos = (
         picture.permute(1, 2, 0).numpy()
-        for picture in (seen.images[0, 0], between.views.images[0, 1], *pair.views.images[0])
+        for picture in (
+            seen.images[0, 0],
+            between.views.images[0, 1],
+            *pair.views.images[0],
+        )
     )
     assert psnr(image, wanted) > best_blurred_copy(photos, wanted)[0] + 4
     assert (seen.alphas > 0.5).float().mean() > 0.97
@@ -89,7 +117,9 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     assert opacities.unique().tolist() == pytest.approx(expected)
     shown = seen_by_others(geometry, pair.views.intrinsics)
     kept = ~contradicted(geometry, pair.views.intrinsics)
-    assert opacities[0][(shown & (half == 0))[kept]].unique().tolist() == pytest.approx(expected[:1])
+    assert opacities[0][(shown & (half == 0))[kept]].unique().tolist() == pytest.approx(
+        expected[:1]
+    )
 
 
 def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
@@ -100,7 +130,10 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     floating = contradicted(geometry, pair.views.intrinsics)
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
-    assert build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count == truth.depths.numel() - 16
+    assert (
+        build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count
+        == truth.depths.numel() - 16
+    )
 
 
 def test_views_that_were_not_placed_leave_no_gaussians(pair, truth):
@@ -124,17 +157,28 @@ def test_photos_that_cannot_be_matched_raise():
 
 def test_photos_alone_give_a_scene_that_shows_them_again(pair):
     reconstruction = edit3r.build("reconstructor", "classical")(pair.views)
-    seen = edit3r.build("rasterizer", "numba").render(reconstruction.gaussians, reconstruction.cameras)
+    seen = edit3r.build("rasterizer", "numba").render(
+        reconstruction.gaussians, reconstruction.cameras
+    )
     for view in (0, 1):
-        image, photo = (x[0, view].permute(1, 2, 0).numpy() for x in (seen.images, pair.views.images))
+        image, photo = (
+            x[0, view].permute(1, 2, 0).numpy()
+            for x in (seen.images, pair.views.images)
+        )
         assert psnr(image, photo) > 20
 
 
-def test_the_backdrop_shows_the_background_where_a_foreground_was_taken_away(pair, truth):
-    """Without the pixels of the nearest things, their place is filled with what stands around and behind them."""
+def test_the_backdrop_shows_the_background_where_a_foreground_was_taken_away(
+    pair, truth
+):
+    """Without the pixels of the nearest things, their place is filled with what stands around and
+    behind them.
+    """
     full = build(truth)(pair.views).gaussians
     layer = backdrop(pair.views, truth, 0.9)
-    camera = Cameras(truth.c2w[:, :1], pair.views.intrinsics[:, :1], pair.views.image_size)
+    camera = Cameras(
+        truth.c2w[:, :1], pair.views.intrinsics[:, :1], pair.views.image_size
+    )
     alone = edit3r.build("rasterizer", "numba").render(layer, camera)
     shown = alone.alphas[0, 0, 0] > 0.5
     assert 0.02 < shown.float().mean() < 0.9

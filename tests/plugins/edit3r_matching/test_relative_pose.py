@@ -20,12 +20,22 @@ CHANCE = 0.011
 @pytest.fixture
 def pose():
     translation = np.array([0.9, 0.1, -0.2])
-    return Pose(cv2.Rodrigues(np.array([0.03, -0.15, 0.02]))[0], translation / np.linalg.norm(translation))
+    return Pose(
+        cv2.Rodrigues(np.array([0.03, -0.15, 0.02]))[0],
+        translation / np.linalg.norm(translation),
+    )
 
 
 def points(count, seed=0):
     random = np.random.default_rng(seed)
-    return np.stack([random.uniform(-2, 2, count), random.uniform(-2, 2, count), random.uniform(3, 8, count)], axis=1)
+    return np.stack(
+        [
+            random.uniform(-2, 2, count),
+            random.uniform(-2, 2, count),
+            random.uniform(3, 8, count),
+        ],
+        axis=1,
+    )
 
 
 def seen(points):
@@ -73,7 +83,10 @@ def test_pose_survives_noise_and_wrong_matches(pose):
 @pytest.mark.parametrize("seed", range(3))
 def test_random_matches_do_not_count_as_a_pose(seed):
     random = np.random.default_rng(seed)
-    a, b = (np.concatenate([random.uniform(-0.5, 0.5, (150, 2)), np.ones((150, 1))], axis=1) for _ in range(2))
+    a, b = (
+        np.concatenate([random.uniform(-0.5, 0.5, (150, 2)), np.ones((150, 1))], axis=1)
+        for _ in range(2)
+    )
     found = estimate_pose(Matches(a, b, FOCAL, CHANCE), threshold=1.0, seed=0)
     assert found is None or found.log_false_alarms > -6
 
@@ -97,9 +110,17 @@ def test_a_refined_pose_is_where_the_robust_loss_is_least(pose):
     a, b = seen(points(200)), seen(pose.apply(points(200)))
     b[:, :2] += random.normal(0, 0.3 / FOCAL, (200, 2))
     matches = Matches(a, b, FOCAL, CHANCE)
-    start = Pose(cv2.Rodrigues(np.array([0.06, -0.08, 0.02]))[0] @ pose.rotation, pose.translation)
+    start = Pose(
+        cv2.Rodrigues(np.array([0.06, -0.08, 0.02]))[0] @ pose.rotation,
+        pose.translation,
+    )
     moved = _tangent_step(start)
-    best = least_squares(lambda x: sampson_errors(matches, moved(x)), np.zeros(5), loss="cauchy", f_scale=0.25)
+    best = least_squares(
+        lambda x: sampson_errors(matches, moved(x)),
+        np.zeros(5),
+        loss="cauchy",
+        f_scale=0.25,
+    )
     found = _settled(matches, start, 0.25)
     assert rotation_degrees(found.rotation, moved(best.x).rotation) < 1e-3
     assert np.abs(found.translation - moved(best.x).translation).max() < 1e-4
@@ -107,7 +128,12 @@ def test_a_refined_pose_is_where_the_robust_loss_is_least(pose):
 
 def test_too_few_matches_give_no_pose(pose):
     world = points(8)
-    assert estimate_pose(Matches(seen(world), seen(pose.apply(world)), FOCAL, CHANCE), 1.0, 0) is None
+    assert (
+        estimate_pose(
+            Matches(seen(world), seen(pose.apply(world)), FOCAL, CHANCE), 1.0, 0
+        )
+        is None
+    )
 
 
 def test_a_pose_and_its_inverse_cancel(pose):

@@ -1,4 +1,6 @@
-"""A textured wall and photos of it whose cameras are known, and a reconstructor that knows the wall."""
+"""A textured wall and photos of it whose cameras are known, and a reconstructor that knows the
+wall.
+"""
 
 import json
 from types import SimpleNamespace
@@ -9,12 +11,12 @@ import pytest
 import torch
 from PIL import Image
 
+from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.errors import MatchingError
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.interfaces import Reconstructor
 from edit3r.io.cameras import PosedCamera
 from edit3r.io.posed_folder import read_posed_folder
-from edit3r.types import Cameras, Gaussians, Reconstruction
 
 DEPTH = 4.0  # of the wall that all photos show
 
@@ -23,17 +25,33 @@ def camera(x, degrees, file="a.png", width=96, height=64):
     c2w = np.eye(4)
     c2w[:3, :3] = cv2.Rodrigues(np.array([0, np.radians(degrees), 0]))[0]
     c2w[0, 3] = x
-    return PosedCamera(file, width, height, np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]]), c2w)
+    return PosedCamera(
+        file,
+        width,
+        height,
+        np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]]),
+        c2w,
+    )
 
 
 def photo_of_wall(camera):
     """A textured wall at z = DEPTH, seen by `camera`."""
-    grain = cv2.resize(np.random.default_rng(0).random((24, 48, 3)), (960, 480), interpolation=cv2.INTER_CUBIC)
+    grain = cv2.resize(
+        np.random.default_rng(0).random((24, 48, 3)),
+        (960, 480),
+        interpolation=cv2.INTER_CUBIC,
+    )
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
+    rays = (
+        np.stack([x, y, np.ones_like(x)], -1)
+        @ np.linalg.inv(camera.K).T
+        @ camera.c2w[:3, :3].T
+    )
     wall = rays / rays[..., 2:] * DEPTH + camera.c2w[:3, 3]
     u, v = (wall[..., 0] + 6) / 12 * 959, (wall[..., 1] + 3) / 6 * 479
-    seen = cv2.remap(grain, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    seen = cv2.remap(
+        grain, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR
+    )
     return (np.clip(seen, 0, 1) * 255).astype(np.uint8)
 
 
@@ -42,16 +60,24 @@ def written(folder, cameras):
     for camera in cameras:
         Image.fromarray(photo_of_wall(camera)).save(folder / camera.file)
     sizes = [{"file": c.file, "width": c.width, "height": c.height} for c in cameras]
-    return [{**size, "K": c.K.tolist(), "c2w": c.c2w.tolist()} for size, c in zip(sizes, cameras)]
+    return [
+        {**size, "K": c.K.tolist(), "c2w": c.c2w.tolist()}
+        for size, c in zip(sizes, cameras)
+    ]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scenes") / "wall"
     path.mkdir()
-    cameras = [camera(x, turn, f"{i}.png") for i, (x, turn) in enumerate(((-0.4, 4), (0, 0), (0.4, -4)))]
+    cameras = [
+        camera(x, turn, f"{i}.png")
+        for i, (x, turn) in enumerate(((-0.4, 4), (0, 0), (0.4, -4)))
+    ]
     entries = written(path, cameras)
-    entries.append({"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None})
+    entries.append(
+        {"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None}
+    )
     (path / "cameras.json").write_text(json.dumps(entries))
     return read_posed_folder(path)
 
@@ -69,8 +95,13 @@ class WallKnown(Reconstructor):
             raise MatchingError("nothing in common.")
         first, second = (self.folder.cameras[i].c2w for i in (0, 2))
         size = views.image_size
-        x, y = np.meshgrid((np.arange(size[1]) + 0.5) / size[1], (np.arange(size[0]) + 0.5) / size[0])
-        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(views.intrinsics[0, 0].double().numpy()).T
+        x, y = np.meshgrid(
+            (np.arange(size[1]) + 0.5) / size[1], (np.arange(size[0]) + 0.5) / size[0]
+        )
+        rays = (
+            np.stack([x, y, np.ones_like(x)], -1)
+            @ np.linalg.inv(views.intrinsics[0, 0].double().numpy()).T
+        )
         depth = DEPTH / (rays @ first[:3, :3].T)[..., 2:]
         points = torch.from_numpy(self.unit * rays * depth).float().reshape(1, -1, 3)
         c2w = np.stack([np.eye(4), np.linalg.inv(first) @ second])
@@ -83,7 +114,10 @@ class WallKnown(Reconstructor):
             torch.full((1, count), 0.8),
             colour_to_dc(views.images[0, 0].permute(1, 2, 0)).reshape(1, count, 1, 3),
         )
-        return Reconstruction(gaussians, Cameras(torch.from_numpy(c2w).float()[None], views.intrinsics, size))
+        return Reconstruction(
+            gaussians,
+            Cameras(torch.from_numpy(c2w).float()[None], views.intrinsics, size),
+        )
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ import torch
 from edit3r_measure.features import ClipSimilarity, central_square, direction_similarity
 
 import edit3r
+from edit3r.contract.interfaces import LossInputs
 from edit3r.errors import MissingDependencyError
-from edit3r.interfaces import LossInputs
 
 transformers = pytest.importorskip("transformers")
 
@@ -20,10 +20,19 @@ def folder(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("clip")
     letters = list(bytes_to_unicode().values())
-    words = [*letters, *(letter + "</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
-    (folder / "vocab.json").write_text(json.dumps({word: index for index, word in enumerate(words)}))
+    words = [
+        *letters,
+        *(letter + "</w>" for letter in letters),
+        "<|startoftext|>",
+        "<|endoftext|>",
+    ]
+    (folder / "vocab.json").write_text(
+        json.dumps({word: index for index, word in enumerate(words)})
+    )
     (folder / "merges.txt").write_text("#version: 0.2\n")
-    transformers.CLIPTokenizerFast.from_pretrained(folder, model_max_length=77).save_pretrained(folder)
+    transformers.CLIPTokenizerFast.from_pretrained(
+        folder, model_max_length=77
+    ).save_pretrained(folder)
     small = {
         "projection_dim": 16,
         "hidden_size": 32,
@@ -31,9 +40,16 @@ def folder(tmp_path_factory):
         "num_hidden_layers": 2,
         "num_attention_heads": 4,
     }
-    tokens = {"vocab_size": 514, "bos_token_id": 512, "eos_token_id": 513, "pad_token_id": 513}
+    tokens = {
+        "vocab_size": 514,
+        "bos_token_id": 512,
+        "eos_token_id": 513,
+        "pad_token_id": 513,
+    }
     config = transformers.CLIPConfig(
-        text_config={**small, **tokens}, vision_config={**small, "image_size": 32, "patch_size": 8}, projection_dim=16
+        text_config={**small, **tokens},
+        vision_config={**small, "image_size": 32, "patch_size": 8},
+        projection_dim=16,
     )
     torch.manual_seed(0)
     transformers.CLIPModel(config).save_pretrained(folder)
@@ -58,11 +74,15 @@ def test_similarity_is_a_cosine_for_every_picture_and_text(similarity, images):
 
 
 def test_it_agrees_with_transformers_own_forward(similarity, images):
-    tokens = similarity.tokenizer(["a red bike", "snow"], padding=True, return_tensors="pt")
+    tokens = similarity.tokenizer(
+        ["a red bike", "snow"], padding=True, return_tensors="pt"
+    )
     with torch.no_grad():
         output = similarity.model(pixel_values=central_square(images, 32), **tokens)
         cosines = output.logits_per_image / similarity.model.logit_scale.exp()
-    assert torch.allclose(similarity(images, ["a red bike", "snow"]), cosines, atol=1e-5)
+    assert torch.allclose(
+        similarity(images, ["a red bike", "snow"]), cosines, atol=1e-5
+    )
 
 
 def test_the_central_square_is_cut_without_stretching():
@@ -91,7 +111,9 @@ def test_missing_weights_are_a_sentence():
 def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
     loss = edit3r.build("loss", "clip", model=str(folder))
     target = torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
-    rendered = torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(2)).requires_grad_()
+    rendered = torch.rand(
+        1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(2)
+    ).requires_grad_()
     assert abs(loss(LossInputs(rendered=target, target=target)).item()) < 1e-5
     value = loss(LossInputs(rendered=rendered, target=target))
     (gradient,) = torch.autograd.grad(value, rendered)
@@ -101,13 +123,17 @@ def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
 
 
 class TwoAxes:
-    """In the place of CLIP: pictures are told apart by red and blue, texts by their first letter."""
+    """In the place of CLIP: pictures are told apart by red and blue, texts by their first
+    letter.
+    """
 
     def embed_images(self, images):
         return torch.nn.functional.normalize(images[:, [0, 2]].mean((2, 3)), dim=-1)
 
     def embed_texts(self, texts):
-        return torch.tensor([[1.0, 0.0] if text.startswith("r") else [0.0, 1.0] for text in texts])
+        return torch.tensor(
+            [[1.0, 0.0] if text.startswith("r") else [0.0, 1.0] for text in texts]
+        )
 
 
 def test_direction_is_one_for_the_wished_change_and_zero_for_none():
@@ -120,5 +146,7 @@ def test_direction_is_one_for_the_wished_change_and_zero_for_none():
 
 
 def test_direction_runs_on_a_real_network(similarity, images):
-    value = direction_similarity(similarity, images, 1 - images, "a house", "a red house")
+    value = direction_similarity(
+        similarity, images, 1 - images, "a house", "a red house"
+    )
     assert value.shape == (2,) and value.abs().max() <= 1

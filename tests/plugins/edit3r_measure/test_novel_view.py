@@ -18,10 +18,10 @@ from edit3r_measure.scene_sources import (
 )
 
 from edit3r.cli.main import main
+from edit3r.contract.interfaces import Reconstructor
 from edit3r.errors import InputError
-from edit3r.interfaces import Reconstructor
 from edit3r.io.posed_folder import read_posed_folder
-from edit3r.registry import build, default_registry
+from edit3r.plugins.registry import build, default_registry
 
 
 def test_photos_without_a_pose_are_left_out(folder):
@@ -32,7 +32,9 @@ def test_the_centre_square_sees_the_same_rays(folder):
     photo = folder.load(0, 32)
     assert photo.image.shape == (32, 32, 3)
     # 64 of 96 columns are kept: the middle stays, the focal length counts in smaller widths.
-    assert photo.intrinsics == pytest.approx(np.array([[80 / 64, 0, 0.5], [0, 80 / 64, 0.5], [0, 0, 1]]))
+    assert photo.intrinsics == pytest.approx(
+        np.array([[80 / 64, 0, 0.5], [0, 80 / 64, 0.5], [0, 0, 1]])
+    )
 
 
 def test_a_folder_without_cameras_names_what_is_expected(tmp_path):
@@ -41,8 +43,19 @@ def test_a_folder_without_cameras_names_what_is_expected(tmp_path):
 
 
 def test_transforms_json_is_read_with_opencv_axes(tmp_path):
-    frame = {"file_path": "a.png", "transform_matrix": np.diag([1.0, -1, -1, 1]).tolist()}
-    content = {"w": 96, "h": 64, "fl_x": 80, "fl_y": 80, "cx": 48, "cy": 32, "frames": [frame]}
+    frame = {
+        "file_path": "a.png",
+        "transform_matrix": np.diag([1.0, -1, -1, 1]).tolist(),
+    }
+    content = {
+        "w": 96,
+        "h": 64,
+        "fl_x": 80,
+        "fl_y": 80,
+        "cx": 48,
+        "cy": 32,
+        "frames": [frame],
+    }
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     assert np.allclose(read_posed_folder(tmp_path).cameras[0].c2w, np.eye(4))
 
@@ -66,7 +79,11 @@ def test_rotation_degrees_is_exact_for_small_angles():
 
 
 def test_true_geometry_in_another_unit_scores_well(folder, wall):
-    score = score_scene(photo_scene(folder, (0, 2, 1), 48), wall.Known(folder), build("rasterizer", "torch"))
+    score = score_scene(
+        photo_scene(folder, (0, 2, 1), 48),
+        wall.Known(folder),
+        build("rasterizer", "torch"),
+    )
     figures = score.figures
     assert score.degrees == pytest.approx(8)
     assert figures["rotation_error"] < 0.01 and figures["direction_error"] < 0.05
@@ -77,42 +94,73 @@ def test_true_geometry_in_another_unit_scores_well(folder, wall):
 
 def test_a_failure_is_a_row_not_a_stop(folder, wall):
     scene = photo_scene(folder, (0, 2, 1), 48)
-    score = score_scene(scene, wall.Known(folder, fails=True), build("rasterizer", "torch"))
+    score = score_scene(
+        scene, wall.Known(folder, fails=True), build("rasterizer", "torch")
+    )
     assert score.failure == "nothing in common."
     table = novel_view_table([score])
-    assert "| wall | 1 | 1 | - |" in table and "0.png and 2.png: nothing in common." in table
+    assert (
+        "| wall | 1 | 1 | - |" in table
+        and "0.png and 2.png: nothing in common." in table
+    )
     assert as_records([score])[0]["psnr"] is None
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):
     out = tmp_path / "scores.json"
-    options = ["--recon", "classical", "--rasterizer", "numba", "--size", "64", "--pairs", "1", "--quiet"]
+    options = [
+        "--recon",
+        "classical",
+        "--rasterizer",
+        "numba",
+        "--size",
+        "64",
+        "--pairs",
+        "1",
+        "--quiet",
+    ]
     assert main(["evaluate", str(folder.path), *options, "--out", str(out)]) == 0
     assert "| all pairs | 1 |" in capsys.readouterr().out
     assert json.loads(out.read_text())[0]["scene"] == "wall"
 
 
-def test_a_pair_of_a_folder_is_written_as_a_users_photos_are_with_its_truth_beside(folder, tmp_path):
+def test_a_pair_of_a_folder_is_written_as_a_users_photos_are_with_its_truth_beside(
+    folder, tmp_path
+):
     options = SceneOptions(count=1, size=512, more_inputs=True)
     (scene,) = write_scenes([str(folder.path)], options, tmp_path, default_registry())
-    assert scene.name == "wall-512-0-2" and [file.name for file in scene.photos] == ["0.png", "1.png"]
+    assert scene.name == "wall-512-0-2" and [file.name for file in scene.photos] == [
+        "0.png",
+        "1.png",
+    ]
     (first, second), target = scene.truth()
     assert target.image.shape == (64, 64, 3)  # never larger than the photos are
-    assert np.allclose(relative_pose(second, first), relative_pose(folder.load(2, 64), folder.load(0, 64)))
+    assert np.allclose(
+        relative_pose(second, first),
+        relative_pose(folder.load(2, 64), folder.load(0, 64)),
+    )
 
 
 def test_a_folder_without_pairs_cannot_be_written(tmp_path, wall):
-    (tmp_path / "cameras.json").write_text(json.dumps(wall.written(tmp_path, [wall.camera(0, 0)])))
+    (tmp_path / "cameras.json").write_text(
+        json.dumps(wall.written(tmp_path, [wall.camera(0, 0)]))
+    )
     with pytest.raises(InputError, match="no two photos are 5 to 30 degrees apart"):
-        write_scenes([str(tmp_path)], SceneOptions(1, 32), tmp_path / "out", default_registry())
+        write_scenes(
+            [str(tmp_path)], SceneOptions(1, 32), tmp_path / "out", default_registry()
+        )
 
 
 class Carries(Reconstructor):
-    """Knows a generated scene's poses and true edit, and shows the edit in both views when the first one does."""
+    """Knows a generated scene's poses and true edit, and shows the edit in both views when the
+    first one does.
+    """
 
     def __init__(self, scene, carries):
         self.posed = build("reconstructor", "classical", matcher="posed")
-        poses = np.stack([relative_pose(photo, scene.inputs[0]) for photo in scene.inputs])
+        poses = np.stack(
+            [relative_pose(photo, scene.inputs[0]) for photo in scene.inputs]
+        )
         self.c2w, self.carries = torch.from_numpy(poses).float()[None], carries
         self.edited = views_of(scene.edited[:2]).images
 
@@ -124,25 +172,44 @@ class Carries(Reconstructor):
 
 @pytest.fixture(scope="module")
 def edited_scene():
-    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4, "angles": (5, 10)}
+    settings = {
+        "image_size": 64,
+        "targets": 1,
+        "edit": "recolor",
+        "seed": 4,
+        "angles": (5, 10),
+    }
     options = SceneOptions(1, 64, {"procedural": settings})
     return find_scenes("procedural", options, default_registry())[0].load()
 
 
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
-    score = score_scene(edited_scene, Carries(edited_scene, True), build("rasterizer", "numba"), edits=True).figures
+    score = score_scene(
+        edited_scene,
+        Carries(edited_scene, True),
+        build("rasterizer", "numba"),
+        edits=True,
+    ).figures
     assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
     assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
 def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
-    score = score_scene(edited_scene, Carries(edited_scene, False), build("rasterizer", "numba"), edits=True).figures
+    score = score_scene(
+        edited_scene,
+        Carries(edited_scene, False),
+        build("rasterizer", "numba"),
+        edits=True,
+    ).figures
     names = ("uptake", "error", "leak", "disagreement", "kept")
     assert tuple(score[name] for name in names) == (0, 1, 0, 0, 0)
 
 
 def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
-    with pytest.raises(InputError, match="nowhere: no such folder of photos, and no dataset named 'nowhere'"):
+    with pytest.raises(
+        InputError,
+        match="nowhere: no such folder of photos, and no dataset named 'nowhere'",
+    ):
         find_scenes("nowhere", SceneOptions(1, 32), default_registry())
 
 
@@ -151,7 +218,10 @@ def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
     [
         (["--pairs", "0"], "--pairs: must be at least 1, got 0"),
         (["--out", "scores.csv"], "ends in .md or .json"),
-        (["--set", "editor.steps=3"], "settings of reconstructor, rasterizer and dataset only"),
+        (
+            ["--set", "editor.steps=3"],
+            "settings of reconstructor, rasterizer and dataset only",
+        ),
     ],
 )
 def test_wrong_use_of_the_command_is_one_sentence(folder, options, sentence, capsys):

@@ -1,4 +1,6 @@
-"""NoPoSplat's protocol: index files, overlap, cameras aligned with their photos, areas under curves of errors."""
+"""NoPoSplat's protocol: index files, overlap, cameras aligned with their photos, areas under curves
+of errors.
+"""
 
 import json
 from dataclasses import replace
@@ -25,11 +27,11 @@ from edit3r_measure.protocol import (
 from PIL import Image
 
 from edit3r.cli.main import main
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.io.posed_folder import Photo
-from edit3r.registry import build
-from edit3r.types import Cameras, Gaussians
+from edit3r.plugins.registry import build
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "overlap_index.py"
 indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()
@@ -40,8 +42,20 @@ indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()
 @pytest.mark.parametrize(
     ("overlap", "name"),
     [
-        *((0.05, "small"), (0.3, "small"), (0.31, "medium"), (0.55, "medium"), (0.56, "large"), (0.8, "large")),
-        *((0.81, "not classed"), (0.04, "not classed"), (-1.0, "not classed"), (None, "not classed")),
+        *(
+            (0.05, "small"),
+            (0.3, "small"),
+            (0.31, "medium"),
+            (0.55, "medium"),
+            (0.56, "large"),
+            (0.8, "large"),
+        ),
+        *(
+            (0.81, "not classed"),
+            (0.04, "not classed"),
+            (-1.0, "not classed"),
+            (None, "not classed"),
+        ),
         *(("small", "small"), ("huge", "not classed")),
     ],
 )
@@ -51,7 +65,11 @@ def test_classes_of_overlap_are_those_of_the_paper(overlap, name):
 
 def test_an_index_of_pixelsplat_is_read_scenes_without_a_pair_left_out(tmp_path):
     first = {"context": [0, 50], "target": [10, 20, 30], "overlap": 0.4, "fps": 30}
-    content = {"a": first, "b": None, "c": [{"context": [1, 2], "target": 3}, {"context": [4, 8], "target": [5]}]}
+    content = {
+        "a": first,
+        "b": None,
+        "c": [{"context": [1, 2], "target": 3}, {"context": [4, 8], "target": [5]}],
+    }
     (tmp_path / "index.json").write_text(json.dumps(content))
     pairs = read_index(tmp_path / "index.json")
     assert [(scene, entry.context, entry.targets) for scene, entry in pairs] == [
@@ -60,18 +78,30 @@ def test_an_index_of_pixelsplat_is_read_scenes_without_a_pair_left_out(tmp_path)
 
 
 @pytest.mark.parametrize(
-    "content", ["[]", '{"a": {"context": [1]}}', '{"a": 3}', "{", '{"a": {"context": [-1, 2], "target": 0}}']
+    "content",
+    [
+        "[]",
+        '{"a": {"context": [1]}}',
+        '{"a": 3}',
+        "{",
+        '{"a": {"context": [-1, 2], "target": 0}}',
+    ],
 )
 def test_a_file_that_is_no_index_is_one_sentence(tmp_path, content, folder, capsys):
     (tmp_path / "index.json").write_text(content)
-    assert main(["evaluate", str(folder.path), "--index", str(tmp_path / "index.json")]) == 2
+    assert (
+        main(["evaluate", str(folder.path), "--index", str(tmp_path / "index.json")])
+        == 2
+    )
     assert "index.json" in capsys.readouterr().err
 
 
 def test_scenes_are_found_by_name_as_folders_given_or_inside_them(folder):
     for place in (folder.path, folder.path.parent):
         first, second = photos_of([str(place)], "wall", (0, 2), 32)
-        assert np.array_equal(second.c2w, folder.cameras[2].c2w) and first.image.shape == (32, 32, 3)
+        assert np.array_equal(
+            second.c2w, folder.cameras[2].c2w
+        ) and first.image.shape == (32, 32, 3)
     with pytest.raises(InputError, match="frame 7, it has 3 photos"):
         photos_of([str(folder.path)], "wall", (0, 7), 32)
     with pytest.raises(InputError, match="nowhere"):
@@ -79,32 +109,53 @@ def test_scenes_are_found_by_name_as_folders_given_or_inside_them(folder):
 
 
 def straight(x, size=40):
-    """A camera that looks at a wall from the front, with a field of view as wide as the wall's distance."""
+    """A camera that looks at a wall from the front, with a field of view as wide as the wall's
+    distance.
+    """
     c2w = np.eye(4)
     c2w[0, 3] = x
-    return Photo(np.zeros((size, size, 3), np.float32), np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]), c2w)
+    return Photo(
+        np.zeros((size, size, 3), np.float32),
+        np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]),
+        c2w,
+    )
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
 def test_overlap_is_the_share_of_the_wall_that_both_photos_show(share):
     wall = np.full((40, 40), 2.0)  # seen 2 wide
-    assert indexing.overlap([straight(0), straight(2 * (1 - share))], [wall, wall]) == pytest.approx(share, abs=0.03)
+    assert indexing.overlap(
+        [straight(0), straight(2 * (1 - share))], [wall, wall]
+    ) == pytest.approx(share, abs=0.03)
 
 
 def test_what_something_hides_in_the_other_photo_is_no_overlap():
     wall, board = np.full((40, 40), 2.0), np.full((40, 40), 2.0)
-    board[:, 20:] = 1.0  # hides half of the wall from the second photo, which the first does not show
-    assert indexing.overlap([straight(0), straight(0)], [wall, board]) == pytest.approx(0.5, abs=0.01)
+    board[:, 20:] = (
+        1.0  # hides half of the wall from the second photo, which the first does not show
+    )
+    assert indexing.overlap([straight(0), straight(0)], [wall, board]) == pytest.approx(
+        0.5, abs=0.01
+    )
 
 
 def test_an_index_is_made_of_a_folder_and_can_be_read_again(wall, tmp_path):
     (tmp_path / "straight").mkdir()
-    entries = wall.written(tmp_path / "straight", [wall.camera(0.6 * i, 0, f"{i}.png") for i in range(3)])
+    entries = wall.written(
+        tmp_path / "straight", [wall.camera(0.6 * i, 0, f"{i}.png") for i in range(3)]
+    )
     (tmp_path / "straight" / "cameras.json").write_text(json.dumps(entries))
     out = tmp_path / "index.json"
     indexing.main([str(tmp_path / "straight"), "--size", "96", "--out", str(out)])
-    ((scene, entry),) = read_index(out)  # the squares show 3.2 of the wall each, 1.2 apart
-    assert (scene, entry.context, entry.targets, entry.overlap_class) == ("straight", (0, 2), (1,), "large")
+    ((scene, entry),) = read_index(
+        out
+    )  # the squares show 3.2 of the wall each, 1.2 apart
+    assert (scene, entry.context, entry.targets, entry.overlap_class) == (
+        "straight",
+        (0, 2),
+        (1,),
+        "large",
+    )
     assert entry.overlap == pytest.approx(1 - 1.2 / 3.2, abs=0.04)
 
 
@@ -127,8 +178,11 @@ def test_an_error_of_pose_is_the_larger_of_two_and_a_direction_counts_both_ways(
 
 
 def test_area_under_the_curve_of_recall_reckoned_by_hand():
-    # (0, 0), (2, 1/2), (8, 1), (10, 1): 0.5 + 4.5 + 2 of 10; up to 5: (0, 0), (2, 1/2), (5, 1/2): 0.5 + 1.5 of 5.
-    assert auc([8, 2], 10) == pytest.approx(0.7) and auc([8, 2], 5) == pytest.approx(0.4)
+    # (0, 0), (2, 1/2), (8, 1), (10, 1): 0.5 + 4.5 + 2 of 10; up to 5: (0, 0), (2, 1/2), (5, 1/2):
+    # 0.5 + 1.5 of 5.
+    assert auc([8, 2], 10) == pytest.approx(0.7) and auc([8, 2], 5) == pytest.approx(
+        0.4
+    )
     assert auc([0, 0, 0], 5) == 1 and auc([float("inf")] * 2, 20) == 0
     assert auc([3, float("inf")], 5) == pytest.approx((0.5 * 3 / 2 + 0.5 * 2) / 5)
 
@@ -147,10 +201,17 @@ def cloud():
     """Long Gaussians of several colours at several depths, before a camera at the origin."""
     rng = np.random.default_rng(3)
     count = 60
-    means = np.column_stack((rng.uniform(-1.2, 1.2, (count, 2)), rng.uniform(2, 5, count)))
+    means = np.column_stack(
+        (rng.uniform(-1.2, 1.2, (count, 2)), rng.uniform(2, 5, count))
+    )
     parts = (means, rng.uniform(0.05, 0.25, (count, 3)), rng.normal(size=(count, 4)))
-    means, scales, quats = (torch.tensor(part, dtype=torch.float64)[None] for part in parts)
-    opacities, harmonics = torch.full((1, count), 0.8).double(), torch.tensor(rng.uniform(-1, 1, (1, count, 1, 3)))
+    means, scales, quats = (
+        torch.tensor(part, dtype=torch.float64)[None] for part in parts
+    )
+    opacities, harmonics = (
+        torch.full((1, count), 0.8).double(),
+        torch.tensor(rng.uniform(-1, 1, (1, count, 1, 3))),
+    )
     return Gaussians(means, scales, quats, opacities, harmonics)
 
 
@@ -167,54 +228,90 @@ def test_the_gradient_is_that_of_moving_the_camera():
     def loss(gaussians, pose):
         return F.mse_loss(render(gaussians, looking(pose)).images, wished)
 
-    turn, shift = (torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2))
+    turn, shift = (
+        torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2)
+    )
     loss(_moved(scene, c2w @ _motion(turn, shift) @ invert_rigid(c2w)), c2w).backward()
     for part, gradient in enumerate((turn.grad, shift.grad)):
         for axis in range(3):
             step = [torch.zeros(3, dtype=torch.float64) for _ in range(2)]
             step[part][axis] = 1e-4
             motions = [_motion(*(own * sign for own in step)) for sign in (1, -1)]
-            moved = [loss(_moved(scene, c2w @ motion @ invert_rigid(c2w)), c2w) for motion in motions]
+            moved = [
+                loss(_moved(scene, c2w @ motion @ invert_rigid(c2w)), c2w)
+                for motion in motions
+            ]
             ends = [loss(scene, c2w @ invert_rigid(motion)) for motion in motions]
             assert torch.allclose(torch.stack(moved), torch.stack(ends), rtol=1e-9)
-            slope = float(ends[0] - ends[1]) / 2e-4  # rough: what is nearly clear is not drawn
+            slope = (
+                float(ends[0] - ends[1]) / 2e-4
+            )  # rough: what is nearly clear is not drawn
             assert float(gradient[axis]) == pytest.approx(slope, rel=0.2)
 
 
 def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
-    world = torch.from_numpy(turned(120, [3.0, 1.0, -2.0]))  # which way the scene lies in the world does not matter
-    scene, render = _moved(cloud(), world).to(torch.float32), build("rasterizer", "numba")
+    world = torch.from_numpy(
+        turned(120, [3.0, 1.0, -2.0])
+    )  # which way the scene lies in the world does not matter
+    scene, render = (
+        _moved(cloud(), world).to(torch.float32),
+        build("rasterizer", "numba"),
+    )
     true = world @ torch.from_numpy(turned(5, [0.3, 0.1, 0.0]))
     photo = render.render(scene, looking(true).to(torch.float32)).images
-    start = looking(true @ torch.from_numpy(turned(1.5, [0.04, -0.03, 0.02]))).to(torch.float32)
-    found = align((scene, render), start, photo, F.mse_loss, 60, unit=1.0).c2w[0, 0].double()
+    start = looking(true @ torch.from_numpy(turned(1.5, [0.04, -0.03, 0.02]))).to(
+        torch.float32
+    )
+    found = (
+        align((scene, render), start, photo, F.mse_loss, 60, unit=1.0)
+        .c2w[0, 0]
+        .double()
+    )
     off = torch.linalg.inv(true) @ found
-    assert off[:3, 3].norm() < 0.02 and torch.rad2deg((off[:3, :3] - torch.eye(3)).norm() / 2**0.5) < 0.4
+    assert (
+        off[:3, 3].norm() < 0.02
+        and torch.rad2deg((off[:3, :3] - torch.eye(3)).norm() / 2**0.5) < 0.4
+    )
 
 
 def test_alignment_is_never_worse_than_where_it_began():
     scene, render = cloud().to(torch.float32), build("rasterizer", "numba")
     photo = render.render(scene, looking(torch.eye(4)).to(torch.float32)).images
     here = looking(torch.from_numpy(turned(0, [0.002, 0, 0]))).to(torch.float32)
-    assert torch.equal(align((scene, render), here, photo, F.mse_loss, 2, unit=50.0).c2w, here.c2w)  # steps too large
+    assert torch.equal(
+        align((scene, render), here, photo, F.mse_loss, 2, unit=50.0).c2w, here.c2w
+    )  # steps too large
 
 
 def no_distance(inputs):
     return inputs.rendered.sum() * 0
 
 
-def test_a_pair_with_true_poses_in_another_unit_has_no_error_and_a_camera_said_wrongly_is_put_right(folder, wall):
+def test_a_pair_with_true_poses_in_another_unit_has_no_error_and_a_camera_said_wrongly_is_put_right(
+    folder, wall
+):
     photos = photos_of([str(folder.path)], "wall", (0, 2, 1), 48)
     known, torch_like = wall.Known(folder), build("rasterizer", "numba")
-    found = measure_pair(known, torch_like, ("perceptual", no_distance), photos[:2], photos[2:], 2)
+    found = measure_pair(
+        known, torch_like, ("perceptual", no_distance), photos[:2], photos[2:], 2
+    )
     assert found["pose_error"] < 0.1 and found["psnr"] > 20
     assert found["aligned_psnr"] >= found["psnr"] and found["refined_pose_error"] < 1
-    wrong = replace(photos[2], c2w=photos[2].c2w @ turned(2, [0, 0, 0]))  # the target's camera is said wrongly
-    figures = measure_pair(known, torch_like, ("perceptual", no_distance), photos[:2], [wrong], 25)
-    assert figures["psnr"] < found["psnr"] - 2 and figures["aligned_psnr"] > figures["psnr"] + 2
+    wrong = replace(
+        photos[2], c2w=photos[2].c2w @ turned(2, [0, 0, 0])
+    )  # the target's camera is said wrongly
+    figures = measure_pair(
+        known, torch_like, ("perceptual", no_distance), photos[:2], [wrong], 25
+    )
+    assert (
+        figures["psnr"] < found["psnr"] - 2
+        and figures["aligned_psnr"] > figures["psnr"] + 2
+    )
 
 
-def test_the_command_gives_a_row_to_each_class_and_counts_failures_as_infinite_errors(folder, tmp_path, capsys):
+def test_the_command_gives_a_row_to_each_class_and_counts_failures_as_infinite_errors(
+    folder, tmp_path, capsys
+):
     blank = folder.path.parent / "blank"
     blank.mkdir(exist_ok=True)
     entries = json.loads((folder.path / "cameras.json").read_text())[:3]
@@ -224,10 +321,34 @@ def test_the_command_gives_a_row_to_each_class_and_counts_failures_as_infinite_e
     index = {"wall": {"context": [0, 2], "target": [1], "overlap": 0.7}}
     index["blank"] = {"context": [0, 2], "target": [1], "overlap": 0.2}
     (tmp_path / "index.json").write_text(json.dumps(index))
-    places, options = [str(folder.path.parent)], ["--recon", "classical", "--size", "64", "--align", "1", "--quiet"]
+    places, options = (
+        [str(folder.path.parent)],
+        ["--recon", "classical", "--size", "64", "--align", "1", "--quiet"],
+    )
     out = tmp_path / "out.json"
-    assert main(["evaluate", *places, "--index", str(tmp_path / "index.json"), *options, "--out", str(out)]) == 0
-    lines = {line.split(" | ")[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert lines["| small"].startswith("| small | 1 | 1 | - |") and "0.00 / 0.00 / 0.00" in lines["| small"]
-    assert lines["| all pairs"].startswith("| all pairs | 2 | 1 | ") and "perceptual" in lines["| overlap"]
+    assert (
+        main(
+            [
+                "evaluate",
+                *places,
+                "--index",
+                str(tmp_path / "index.json"),
+                *options,
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
+    lines = {
+        line.split(" | ")[0]: line for line in capsys.readouterr().out.splitlines()
+    }
+    assert (
+        lines["| small"].startswith("| small | 1 | 1 | - |")
+        and "0.00 / 0.00 / 0.00" in lines["| small"]
+    )
+    assert (
+        lines["| all pairs"].startswith("| all pairs | 2 | 1 | ")
+        and "perceptual" in lines["| overlap"]
+    )
     assert json.loads(out.read_text())[0]["overlap"] == "large"

@@ -19,9 +19,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from edit3r.quality import Expected, ShippedPoint, best_within
+from edit3r.pipeline.quality import Expected, ShippedPoint, best_within
 
-MEASURED = {"processor": "P", "cores": 2, "threads": 1, "versions": {"edit3r": "0"}, "clock": "cpu", "command": "x"}
+MEASURED = {
+    "processor": "P",
+    "cores": 2,
+    "threads": 1,
+    "versions": {"edit3r": "0"},
+    "clock": "cpu",
+    "command": "x",
+}
 FEW = st.integers(0, 6)  # few values, so that ties happen
 
 
@@ -29,8 +36,20 @@ FEW = st.integers(0, 6)  # few values, so that ties happen
 def measurement():
     """Makes one line of a sweep; times are of the runs that count, after a slow first one."""
 
-    def make(label="base", scene="s0", kind="photos", seconds=(1.0, 2.0, 4.0), psnr=20.0, **others):
-        warm_up = {"warm_up": True, "cpu": {"render": 99.0}, "wall": {"render": 99.0}, "load": 1.0}
+    def make(
+        label="base",
+        scene="s0",
+        kind="photos",
+        seconds=(1.0, 2.0, 4.0),
+        psnr=20.0,
+        **others,
+    ):
+        warm_up = {
+            "warm_up": True,
+            "cpu": {"render": 99.0},
+            "wall": {"render": 99.0},
+            "load": 1.0,
+        }
         runs = [
             {
                 "warm_up": False,
@@ -66,13 +85,25 @@ def measurement():
 
 
 def test_time_is_the_middle_repeat_and_the_spread_is_kept(measurement):
-    (point,) = summarize([measurement(seconds=(1.0, 2.0, 4.0)), measurement(scene="s1", seconds=(3.0, 4.0, 8.0))])
+    (point,) = summarize(
+        [
+            measurement(seconds=(1.0, 2.0, 4.0)),
+            measurement(scene="s1", seconds=(3.0, 4.0, 8.0)),
+        ]
+    )
     figures = point.kinds["photos"]
-    assert figures.cpu == Spread(2.0, 3.0, 6.0)  # means over the two scenes; the warm-up does not count
+    assert figures.cpu == Spread(
+        2.0, 3.0, 6.0
+    )  # means over the two scenes; the warm-up does not count
     assert figures.wall == Spread(4.0, 6.0, 12.0)
     assert figures.first == {"cpu": 99.0, "wall": 99.0}
-    assert figures.seconds("cpu") == 2.0  # ranked by the repeats that were disturbed least
-    assert figures.stages == {"edit": pytest.approx(0.75), "render": pytest.approx(2.25)}
+    assert (
+        figures.seconds("cpu") == 2.0
+    )  # ranked by the repeats that were disturbed least
+    assert figures.stages == {
+        "edit": pytest.approx(0.75),
+        "render": pytest.approx(2.25),
+    }
 
 
 def test_accuracy_is_the_mean_over_the_scenes_with_its_spread(measurement):
@@ -88,16 +119,25 @@ def test_a_point_that_failed_or_lacks_a_scene_is_left_out(measurement):
 
 
 def test_uptake_is_known_where_the_truth_is(measurement):
-    rows = [measurement(), measurement(scene="p", kind="procedural", uptake=0.9, leak=0.01)]
+    rows = [
+        measurement(),
+        measurement(scene="p", kind="procedural", uptake=0.9, leak=0.01),
+    ]
     kinds = summarize(rows)[0].kinds
     assert kinds["photos"].uptake is None and kinds["procedural"].uptake == 0.9
 
 
-def test_the_distance_is_to_the_novel_view_of_the_most_accurate_point(measurement, tmp_path):
+def test_the_distance_is_to_the_novel_view_of_the_most_accurate_point(
+    measurement, tmp_path
+):
     rows = [measurement("low", psnr=10.0), measurement("high", psnr=20.0)]
     for row, value in zip(rows, (0, 51)):  # 0.2 apart: 10 log10(1 / 0.04) dB
-        Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(tmp_path / f"{row['key']}.png")
-    low, high = with_distances(summarize(rows), rows, lambda key: tmp_path / f"{key}.png")
+        Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(
+            tmp_path / f"{row['key']}.png"
+        )
+    low, high = with_distances(
+        summarize(rows), rows, lambda key: tmp_path / f"{key}.png"
+    )
     assert low.kinds["photos"].distance == pytest.approx(13.979, abs=1e-3)
     assert high.kinds["photos"].distance is None
 
@@ -112,7 +152,14 @@ def test_presets_come_from_the_front_and_say_what_to_expect(measurement):
     times = {"a": 1.0, "b": 3.0, "c": 9.0, "slow": 10.0}
     accuracies = {"a": 18.0, "b": 19.0, "c": 20.0, "slow": 19.5}
     rows = [
-        measurement(name, kind=kind, scene=kind, seconds=(t,), psnr=accuracies[name], settings={"size": 8, "fov": 50})
+        measurement(
+            name,
+            kind=kind,
+            scene=kind,
+            seconds=(t,),
+            psnr=accuracies[name],
+            settings={"size": 8, "fov": 50},
+        )
         for name, t in times.items()
         for kind in ("photos", "procedural")
     ]
@@ -123,7 +170,9 @@ def test_presets_come_from_the_front_and_say_what_to_expect(measurement):
         ("c", "best", True),
         ("slow", None, False),
     ]
-    assert quality.points[0].settings == {"size": 8}  # what is not a preset's business is not shipped
+    assert quality.points[0].settings == {
+        "size": 8
+    }  # what is not a preset's business is not shipped
     assert quality.points[1].expected["photos"].seconds == 3.0
     assert [p.front for p in quality.points] == on_every_front(quality.points)
 
@@ -134,22 +183,39 @@ def test_a_point_that_changes_what_is_the_users_is_not_shipped(measurement):
     assert [point.label for point in quality.points] == ["base"]
 
 
-def test_the_report_hides_neither_spread_nor_failure_nor_a_missing_distance(measurement):
-    rows = [measurement(), {**measurement("odd"), "failure": "too dark"}, measurement("other", repeatable=False)]
+def test_the_report_hides_neither_spread_nor_failure_nor_a_missing_distance(
+    measurement,
+):
+    rows = [
+        measurement(),
+        {**measurement("odd"), "failure": "too dark"},
+        measurement("other", repeatable=False),
+    ]
     text = report(summarize(rows), rows, MEASURED, "cpu", {"base": "fast"})
     assert "2.00 (1.00 to 4.00)" in text and "| base | fast | yes |" in text
     assert "odd failed on s0: too dark" in text
     assert "other on s0: repeats did not leave the same scene." in text
     assert "No perceptual distance by lpips: install it" in text
-    assert "Ranked by processor time" in text and "wall time 2.00 times the processor time" in text
+    assert (
+        "Ranked by processor time" in text
+        and "wall time 2.00 times the processor time" in text
+    )
 
 
 def test_the_plot_names_the_presets(measurement, tmp_path):
     pytest.importorskip("matplotlib")
-    rows = [measurement(name, kind=kind, scene=kind) for name in ("a", "b") for kind in ("photos", "procedural")]
+    rows = [
+        measurement(name, kind=kind, scene=kind)
+        for name in ("a", "b")
+        for kind in ("photos", "procedural")
+    ]
     plot(summarize(rows), "cpu", {"a": "fast"}, tmp_path / "plot.svg")
     text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
-    assert "<!-- fast: a -->" in text and "<!-- b -->" in text and "<!-- procedural -->" in text
+    assert (
+        "<!-- fast: a -->" in text
+        and "<!-- b -->" in text
+        and "<!-- procedural -->" in text
+    )
 
 
 def test_only_what_stands_between_the_markers_of_a_page_is_replaced(tmp_path):
@@ -158,16 +224,27 @@ def test_only_what_stands_between_the_markers_of_a_page_is_replaced(tmp_path):
     (tmp_path / "tradeoff.png").write_bytes(b"plot")
     write_into_page(page, "new\n", tmp_path / "tradeoff.png")
     text = page.read_text(encoding="utf-8")
-    assert text.startswith("before\n") and text.endswith("after\n") and "new" in text and "old" not in text
-    assert "(images/page.png)" in text and (tmp_path / "images" / "page.png").read_bytes() == b"plot"
+    assert (
+        text.startswith("before\n")
+        and text.endswith("after\n")
+        and "new" in text
+        and "old" not in text
+    )
+    assert (
+        "(images/page.png)" in text
+        and (tmp_path / "images" / "page.png").read_bytes() == b"plot"
+    )
 
 
 def rated(name, seconds, accuracy, other=None):
-    """A point with the same figures on two kinds of scene, or with `other` (seconds, accuracy) on the second."""
+    """A point with the same figures on two kinds of scene, or with `other` (seconds, accuracy) on
+    the second.
+    """
     names = ("seconds_first", "memory_mb", "start_memory_mb", "gaussians", "ssim")
     unused = dict.fromkeys(names, 1)
     first, second = (
-        Expected(seconds=s, psnr=p, **unused) for s, p in ((seconds, accuracy), other or (seconds, accuracy))
+        Expected(seconds=s, psnr=p, **unused)
+        for s, p in ((seconds, accuracy), other or (seconds, accuracy))
     )
     return ShippedPoint(label=name, settings={}, expected={"a": first, "b": second})
 
@@ -177,7 +254,10 @@ def rated(name, seconds, accuracy, other=None):
     [
         ([], []),
         ([(1, 5)], [True]),
-        ([(1, 5), (2, 6), (3, 6), (4, 7)], [True, True, False, True]),  # slower and not better
+        (
+            [(1, 5), (2, 6), (3, 6), (4, 7)],
+            [True, True, False, True],
+        ),  # slower and not better
         ([(1, 5), (1, 6)], [False, True]),  # as quick and worse
         ([(2, 5), (2, 5)], [True, True]),  # equal twins stay
         ([(3, 9), (1, 9)], [False, True]),
@@ -209,9 +289,19 @@ def test_a_point_must_be_on_the_front_of_every_kind():
 
 
 def test_presets_by_hand():
-    points = [rated("a", 1, 10), rated("b", 1.5, 11), rated("c", 3.5, 14), rated("d", 6, 15), rated("e", 8, 16)]
+    points = [
+        rated("a", 1, 10),
+        rated("b", 1.5, 11),
+        rated("c", 3.5, 14),
+        rated("d", 6, 15),
+        rated("e", 8, 16),
+    ]
     chosen = choose_presets(points, apart=2)
-    assert {name: point.label for name, point in chosen.items()} == {"fast": "b", "balanced": "c", "best": "e"}
+    assert {name: point.label for name, point in chosen.items()} == {
+        "fast": "b",
+        "balanced": "c",
+        "best": "e",
+    }
 
 
 def test_a_preset_must_be_quick_enough_on_both_kinds():
@@ -221,7 +311,11 @@ def test_a_preset_must_be_quick_enough_on_both_kinds():
 
 def test_the_best_gives_way_when_nothing_lies_far_enough_below_it_otherwise():
     points = [rated("a", 1, 10), rated("b", 2, 11), rated("c", 4, 12)]
-    assert [p.label for p in choose_presets(points, apart=2).values()] == ["a", "b", "c"]
+    assert [p.label for p in choose_presets(points, apart=2).values()] == [
+        "a",
+        "b",
+        "c",
+    ]
     assert choose_presets(points[:2], apart=2) == {}
     assert choose_presets([], apart=2) == {}
 
@@ -235,8 +329,14 @@ def test_presets_lie_on_both_fronts_and_apart(points, apart):
     chosen = list(choose_presets(points, apart).values())
     for kind in "ab":
         for point in chosen:
-            beaten = [p for p in points if p.expected[kind].seconds < point.expected[kind].seconds]
-            assert all(p.expected[kind].psnr < point.expected[kind].psnr for p in beaten)
+            beaten = [
+                p
+                for p in points
+                if p.expected[kind].seconds < point.expected[kind].seconds
+            ]
+            assert all(
+                p.expected[kind].psnr < point.expected[kind].psnr for p in beaten
+            )
         for quick, slow in pairwise(chosen):
             assert apart * quick.expected[kind].seconds <= slow.expected[kind].seconds
             assert quick.expected[kind].psnr <= slow.expected[kind].psnr
@@ -244,8 +344,16 @@ def test_presets_lie_on_both_fronts_and_apart(points, apart):
 
 def test_the_best_is_at_the_largest_size_of_photos_although_a_smaller_one_scores_higher():
     full, small = {"size": 512}, {"size": 256}
-    points = [rated("a", 1, 10), rated("b", 2, 11), rated("c", 4, 12), rated("d", 5, 13)]
-    points = [p.model_copy(update={"settings": full if p.label == "c" else small}) for p in points]
+    points = [
+        rated("a", 1, 10),
+        rated("b", 2, 11),
+        rated("c", 4, 12),
+        rated("d", 5, 13),
+    ]
+    points = [
+        p.model_copy(update={"settings": full if p.label == "c" else small})
+        for p in points
+    ]
     assert choose_presets(points, apart=2)["best"].label == "c"
 
 

@@ -9,10 +9,10 @@ from edit3r_measure.scene_sources import SceneSource, sample_scene, write_scene
 from edit3r_measure.tradeoff_measure import Job, Sweep, measure, perceptual_distance
 
 from edit3r.cli.main import main
+from edit3r.contract.interfaces import SceneSample
+from edit3r.contract.types import Cameras
 from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.interfaces import SceneSample
 from edit3r.io.posed_folder import Photo
-from edit3r.types import Cameras
 from edit3r.workers import read_rows
 
 JOB = Job(unedited={}, edited={})
@@ -37,7 +37,9 @@ def sample(views=2, side=8):
 
 @pytest.fixture
 def scene(tmp_path):
-    source = SceneSource("scene", "procedural", lambda: sample_scene("procedural", 0, [sample()]))
+    source = SceneSource(
+        "scene", "procedural", lambda: sample_scene("procedural", 0, [sample()])
+    )
     return write_scene(source, tmp_path)
 
 
@@ -60,12 +62,16 @@ def test_a_scene_on_disk_gives_back_pictures_and_true_cameras(scene):
     given = sample()
     assert [file.name for file in scene.photos] == ["0.png", "1.png"]
     assert np.allclose(target.image, given.target[0].permute(1, 2, 0), atol=1 / 255)
-    assert np.allclose(edited.image, given.edited_target[0].permute(1, 2, 0), atol=1 / 255)
+    assert np.allclose(
+        edited.image, given.edited_target[0].permute(1, 2, 0), atol=1 / 255
+    )
     assert inputs[1].c2w[0, 3] == 1 and target.c2w[0, 3] == 2
 
 
 def test_the_run_gets_no_pose(scene):
-    assert all(camera["c2w"] is None for camera in json.loads(scene.cameras.read_text()))
+    assert all(
+        camera["c2w"] is None for camera in json.loads(scene.cameras.read_text())
+    )
 
 
 def test_a_later_sweep_measures_what_is_missing_only(scene, tmp_path, processes):
@@ -96,7 +102,10 @@ def test_a_key_follows_content_and_not_names(tmp_path):
     key = sweep.key({"size": 8}, "x")
     assert key == Sweep(tmp_path / "elsewhere", JOB).key({"size": 8}, "x")
     others = [sweep.key({"size": 9}, "x"), sweep.key({"size": 8}, "y")]
-    assert key not in [*others, Sweep(tmp_path, Job({}, {}, repeats=9)).key({"size": 8}, "x")]
+    assert key not in [
+        *others,
+        Sweep(tmp_path, Job({}, {}, repeats=9)).key({"size": 8}, "x"),
+    ]
 
 
 def photo(image):
@@ -110,7 +119,12 @@ def test_uptake_and_leak_by_hand():
     shown = np.full((4, 4, 3), 0.5)
     shown[:2] += 0.1  # a quarter of the edit
     shown[2:] += 0.02  # and some where nothing changed
-    score = score_edit(RenderedView(before, covered), RenderedView(shown, covered), photo(before), photo(after))
+    score = score_edit(
+        RenderedView(before, covered),
+        RenderedView(shown, covered),
+        photo(before),
+        photo(after),
+    )
     assert score.uptake == pytest.approx(0.25) and score.leak == pytest.approx(0.02)
 
 
@@ -128,8 +142,12 @@ def test_a_perceptual_distance_that_cannot_be_had_is_said(monkeypatch):
         def build(self, kind, name):
             raise MissingDependencyError(f"{kind} {name} is not here")
 
-    distance = perceptual_distance(Nothing(), ["x"], np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
-    assert distance["perceptual"] is None and distance["perceptual_missing"] == {"x": "loss x is not here"}
+    distance = perceptual_distance(
+        Nothing(), ["x"], np.zeros((4, 4, 3)), np.zeros((4, 4, 3))
+    )
+    assert distance["perceptual"] is None and distance["perceptual_missing"] == {
+        "x": "loss x is not here"
+    }
 
 
 KNOBS = """
@@ -144,10 +162,30 @@ knobs: {size: {about: pixels, values: {"80": {size: 80}}}}
 def test_the_command_measures_a_run_in_its_own_process(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     (tmp_path / "knobs.yaml").write_text(KNOBS, encoding="utf-8")
-    argv = ["tradeoff", "--data", "procedural", "--knobs", str(tmp_path / "knobs.yaml"), "--grid", "--scenes", "1"]
-    argv += ["--warm-up", "0", "--repeats", "1", "--threads", "1", "--out", str(tmp_path / "out")]
+    argv = [
+        "tradeoff",
+        "--data",
+        "procedural",
+        "--knobs",
+        str(tmp_path / "knobs.yaml"),
+        "--grid",
+        "--scenes",
+        "1",
+    ]
+    argv += [
+        "--warm-up",
+        "0",
+        "--repeats",
+        "1",
+        "--threads",
+        "1",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main(argv) == 0
-    (base,) = map(json.loads, (tmp_path / "out" / "measurements.jsonl").read_text().splitlines())
+    (base,) = map(
+        json.loads, (tmp_path / "out" / "measurements.jsonl").read_text().splitlines()
+    )
     assert base["psnr"] > 15 and base["uptake"] > 0.5 and 0 <= base["leak"] < 0.05
     assert base["memory_mb"] > base["start_memory_mb"] > 50 and base["ply_bytes"] > 1000
     assert {"render", "write files"} <= set(base["runs"][0]["cpu"])
@@ -159,10 +197,15 @@ def test_the_command_measures_a_run_in_its_own_process(tmp_path, capsys, monkeyp
 def test_a_run_that_ends_in_a_sentence_is_measured_as_that_sentence(scene, tmp_path):
     files = {"scene": str(scene.path), "image": str(tmp_path / "x.png")}
     answer = measure(Job({}, {}, settings={"reconstructor": "nobody"}, **files))
-    assert list(answer) == ["failure"] and answer["failure"].startswith("no reconstructor named 'nobody'.")
+    assert list(answer) == ["failure"] and answer["failure"].startswith(
+        "no reconstructor named 'nobody'."
+    )
 
 
-@pytest.mark.parametrize(("option", "least"), [("--repeats", 1), ("--scenes", 1), ("--threads", 1), ("--warm-up", 0)])
+@pytest.mark.parametrize(
+    ("option", "least"),
+    [("--repeats", 1), ("--scenes", 1), ("--threads", 1), ("--warm-up", 0)],
+)
 def test_a_number_too_small_is_one_sentence(option, least, capsys):
     assert main(["tradeoff", option, str(least - 1)]) == 2
     assert f"{option}: must be at least {least}" in capsys.readouterr().err

@@ -4,7 +4,9 @@ from pathlib import Path
 import pytest
 import torch
 
-sys.path.insert(0, str(Path(__file__).parent))  # the independent calculation beside the tests
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # the independent calculation beside the tests
 
 from noposplat_reference import Sizes, random_state
 
@@ -37,5 +39,14 @@ def checkpoint(tmp_path_factory, official_state):
     """The same as a Lightning file."""
     path = tmp_path_factory.mktemp("weights") / "small.ckpt"
     state = {f"encoder.{key}": value for key, value in official_state.items()}
-    torch.save({"epoch": 0, "global_step": 7, "pytorch-lightning_version": "2", "state_dict": state, "loops": {}}, path)
+    torch.save(
+        {
+            "epoch": 0,
+            "global_step": 7,
+            "pytorch-lightning_version": "2",
+            "state_dict": state,
+            "loops": {},
+        },
+        path,
+    )
     return path

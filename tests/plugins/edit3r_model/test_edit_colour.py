@@ -40,10 +40,16 @@ def test_stride_gives_one_map_a_cell():
 
 
 SIZE = (40, 48)
-PAIR = torch.nn.functional.interpolate(torch.rand(1, 6, 10, 12), SIZE, mode="bicubic").clamp(0, 1).unflatten(1, (2, 3))
+PAIR = (
+    torch.nn.functional.interpolate(torch.rand(1, 6, 10, 12), SIZE, mode="bicubic")
+    .clamp(0, 1)
+    .unflatten(1, (2, 3))
+)
 PAIR[:, 1] = PAIR[:, 0]  # one scene, seen twice from the same place
 SAME_PLACE = Correspondences(
-    pixel_grid(SIZE, PAIR).expand(1, 2, *SIZE, 2), torch.ones(1, 2, *SIZE), torch.zeros(1, 2, *SIZE)
+    pixel_grid(SIZE, PAIR).expand(1, 2, *SIZE, 2),
+    torch.ones(1, 2, *SIZE),
+    torch.zeros(1, 2, *SIZE),
 )
 OBJECT = torch.zeros(1, 1, *SIZE)
 OBJECT[..., 10:30, 12:36] = 1
@@ -56,7 +62,10 @@ def _warmer(images):
 
 def _edited(reference, other):
     """What each view shows when `reference` and `other` are made of the object in them."""
-    views = [OBJECT * change(image) + (1 - OBJECT) * image for change, image in zip((reference, other), PAIR[0])]
+    views = [
+        OBJECT * change(image) + (1 - OBJECT) * image
+        for change, image in zip((reference, other), PAIR[0])
+    ]
     return torch.stack([view[0] for view in views])[None]
 
 
@@ -90,11 +99,17 @@ def test_an_edit_of_one_view_alone_disagrees():
 
 def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_the_same():
     edited = _edited(_warmer, _warmer)
-    edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[..., 38:]  # a stripe that is edited in view 1 alone
+    edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[
+        ..., 38:
+    ]  # a stripe that is edited in view 1 alone
     gap = _gap(edited, PAIR, SAME_PLACE)[:, 1]
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
-    elsewhere = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
-    assert not _gap(edited, PAIR, elsewhere)[:, 1].any()  # the reference does not show the place
+    elsewhere = Correspondences(
+        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
+    )
+    assert not _gap(edited, PAIR, elsewhere)[
+        :, 1
+    ].any()  # the reference does not show the place
 
 
 def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too():
@@ -105,15 +120,21 @@ def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too()
 
 
 @pytest.mark.parametrize(
-    "other", [lambda s: 1 - s, lambda s: s + 2 * (_warmer(s) - s)], ids=["another", "twice as much"]
+    "other",
+    [lambda s: 1 - s, lambda s: s + 2 * (_warmer(s) - s)],
+    ids=["another", "twice as much"],
 )
-def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing_else_does(other):
+def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing_else_does(
+    other,
+):
     edited = _edited(_warmer, _warmer)
     patch = (slice(None), 1, slice(None), slice(14, 20), slice(16, 22))
     edited[patch] = other(PAIR[patch]).clamp(0, 1)
     gap = _gap(edited, PAIR, SAME_PLACE)[0, 1]
     assert (gap[14:20, 16:22] > 0.9).float().mean() > 0.9
-    assert (gap[14:20, 15] > 0.9).all() or (gap[13, 16:22] > 0.9).all()  # one pixel around it, the reach at this size
+    assert (gap[14:20, 15] > 0.9).all() or (
+        gap[13, 16:22] > 0.9
+    ).all()  # one pixel around it, the reach at this size
     away = torch.ones(SIZE, dtype=torch.bool)
     away[13:21, 15:23] = False
     assert not gap[away].any()
@@ -121,7 +142,13 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
 
 def _conflict(edited, matches=SAME_PLACE):
     """Where view 1 gives way, as the mean over the object and over all else."""
-    conflict = edits_conflict(edited, PAIR, _shown(edited, PAIR, matches), matches, _gap(edited, PAIR, matches))
+    conflict = edits_conflict(
+        edited,
+        PAIR,
+        _shown(edited, PAIR, matches),
+        matches,
+        _gap(edited, PAIR, matches),
+    )
     assert not conflict[:, 0].any()
     core = -torch.nn.functional.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
     away = torch.nn.functional.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
@@ -134,7 +161,9 @@ CONTRARY = _edited(_warmer, lambda image: 1 - image)
 def test_a_view_with_a_contrary_edit_gives_way_on_the_object_alone():
     inside, away = _conflict(CONTRARY)
     assert inside > 0.95 and away == 0
-    assert _conflict(_edited(lambda image: image, _warmer))[0] > 0.95  # the reference kept what the view changed
+    assert (
+        _conflict(_edited(lambda image: image, _warmer))[0] > 0.95
+    )  # the reference kept what the view changed
     assert _conflict(_edited(_warmer, _warmer)) == (0, 0)
 
 
@@ -146,10 +175,16 @@ def test_an_unedited_view_keeps_its_opacity_and_one_that_was_edited_elsewhere_gi
 
 
 def test_nothing_gives_way_where_the_reference_does_not_show_the_place():
-    outside = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
+    outside = Correspondences(
+        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
+    )
     assert _conflict(CONTRARY, outside)[0] == 0
     behind, before = (
-        Correspondences(SAME_PLACE.coordinates.flip(3), SAME_PLACE.inside, torch.full((1, 2, *SIZE), ratio))
+        Correspondences(
+            SAME_PLACE.coordinates.flip(3),
+            SAME_PLACE.inside,
+            torch.full((1, 2, *SIZE), ratio),
+        )
         for ratio in (0.3, -0.3)
     )
     assert _conflict(CONTRARY, behind)[0] < 0.5 < _conflict(CONTRARY, before)[0]
@@ -160,11 +195,16 @@ def test_a_steep_curve_is_one_function_of_colour_too():
 
 
 def test_borders_that_mix_two_colours_of_an_edit_that_ends_at_white_are_no_disagreement():
-    """Shrunk after the edit, a roof before the sky has pixels of both, and white is not twice the sky."""
+    """Shrunk after the edit, a roof before the sky has pixels of both, and white is not twice the
+    sky.
+    """
     shown = torch.linspace(0.4, 0.8, 96).expand(1, 2, 3, 96, 96).clone()
     shown *= torch.tensor([0.7, 0.8, 1.0])[:, None, None]
     shown[..., 31:, :] *= 0.2
-    small, edited = (F.interpolate(x[0], (64, 64), mode="area")[None] for x in (shown, (2 * shown).clamp(max=1)))
+    small, edited = (
+        F.interpolate(x[0], (64, 64), mode="area")[None]
+        for x in (shown, (2 * shown).clamp(max=1))
+    )
     places = pixel_grid((64, 64), small).expand(1, 2, -1, -1, -1)
     same = Correspondences(places, torch.ones(1, 2, 64, 64), torch.zeros(1, 2, 64, 64))
     assert not _gap(edited, small, same).any()
@@ -188,8 +228,12 @@ DARKER = torch.tensor([0.6, 0.7, 0.8])[:, None, None]
 
 def test_photos_of_one_exposure_have_one_look_exactly():
     none = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1)
-    noisy = PAIR + 0.02 * torch.randn(PAIR.shape, generator=torch.Generator().manual_seed(1))
-    outside = Correspondences(SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio)
+    noisy = PAIR + 0.02 * torch.randn(
+        PAIR.shape, generator=torch.Generator().manual_seed(1)
+    )
+    outside = Correspondences(
+        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
+    )
     for photos, matches in (
         (PAIR, SAME_PLACE),
         (noisy, SAME_PLACE),
@@ -208,20 +252,33 @@ def test_exposure_and_white_balance_are_read_although_a_fifth_of_the_matches_is_
 
 
 def test_edits_are_compared_as_if_all_photos_had_one_exposure():
-    """A function of colour can tell a darker photo from its reference, and so explain two contrary edits at once."""
+    """A function of colour can tell a darker photo from its reference, and so explain two contrary
+    edits at once.
+    """
     plain = 0.4 + 0.2 * PAIR
     photos = torch.cat((plain[:, :1], DARKER * plain[:, 1:]), 1)
-    tint = 0.3 * torch.tensor([1.0, -1.0, 0.5])[:, None, None] * photos * OBJECT[:, None]
-    alike, contrary = photos + tint, photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None]
+    tint = (
+        0.3 * torch.tensor([1.0, -1.0, 0.5])[:, None, None] * photos * OBJECT[:, None]
+    )
+    alike, contrary = (
+        photos + tint,
+        photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None],
+    )
     assert not _gap(alike, photos, SAME_PLACE).any()
     assert (_gap(contrary, photos, SAME_PLACE)[:, 1][OBJECT[:, 0] > 0] == 1).all()
 
 
 @pytest.mark.parametrize(
-    "filtered", [lambda x: x.mean(2, keepdim=True).expand_as(x), lambda x: 0.3 + 0.5 * x], ids=["grey", "haze"]
+    "filtered",
+    [lambda x: x.mean(2, keepdim=True).expand_as(x), lambda x: 0.3 + 0.5 * x],
+    ids=["grey", "haze"],
 )
-def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour(filtered):
-    """Grey is grey in both, although the reference's grey would be brown with the other photo's white balance."""
+def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour(
+    filtered,
+):
+    """Grey is grey in both, although the reference's grey would be brown with the other photo's
+    white balance.
+    """
     photos = torch.cat((PAIR[:, :1], DARKER * PAIR[:, 1:]), 1)
     assert not _gap(filtered(photos), photos, SAME_PLACE).any()
 
@@ -229,4 +286,6 @@ def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour
 def test_one_paint_on_photos_of_different_white_balance_is_one_function_of_colour():
     photos = torch.cat((PAIR[:, :1], (0.3 * DARKER + 0.7) * PAIR[:, 1:]), 1)
     paint = torch.tensor([0.95, 0.1, 0.9])[:, None, None]
-    assert not _gap(photos + OBJECT[:, None] * (paint - photos), photos, SAME_PLACE).any()
+    assert not _gap(
+        photos + OBJECT[:, None] * (paint - photos), photos, SAME_PLACE
+    ).any()

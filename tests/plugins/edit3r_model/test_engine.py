@@ -7,7 +7,12 @@ import pytest
 import torch
 from edit3r_model.dpt_head import double, double_rows, in_strips, with_border
 from edit3r_model.engine import EnginePlan, bfloat16_gain, make_plan
-from edit3r_model.int8_layers import Int8Conv, Int8Linear, quantise_input, quantise_weight
+from edit3r_model.int8_layers import (
+    Int8Conv,
+    Int8Linear,
+    quantise_input,
+    quantise_weight,
+)
 from torch import nn
 
 import edit3r
@@ -31,7 +36,9 @@ def test_int8_linear_errs_by_about_a_percent_of_its_range(shift):
     assert error < (0.02 if shift == 0 else 0.04)
 
 
-@pytest.mark.parametrize("size", [(12, 12), (1, 1), (1, 7)])  # one pixel has every layout at once
+@pytest.mark.parametrize(
+    "size", [(12, 12), (1, 1), (1, 7)]
+)  # one pixel has every layout at once
 def test_int8_conv_errs_by_about_a_percent_whatever_the_inputs_scale(size):
     conv = nn.Conv2d(64, 64, 3, padding=1)
     for scale in (1e-3, 1.0, 1e3):
@@ -42,7 +49,12 @@ def test_int8_conv_errs_by_about_a_percent_whatever_the_inputs_scale(size):
 
 
 def test_quantised_inputs_never_wrap_around():
-    for x in (torch.tensor([0.0, 0.0]), torch.tensor([-3.0, -1.0]), torch.tensor([2.0, 7.0]), 100 * torch.randn(1000)):
+    for x in (
+        torch.tensor([0.0, 0.0]),
+        torch.tensor([-3.0, -1.0]),
+        torch.tensor([2.0, 7.0]),
+        100 * torch.randn(1000),
+    ):
         values, scale, zero = quantise_input(x)
         assert 0 <= zero <= 255
         assert ((values.float() - zero) * scale - x).abs().max() <= 0.51 * scale + 1e-6
@@ -56,7 +68,13 @@ def test_weights_of_a_silent_channel_quantise_to_zero():
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])
 def test_strips_equal_the_whole_map(rows):
     conv, half = nn.Conv2d(4, 4, 3, padding=(0, 1)), torch.randn(1, 4, 5, 7)
-    strips = in_strips(10, rows, lambda start, stop: conv(with_border(partial(double_rows, half), start, stop, 10, 1)))
+    strips = in_strips(
+        10,
+        rows,
+        lambda start, stop: conv(
+            with_border(partial(double_rows, half), start, stop, 10, 1)
+        ),
+    )
     whole = nn.functional.conv2d(double(half), conv.weight, conv.bias, padding=1)
     torch.testing.assert_close(strips, whole, atol=1e-5, rtol=1e-5)
 
@@ -65,23 +83,36 @@ def test_strips_equal_the_whole_map(rows):
 def test_rows_of_a_doubled_map_are_its_rows(height):
     x = torch.randn(1, 2, height, 3)
     for start, stop in ((0, 2 * height), (0, 1), (height, 2 * height)):
-        torch.testing.assert_close(double_rows(x, start, stop), double(x)[:, :, start:stop], atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(
+            double_rows(x, start, stop),
+            double(x)[:, :, start:stop],
+            atol=1e-6,
+            rtol=1e-5,
+        )
 
 
 @pytest.fixture
 def gain(monkeypatch):
     """Say how much faster than float32 this machine multiplies in bfloat16."""
-    return lambda value: monkeypatch.setattr("edit3r_model.engine.bfloat16_gain", lambda device: value)
+    return lambda value: monkeypatch.setattr(
+        "edit3r_model.engine.bfloat16_gain", lambda device: value
+    )
 
 
-@pytest.mark.parametrize(("faster", "chosen"), [(0.25, "float32"), (1.0, "float32"), (2.0, "bfloat16")])
-def test_auto_takes_bfloat16_only_where_it_was_measured_to_be_faster(faster, chosen, gain):
+@pytest.mark.parametrize(
+    ("faster", "chosen"), [(0.25, "float32"), (1.0, "float32"), (2.0, "bfloat16")]
+)
+def test_auto_takes_bfloat16_only_where_it_was_measured_to_be_faster(
+    faster, chosen, gain
+):
     gain(faster)
     assert make_plan("auto", "auto", CPU) == EnginePlan(chosen, chosen)
 
 
 @pytest.mark.parametrize(("faster", "chosen"), [(0.25, "int8"), (2.0, "bfloat16")])
-def test_heads_beside_int8_are_bfloat16_only_where_it_was_measured_to_be_faster(faster, chosen, gain):
+def test_heads_beside_int8_are_bfloat16_only_where_it_was_measured_to_be_faster(
+    faster, chosen, gain
+):
     gain(faster)
     assert make_plan("int8", "auto", CPU) == EnginePlan("int8", chosen)
 

@@ -23,7 +23,9 @@ CASES = {
 @pytest.fixture(scope="module")
 def network(checkpoint, sizes):
     loaded = load_weights(checkpoint)
-    network = empty_network(loaded.config, heads=sizes.heads, decoder_heads=sizes.decoder_heads)
+    network = empty_network(
+        loaded.config, heads=sizes.heads, decoder_heads=sizes.decoder_heads
+    )
     for _ in fill(network, loaded):
         pass
     return network.eval()
@@ -35,8 +37,12 @@ def case(request, official_state, sizes):
     batch, views, height, width = request.param
     generator = torch.Generator().manual_seed(views)
     images = torch.rand(batch, views, 3, height, width, generator=generator)
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]]).repeat(batch, views, 1, 1)
-    intrinsics[:, :, 0, 0] += 0.2 * torch.rand(batch, views, generator=generator)  # every view its own field of view
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]]).repeat(
+        batch, views, 1, 1
+    )
+    intrinsics[:, :, 0, 0] += 0.2 * torch.rand(
+        batch, views, generator=generator
+    )  # every view its own field of view
     reference = Reference(official_state, sizes)
     levels = reference.tokens(images, intrinsics)
     return images, intrinsics, levels, *reference.raw(levels, images)
@@ -49,7 +55,11 @@ def test_all_token_levels_equal_the_independent_calculation(network, case):
     assert len(ours) == len(levels) == 11
     for level, (mine, reference) in enumerate(zip(ours, levels)):
         torch.testing.assert_close(
-            mine.double(), reference, atol=2e-5, rtol=0, msg=lambda m, i=level: f"level {i}: {m}"
+            mine.double(),
+            reference,
+            atol=2e-5,
+            rtol=0,
+            msg=lambda m, i=level: f"level {i}: {m}",
         )
 
 
@@ -57,8 +67,15 @@ def test_all_token_levels_equal_the_independent_calculation(network, case):
 def test_raw_maps_equal_the_independent_calculation(network, case):
     images, intrinsics, _, points, parameters = case
     features = network.backbone(images, intrinsics)
-    torch.testing.assert_close(network.head.raw_points(features).double(), points, atol=2e-4, rtol=0)
-    torch.testing.assert_close(network.head.raw_parameters(features, images).double(), parameters, atol=2e-4, rtol=0)
+    torch.testing.assert_close(
+        network.head.raw_points(features).double(), points, atol=2e-4, rtol=0
+    )
+    torch.testing.assert_close(
+        network.head.raw_parameters(features, images).double(),
+        parameters,
+        atol=2e-4,
+        rtol=0,
+    )
 
 
 @torch.no_grad()
@@ -66,37 +83,72 @@ def test_gaussians_equal_the_independent_calculation(network, case):
     images, intrinsics, _, points, parameters = case
     ours, expected = network(images, intrinsics), to_gaussians(points, parameters)
     reference_covariances = expected["covariances"]
-    torch.testing.assert_close(ours.means.double(), expected["means"], atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(ours.opacities.double(), expected["opacities"], atol=1e-4, rtol=0)
-    torch.testing.assert_close(ours.scales.double(), expected["scales"], atol=2e-6, rtol=0)
-    torch.testing.assert_close(ours.quats.roll(-1, -1).double(), expected["quats"], atol=1e-4, rtol=0)
-    torch.testing.assert_close(ours.harmonics.double(), expected["harmonics"], atol=5e-4, rtol=0)
-    torch.testing.assert_close(covariances(ours.scales, ours.quats).double(), reference_covariances, atol=1e-7, rtol=0)
+    torch.testing.assert_close(
+        ours.means.double(), expected["means"], atol=1e-3, rtol=1e-4
+    )
+    torch.testing.assert_close(
+        ours.opacities.double(), expected["opacities"], atol=1e-4, rtol=0
+    )
+    torch.testing.assert_close(
+        ours.scales.double(), expected["scales"], atol=2e-6, rtol=0
+    )
+    torch.testing.assert_close(
+        ours.quats.roll(-1, -1).double(), expected["quats"], atol=1e-4, rtol=0
+    )
+    torch.testing.assert_close(
+        ours.harmonics.double(), expected["harmonics"], atol=5e-4, rtol=0
+    )
+    torch.testing.assert_close(
+        covariances(ours.scales, ours.quats).double(),
+        reference_covariances,
+        atol=1e-7,
+        rtol=0,
+    )
 
 
 def test_gaussians_are_ordered_view_major_then_row_major(network):
     images, intrinsics = torch.rand(1, 3, 3, 16, 32), torch.eye(3).repeat(1, 3, 1, 1)
-    assert network(images, intrinsics).view_index.tolist() == [0] * 512 + [1] * 512 + [2] * 512
+    assert (
+        network(images, intrinsics).view_index.tolist()
+        == [0] * 512 + [1] * 512 + [2] * 512
+    )
 
 
 @torch.no_grad()
 def test_portrait_keeps_attributes_at_their_pixels(network):
-    """A pixel's opacity depends on the picture near it: a change low down must not move to another place."""
+    """A pixel's opacity depends on the picture near it: a change low down must not move to another
+    place.
+    """
     images = torch.rand(1, 2, 3, 96, 48)
     features = network.backbone(images, torch.eye(3).repeat(1, 2, 1, 1))
     changed = images.clone()
     changed[0, 0, :, 80, 10] = 1 - changed[0, 0, :, 80, 10]
-    difference = (network.head.raw_parameters(features, changed) - network.head.raw_parameters(features, images)).abs()
+    difference = (
+        network.head.raw_parameters(features, changed)
+        - network.head.raw_parameters(features, images)
+    ).abs()
     rows, columns = difference[0, 0].sum(0).nonzero(as_tuple=True)
-    assert rows.min() >= 76 and rows.max() <= 84 and columns.min() >= 6 and columns.max() <= 14  # 7x7, then 3x3
+    assert (
+        rows.min() >= 76
+        and rows.max() <= 84
+        and columns.min() >= 6
+        and columns.max() <= 14
+    )  # 7x7, then 3x3
 
 
 @torch.no_grad()
 def test_order_of_views_after_the_first_only_permutes_their_gaussians(network):
     images, intrinsics = torch.rand(1, 3, 3, 32, 32), torch.eye(3).repeat(1, 3, 1, 1)
-    straight, swapped = network(images, intrinsics), network(images[:, [0, 2, 1]], intrinsics)
-    torch.testing.assert_close(straight.from_view(0).means, swapped.from_view(0).means, atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(straight.from_view(1).means, swapped.from_view(2).means, atol=1e-4, rtol=1e-4)
+    straight, swapped = (
+        network(images, intrinsics),
+        network(images[:, [0, 2, 1]], intrinsics),
+    )
+    torch.testing.assert_close(
+        straight.from_view(0).means, swapped.from_view(0).means, atol=1e-4, rtol=1e-4
+    )
+    torch.testing.assert_close(
+        straight.from_view(1).means, swapped.from_view(2).means, atol=1e-4, rtol=1e-4
+    )
 
 
 def test_each_view_reads_every_other_view_in_order():
@@ -124,7 +176,9 @@ def test_mlp_uses_the_exact_gelu():
         layer.weight.data.fill_(1.0), layer.bias.data.zero_()
     x = torch.tensor([[-2.0], [0.5], [2.0]], dtype=torch.float64)
     exact = x * 0.5 * (1 + torch.erf(x / 2**0.5))
-    torch.testing.assert_close(mlp.double()(x), exact, atol=1e-12, rtol=0)  # the tanh form differs by 3e-4
+    torch.testing.assert_close(
+        mlp.double()(x), exact, atol=1e-12, rtol=0
+    )  # the tanh form differs by 3e-4
 
 
 def test_doubling_keeps_corners_and_a_linear_ramp():
@@ -134,7 +188,9 @@ def test_doubling_keeps_corners_and_a_linear_ramp():
 
 
 @pytest.mark.parametrize("shape", [(1, 2, 3, 40, 32), (1, 2, 3, 8, 32)])
-def test_sides_that_are_no_multiple_of_the_patch_are_an_error_with_the_size(network, shape):
+def test_sides_that_are_no_multiple_of_the_patch_are_an_error_with_the_size(
+    network, shape
+):
     with pytest.raises(InputError, match=f"{shape[3]}x{shape[4]}"):
         network(torch.rand(shape), torch.eye(3).repeat(1, 2, 1, 1))
 

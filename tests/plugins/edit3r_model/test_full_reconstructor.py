@@ -7,20 +7,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import edit3r
+from edit3r.contract.types import Gaussians, Views
 from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
 from edit3r.geometry.cameras import intrinsics_from_fov
 from edit3r.geometry.rotations import covariances, quats_to_matrices
 from edit3r.reporting import Report, collecting
-from edit3r.types import Gaussians, Views
 
 TINY = {
-    "backbone": {"width": 32, "depth": 1, "heads": 2, "decoder_width": 32, "decoder_depth": 4, "decoder_heads": 2},
+    "backbone": {
+        "width": 32,
+        "depth": 1,
+        "heads": 2,
+        "decoder_width": 32,
+        "decoder_depth": 4,
+        "decoder_heads": 2,
+    },
     "head": {"feature_width": 8, "point_width": 8, "layer_widths": (8, 8, 8, 8)},
 }
 
 
 def build(**settings):
-    return edit3r.build("reconstructor", "noposplat", **{"weights": "random", **TINY, **settings})
+    return edit3r.build(
+        "reconstructor", "noposplat", **{"weights": "random", **TINY, **settings}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +39,9 @@ def reconstructor():
 
 def views_of(images: torch.Tensor, fov_degrees: float = 60.0) -> Views:
     batch, count, _, height, width = images.shape
-    lens = intrinsics_from_fov(torch.deg2rad(torch.tensor(fov_degrees)).item(), (height, width))
+    lens = intrinsics_from_fov(
+        torch.deg2rad(torch.tensor(fov_degrees)).item(), (height, width)
+    )
     return Views(images, lens.repeat(batch, count, 1, 1))
 
 
@@ -48,7 +59,9 @@ PICTURES = {
     "white": torch.ones(1, 2, 3, 32, 48),
     "grey": torch.full((1, 2, 3, 32, 48), 0.5),
     "saturated red": torch.tensor([1.0, 0, 0])[:, None, None].expand(1, 2, 3, 32, 48),
-    "checkerboard": ((torch.arange(32)[:, None] + torch.arange(48)) % 2).float().expand(1, 2, 3, 32, 48),
+    "checkerboard": ((torch.arange(32)[:, None] + torch.arange(48)) % 2)
+    .float()
+    .expand(1, 2, 3, 32, 48),
     "identical": torch.rand(1, 1, 3, 32, 48).expand(1, 2, 3, 32, 48),
     "twelve views": torch.rand(1, 12, 3, 16, 16),
     "batch": torch.rand(3, 2, 3, 16, 32),
@@ -69,9 +82,16 @@ def test_extreme_fields_of_view_give_valid_gaussians(reconstructor, fov):
 
 @pytest.mark.parametrize("precision", ["bfloat16", "int8"])
 def test_lower_precisions_stay_valid_and_near_float32(precision):
-    sizes = {"backbone": {**TINY["backbone"], "width": 64, "decoder_width": 64}, "head": TINY["head"]}
-    views = views_of(torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(0)))
-    exact, rough = (build(**sizes, precision=p)(views).gaussians for p in ("float32", precision))
+    sizes = {
+        "backbone": {**TINY["backbone"], "width": 64, "decoder_width": 64},
+        "head": TINY["head"],
+    }
+    views = views_of(
+        torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    )
+    exact, rough = (
+        build(**sizes, precision=p)(views).gaussians for p in ("float32", precision)
+    )
     require_valid(rough)
     assert (rough.means - exact.means).norm() / exact.means.norm() < 0.1
 
@@ -82,12 +102,18 @@ def test_lower_precisions_stay_valid_and_near_float32(precision):
     attributes=st.floats(-80, 80, width=32),
     dtype=st.sampled_from([torch.float16, torch.bfloat16, torch.float32]),
 )
-def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(points, attributes, dtype):
+def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(
+    points, attributes, dtype
+):
     raw = torch.full((1, 2, 3, 2, 2), points, dtype=dtype, requires_grad=True)
-    parameters = torch.full((1, 2, 83, 2, 2), attributes, dtype=dtype, requires_grad=True)
+    parameters = torch.full(
+        (1, 2, 83, 2, 2), attributes, dtype=dtype, requires_grad=True
+    )
     gaussians = adapt(raw, parameters, 0.001, 0.3, 4)
     require_valid(gaussians)
-    distance = gaussians.means.norm(dim=-1).log1p()  # a loss that is itself bounded, as float16 gradients must be
+    distance = gaussians.means.norm(
+        dim=-1
+    ).log1p()  # a loss that is itself bounded, as float16 gradients must be
     (distance.mean() + gaussians.scales.sum() + gaussians.quats.sum()).backward()
     assert raw.grad.isfinite().all() and parameters.grad.isfinite().all()
 
@@ -104,7 +130,8 @@ def test_gradients_reach_every_parameter_and_are_finite():
     network = build().network.train()
     gaussians = network(torch.rand(1, 3, 3, 32, 48), torch.eye(3).repeat(1, 3, 1, 1))
     sum(
-        getattr(gaussians, n).square().mean() for n in ("means", "scales", "opacities", "harmonics", "quats")
+        getattr(gaussians, n).square().mean()
+        for n in ("means", "scales", "opacities", "harmonics", "quats")
     ).backward()
     missing = [name for name, value in network.named_parameters() if value.grad is None]
     assert missing == []
@@ -136,7 +163,9 @@ def test_a_picture_with_nan_is_an_error_that_names_it(reconstructor):
     images = torch.rand(1, 2, 3, 32, 32)
     images[0, 1, 0, 3, 3] = float("nan")
     named = Views(images, torch.eye(3).repeat(1, 2, 1, 1), ("a.jpg", "b.jpg"))
-    with pytest.raises(InputError, match=r"view 1 \(b\.jpg\): its picture holds 1 values"):
+    with pytest.raises(
+        InputError, match=r"view 1 \(b\.jpg\): its picture holds 1 values"
+    ):
         reconstructor(named)
 
 
@@ -164,18 +193,31 @@ def test_pictures_the_network_takes_as_they_are_are_not_touched(reconstructor):
 
 
 def test_a_finer_grid_gives_one_gaussian_per_photo_pixel():
-    gaussians = build(resolution=32, grid_resolution=512)(views_of(torch.rand(1, 2, 3, 40, 56))).gaussians
+    gaussians = build(resolution=32, grid_resolution=512)(
+        views_of(torch.rand(1, 2, 3, 40, 56))
+    ).gaussians
     require_valid(gaussians)
     assert gaussians.count == 2 * 40 * 56
 
 
 @pytest.mark.parametrize(
-    ("precision", "most"), [("float32", 1e-5), ("bfloat16", 0.01), ("int8", 0.05)], ids=["float32", "bfloat16", "int8"]
+    ("precision", "most"),
+    [("float32", 1e-5), ("bfloat16", 0.01), ("int8", 0.05)],
+    ids=["float32", "bfloat16", "int8"],
 )
 @pytest.mark.parametrize("size", [(16, 16), (80, 48)])
-def test_layers_wide_enough_for_int8_agree_with_plain_ones_in_every_precision(precision, most, size, monkeypatch):
+def test_layers_wide_enough_for_int8_agree_with_plain_ones_in_every_precision(
+    precision, most, size, monkeypatch
+):
     monkeypatch.setattr("edit3r_model.engine.bfloat16_gain", lambda device: 2.0)
-    wide = {**TINY, "head": {"feature_width": 128, "point_width": 128, "layer_widths": (64, 64, 64, 64)}}
+    wide = {
+        **TINY,
+        "head": {
+            "feature_width": 128,
+            "point_width": 128,
+            "layer_widths": (64, 64, 64, 64),
+        },
+    }
     views = views_of(torch.rand(1, 2, 3, *size))
     plain = build(**wide)(views).gaussians
     fast = build(precision=precision, **wide)(views).gaussians
@@ -197,7 +239,9 @@ def test_random_weights_are_said_aloud():
 
 
 def test_the_seed_decides_random_weights():
-    first, second, other = (build(seed=s).network.backbone.encoder[0].mlp.fc1.weight for s in (0, 0, 1))
+    first, second, other = (
+        build(seed=s).network.backbone.encoder[0].mlp.fc1.weight for s in (0, 0, 1)
+    )
     assert torch.equal(first, second) and not torch.equal(first, other)
 
 
@@ -205,24 +249,32 @@ def test_both_decoders_start_equal_and_the_heads_do_not():
     network = build().network
     one, two = network.backbone.decoders
     assert torch.equal(one[3].mlp.fc1.weight, two[3].mlp.fc1.weight)
-    assert not torch.equal(network.head.centres[0].out.weight, network.head.centres[1].out.weight)
+    assert not torch.equal(
+        network.head.centres[0].out.weight, network.head.centres[1].out.weight
+    )
 
 
 def test_harmonics_can_be_cut_to_what_the_published_rasterizer_shows(reconstructor):
     views = views_of(torch.rand(1, 2, 3, 16, 16))
     cut = build(head={**TINY["head"], "keep_degree": 3})(views).gaussians
     assert cut.degree == 3
-    assert torch.equal(cut.harmonics, reconstructor(views).gaussians.harmonics[:, :, :16])
+    assert torch.equal(
+        cut.harmonics, reconstructor(views).gaussians.harmonics[:, :, :16]
+    )
 
 
-@pytest.mark.parametrize(("precision", "word"), [("float16", "CUDA"), ("float64", "float32")])
+@pytest.mark.parametrize(
+    ("precision", "word"), [("float16", "CUDA"), ("float64", "float32")]
+)
 def test_a_precision_the_device_does_not_run_is_an_error(precision, word):
     with pytest.raises(SettingsError, match=word):
         build(precision=precision, device="cpu")
 
 
 def test_an_unknown_device_is_an_error():
-    with pytest.raises(SettingsError, match=r"reconstructor\.device: 'gpu' cannot be used"):
+    with pytest.raises(
+        SettingsError, match=r"reconstructor\.device: 'gpu' cannot be used"
+    ):
         build(device="gpu")
 
 
@@ -234,10 +286,15 @@ def test_too_large_a_run_is_refused_before_it_starts(reconstructor, monkeypatch)
 
 def test_running_out_of_memory_says_what_to_lower(reconstructor, monkeypatch):
     def exhausted(images, intrinsics):
-        raise RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory: you tried to allocate 9 bytes")
+        raise RuntimeError(
+            "[enforce fail] DefaultCPUAllocator: not enough memory: you tried to allocate 9 bytes"
+        )
 
     monkeypatch.setattr(reconstructor.network, "forward", exhausted)
-    with pytest.raises(RunError, match=r"out of memory while .* views at 32x32; lower reconstructor\.resolution"):
+    with pytest.raises(
+        RunError,
+        match=r"out of memory while .* views at 32x32; lower reconstructor\.resolution",
+    ):
         reconstructor(views_of(torch.rand(1, 2, 3, 32, 32)))
 
 

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.types import EditRequest
 from edit3r.io.images import load_views, packaged_pair
-from edit3r.types import EditRequest
 
 
 @pytest.mark.parametrize(("size", "grid"), [(128, 1.0), (64, 0.67)])
@@ -18,7 +18,12 @@ def test_the_scene_does_not_depend_on_the_number_of_threads(size, grid):
     for threads in (1, 2, 4):
         torch.set_num_threads(threads)
         with torch.no_grad():
-            scenes.append(reconstructor(edited, views, EditRequest("", grid=grid)).gaussians)
+            scenes.append(
+                reconstructor(edited, views, EditRequest("", grid=grid)).gaussians
+            )
     torch.set_num_threads(before)
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        assert all(torch.equal(getattr(scenes[0], name), getattr(scene, name)) for scene in scenes[1:]), name
+        assert all(
+            torch.equal(getattr(scenes[0], name), getattr(scene, name))
+            for scene in scenes[1:]
+        ), name

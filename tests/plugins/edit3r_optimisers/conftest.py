@@ -6,17 +6,19 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import Editor, Reconstructor
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.geometry.cameras import unproject
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.interfaces import Editor, Reconstructor
-from edit3r.testing.scenes import Photographed, photograph
-from edit3r.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r_testing.scenes import Photographed, photograph
 
 SIZE = (32, 40)
 
 
 class TrueDepth(Reconstructor):
-    """Stand-in for a matcher's work: every few pixels a grey Gaussian where the photographed scene really is."""
+    """Stand-in for a matcher's work: every few pixels a grey Gaussian where the photographed scene
+    really is.
+    """
 
     def __init__(self, every: int = 2) -> None:
         self.every = every
@@ -27,7 +29,9 @@ class TrueDepth(Reconstructor):
         height, width = truth.depths[cut].shape[-2:]
         points = unproject(truth.depths, truth.cameras.intrinsics, truth.cameras.c2w)[0]
         points = points[:, :: self.every, :: self.every].reshape(1, -1, 3)
-        sizes = 0.5 * self.every * truth.depths[cut].reshape(1, -1, 1) / views.image_size[1]
+        sizes = (
+            0.5 * self.every * truth.depths[cut].reshape(1, -1, 1) / views.image_size[1]
+        )
         quats = torch.zeros(*points.shape[:2], 4)
         quats[..., 0] = 1
         origin = torch.arange(views.count).repeat_interleave(height * width)
@@ -36,7 +40,13 @@ class TrueDepth(Reconstructor):
         scene = Gaussians(points, sizes.repeat(1, 1, 3), quats, opacities, grey, origin)
         batch = len(views.images)
         fields = ("means", "scales", "quats", "opacities", "harmonics")
-        scene = replace(scene, **{name: getattr(scene, name).repeat_interleave(batch, 0) for name in fields})
+        scene = replace(
+            scene,
+            **{
+                name: getattr(scene, name).repeat_interleave(batch, 0)
+                for name in fields
+            },
+        )
         c2w = truth.cameras.c2w.repeat_interleave(batch, 0)
         return Reconstruction(scene, Cameras(c2w, views.intrinsics, views.image_size))
 
@@ -78,7 +88,14 @@ def build(rasterizer, editor):
     """A method by name, quick: true depths to begin with, the counting editor, few steps."""
 
     def build(name: str, parts=(), **settings):
-        parts = {"reconstructor": TrueDepth(), "editor": editor, "rasterizer": rasterizer, **dict(parts)}
-        return edit3r.build("reconstructor", name, parts, **{"steps": 6, "edit_steps": 6, **settings})
+        parts = {
+            "reconstructor": TrueDepth(),
+            "editor": editor,
+            "rasterizer": rasterizer,
+            **dict(parts),
+        }
+        return edit3r.build(
+            "reconstructor", name, parts, **{"steps": 6, "edit_steps": 6, **settings}
+        )
 
     return build

@@ -15,8 +15,8 @@ from edit3r_optimisers.fitting import (
 )
 from skimage.metrics import structural_similarity as reference
 
-from edit3r.testing import gaussian_cloud
-from edit3r.types import Views
+from edit3r.contract.types import Views
+from edit3r_testing import gaussian_cloud
 
 QUICK = FitSettings()
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
@@ -30,7 +30,9 @@ def start(build, posed):
 
 
 def fitted(start, posed, rasterizer, steps, settings=QUICK):
-    return fit(*start, TargetImages(posed.images[0]), rasterizer, settings, steps, 3, "test")
+    return fit(
+        *start, TargetImages(posed.images[0]), rasterizer, settings, steps, 3, "test"
+    )
 
 
 def psnr(image, target) -> float:
@@ -43,21 +45,31 @@ def test_loss_falls_and_the_views_look_like_the_photos(start, posed, rasterizer)
     first, last = (sum(part) / 9 for part in (result.losses[:9], result.losses[-9:]))
     assert last < first / 4
     rendering = rasterizer.render(result.gaussians, start[1])
-    assert psnr(rendering.images, posed.images) > 26  # the grey ones it began with: 16 dB
+    assert (
+        psnr(rendering.images, posed.images) > 26
+    )  # the grey ones it began with: 16 dB
     assert psnr(rasterizer.render(*start).images, posed.images) < 17
 
 
 def test_gaussians_are_valid_and_know_the_view_they_came_from(start, posed, rasterizer):
     scene = fitted(start, posed, rasterizer, 12).gaussians
     assert not any(getattr(scene, name).requires_grad for name in FIELDS)
-    assert scene.count == start[0].count and torch.equal(scene.view_index, start[0].view_index)
-    assert torch.allclose(scene.quats.norm(dim=-1), torch.ones(1, scene.count), atol=1e-5)
+    assert scene.count == start[0].count and torch.equal(
+        scene.view_index, start[0].view_index
+    )
+    assert torch.allclose(
+        scene.quats.norm(dim=-1), torch.ones(1, scene.count), atol=1e-5
+    )
 
 
-def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_other(truth, start):
+def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_other(
+    truth, start
+):
     near = scene_extent(*start)
     apart = Views(truth.views.images, truth.views.intrinsics, c2w=truth.cameras.c2w)
-    assert 2 < near < 4.5 and apart.count == 3  # balls and wall are 1.8 to 4 away, the cameras 0.2 from each other
+    assert (
+        2 < near < 4.5 and apart.count == 3
+    )  # balls and wall are 1.8 to 4 away, the cameras 0.2 from each other
 
 
 def test_centres_slow_down_log_linearly_in_units_of_the_scene():
@@ -68,7 +80,9 @@ def test_centres_slow_down_log_linearly_in_units_of_the_scene():
 
 def test_other_groups_keep_their_pace():
     first, last = (step_sizes(FitSettings(), step, 100, 2.0) for step in (0, 99))
-    assert {k: v for k, v in first.items() if k != "means"} == {k: v for k, v in last.items() if k != "means"}
+    assert {k: v for k, v in first.items() if k != "means"} == {
+        k: v for k, v in last.items() if k != "means"
+    }
 
 
 def test_every_round_looks_at_every_view_once_in_its_own_order():
@@ -81,12 +95,19 @@ def test_every_round_looks_at_every_view_once_in_its_own_order():
 def pair():
     generator = torch.Generator().manual_seed(0)
     a = torch.rand(3, 24, 30, generator=generator, dtype=torch.float64)
-    return a, (a + 0.2 * torch.randn(a.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
+    return a, (
+        a + 0.2 * torch.randn(a.shape, generator=generator, dtype=torch.float64)
+    ).clamp(0, 1)
 
 
 def test_ssim_agrees_with_scikit_image_on_whole_windows(pair):
     a, b = (picture.permute(1, 2, 0).numpy() for picture in pair)
-    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "full": True}
+    options = {
+        "gaussian_weights": True,
+        "sigma": 1.5,
+        "use_sample_covariance": False,
+        "full": True,
+    }
     maps = reference(a, b, channel_axis=2, data_range=1.0, **options)[1]
     inside = maps[5:-5, 5:-5].mean()
     assert float(structural_similarity(*pair)) == pytest.approx(inside, abs=1e-9)
@@ -105,11 +126,15 @@ def test_weights_of_the_two_terms_are_those_of_the_paper(pair):
 
 def test_gradient_agrees_with_finite_differences(pair):
     a, b = pair[0][:1, :12, :13].clone().requires_grad_(), pair[1][:1, :12, :13]
-    assert torch.autograd.gradcheck(lambda picture: photometric_loss(picture, b, 0.2), a, atol=1e-7)
+    assert torch.autograd.gradcheck(
+        lambda picture: photometric_loss(picture, b, 0.2), a, atol=1e-7
+    )
 
 
 def test_a_picture_smaller_than_a_window_has_a_loss():
-    assert torch.isfinite(photometric_loss(torch.rand(3, 4, 2), torch.rand(3, 4, 2), 0.2))
+    assert torch.isfinite(
+        photometric_loss(torch.rand(3, 4, 2), torch.rand(3, 4, 2), 0.2)
+    )
 
 
 SIZES = step_sizes(FitSettings(), 0, 10, 1.0)
@@ -119,7 +144,9 @@ def test_gaussians_survive_the_way_in_and_out():
     scene = gaussian_cloud(5, degree=0)
     back = TrainableGaussians(scene).gaussians()
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        assert torch.allclose(getattr(back, name), getattr(scene, name), atol=1e-6), name
+        assert torch.allclose(getattr(back, name), getattr(scene, name), atol=1e-6), (
+            name
+        )
 
 
 def test_the_first_step_moves_each_kind_by_its_own_size():
@@ -128,4 +155,6 @@ def test_the_first_step_moves_each_kind_by_its_own_size():
     scene.step(sum(value.sum() for value in scene.parameters.values()), SIZES)
     for name, value in scene.parameters.items():
         moved = before[name] - value.detach()
-        assert torch.allclose(moved, torch.full_like(moved, SIZES[name]), rtol=1e-2, atol=1e-7), name
+        assert torch.allclose(
+            moved, torch.full_like(moved, SIZES[name]), rtol=1e-2, atol=1e-7
+        ), name

@@ -4,13 +4,17 @@ import pytest
 import torch
 from edit3r_optimisers.gaussctrl import chunks, reference_views
 
-from edit3r.interfaces import Editor
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest
 from edit3r.reporting import Report, collecting
-from edit3r.types import EditRequest
 
 
 def test_reference_views_are_spread_evenly():
-    assert reference_views(9, 3) == [0, 4, 8] and reference_views(2, 4) == [0, 1] and reference_views(5, 0) == []
+    assert (
+        reference_views(9, 3) == [0, 4, 8]
+        and reference_views(2, 4) == [0, 1]
+        and reference_views(5, 0) == []
+    )
 
 
 @pytest.mark.parametrize("count, together", [(2, 12), (9, 4), (30, 12), (5, 2)])
@@ -18,10 +22,15 @@ def test_every_view_is_edited_and_the_references_lead_every_call(count, together
     references = reference_views(count, min(4, together - 1))
     calls = chunks(count, references, together)
     assert {view for call in calls for view in call} == set(range(count))
-    assert all(call[: len(references)] == references and len(call) <= together for call in calls)
+    assert all(
+        call[: len(references)] == references and len(call) <= together
+        for call in calls
+    )
 
 
-def test_an_editor_that_cannot_align_is_used_and_the_run_says_what_is_missing(build, editor, posed):
+def test_an_editor_that_cannot_align_is_used_and_the_run_says_what_is_missing(
+    build, editor, posed
+):
     report = Report()
     with collecting(report):
         build("gaussctrl", together=2)(posed, posed, EditRequest("invert"))
@@ -44,13 +53,22 @@ class Depthy(Editor):
         return views
 
 
-def test_an_editor_with_a_matcher_is_given_the_fitted_depth_and_stays_as_it_was(build, posed, truth):
+def test_an_editor_with_a_matcher_is_given_the_fitted_depth_and_stays_as_it_was(
+    build, posed, truth
+):
     editor, report = Depthy(), Report()
     with collecting(report):
-        build("gaussctrl", {"editor": editor}, together=2)(posed, posed, EditRequest("x"))
+        build("gaussctrl", {"editor": editor}, together=2)(
+            posed, posed, EditRequest("x")
+        )
     assert editor.matcher is editor.parts["matcher"] and not report.warnings
-    assert [views.count for views, _ in editor.asked] == [2, 2]  # view 0 leads both calls
+    assert [views.count for views, _ in editor.asked] == [
+        2,
+        2,
+    ]  # view 0 leads both calls
     for (_, found), chosen in zip(editor.asked, ([0, 1], [0, 2])):
         assert torch.allclose(found.c2w, truth.cameras.c2w[:, chosen], atol=1e-5)
         sure = found.confidence > 0.5
-        assert ((found.depths - truth.depths[:, chosen]) / truth.depths[:, chosen]).abs()[sure].median() < 0.05
+        assert (
+            (found.depths - truth.depths[:, chosen]) / truth.depths[:, chosen]
+        ).abs()[sure].median() < 0.05

@@ -4,20 +4,27 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_optimisers.instruct_nerf2nerf import DatasetUpdate, InstructNerf2NerfReconstructor
+from edit3r_optimisers.instruct_nerf2nerf import (
+    DatasetUpdate,
+    InstructNerf2NerfReconstructor,
+)
 
+from edit3r.contract.types import EditRequest
 from edit3r.reporting import Report, collecting
-from edit3r.testing.scenes import gaussian_cloud
-from edit3r.types import EditRequest
+from edit3r_testing.scenes import gaussian_cloud
 
-SCHEDULE = InstructNerf2NerfReconstructor.Settings(every=3, least_strength=0.5, most_strength=0.5)
+SCHEDULE = InstructNerf2NerfReconstructor.Settings(
+    every=3, least_strength=0.5, most_strength=0.5
+)
 ASK = EditRequest("invert", seed=5)
 
 
 @pytest.fixture
 def targets(posed, truth, editor, rasterizer):
     def targets(schedule=SCHEDULE, request=ASK, editor=editor):
-        return DatasetUpdate(posed, truth.cameras, request, schedule, editor, rasterizer)
+        return DatasetUpdate(
+            posed, truth.cameras, request, schedule, editor, rasterizer
+        )
 
     return targets
 
@@ -27,12 +34,16 @@ def before(targets, steps):
         targets.before_step(step, gaussian_cloud)
 
 
-def test_one_view_is_edited_every_so_many_steps_and_every_view_once_a_round(targets, editor, posed):
+def test_one_view_is_edited_every_so_many_steps_and_every_view_once_a_round(
+    targets, editor, posed
+):
     updated = targets()
     before(updated, range(9))
     assert len(editor.calls) == updated.updates == 3
     asked = [views.images[0, 0] for views, _ in editor.calls]
-    assert all(any(torch.equal(photo, one) for one in asked) for photo in posed.images[0])
+    assert all(
+        any(torch.equal(photo, one) for one in asked) for photo in posed.images[0]
+    )
 
 
 def test_views_that_were_not_edited_yet_stay_as_they_are(targets, posed):
@@ -42,10 +53,15 @@ def test_views_that_were_not_edited_yet_stay_as_they_are(targets, posed):
     assert changed.sum() == 1
 
 
-def test_the_photo_before_editing_is_what_is_edited_however_often(targets, editor, posed):
+def test_the_photo_before_editing_is_what_is_edited_however_often(
+    targets, editor, posed
+):
     before(targets(), range(0, 27, 3))
     assert len(editor.calls) == 9
-    assert all(any(torch.equal(views.images[0, 0], photo) for photo in posed.images[0]) for views, _ in editor.calls)
+    assert all(
+        any(torch.equal(views.images[0, 0], photo) for photo in posed.images[0])
+        for views, _ in editor.calls
+    )
 
 
 def test_an_editor_that_cannot_start_from_a_picture_is_mixed_with_the_render_and_the_run_says_so(
@@ -56,12 +72,22 @@ def test_an_editor_that_cannot_start_from_a_picture_is_mixed_with_the_render_and
         updated = targets()
         before(updated, [0])
     view = int((updated.images != posed.images[0]).flatten(1).any(1).nonzero())
-    render = rasterizer.render(gaussian_cloud(), truth.cameras.select([view])).images[0, 0].clamp(0, 1)
-    assert torch.allclose(updated.images[view], 0.5 * render + 0.5 * (1 - posed.images[0, view]), atol=1e-6)
+    render = (
+        rasterizer.render(gaussian_cloud(), truth.cameras.select([view]))
+        .images[0, 0]
+        .clamp(0, 1)
+    )
+    assert torch.allclose(
+        updated.images[view],
+        0.5 * render + 0.5 * (1 - posed.images[0, view]),
+        atol=1e-6,
+    )
     assert any("cannot start from a given picture" in text for text in report.warnings)
 
 
-def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(targets, posed):
+def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(
+    targets, posed
+):
     class Starting:
         starts_from_images = True
 
@@ -76,7 +102,11 @@ def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(ta
     before(targets(editor=editor), [0])
     views, start, request, strength = editor.asked
     assert any(torch.equal(views.images[0, 0], photo) for photo in posed.images[0])
-    assert start.shape == views.images.shape and strength == 0.5 and request.prompt == "invert"
+    assert (
+        start.shape == views.images.shape
+        and strength == 0.5
+        and request.prompt == "invert"
+    )
 
 
 def test_fresh_noise_is_another_seed_each_time(targets, editor):

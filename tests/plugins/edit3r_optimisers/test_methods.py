@@ -1,4 +1,6 @@
-"""The four methods as reconstructors: their contract, what they ask of the editor, and a run from end to end."""
+"""The four methods as reconstructors: their contract, what they ask of the editor, and a run from
+end to end.
+"""
 
 import itertools
 
@@ -8,10 +10,10 @@ from edit3r_optimisers.method import VISIBLE_OPACITY, begin, thinned
 from pydantic import ValidationError
 
 import edit3r
+from edit3r.contract.types import EditRequest, Reconstruction
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
-from edit3r.testing import ReconstructorContract
-from edit3r.types import EditRequest, Reconstruction
+from edit3r_testing import ReconstructorContract
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 ASK = EditRequest("invert", seed=2)
@@ -41,7 +43,9 @@ SHARED = (
 
 
 @pytest.mark.parametrize(
-    "method, claim", [*itertools.product(METHODS, OWN), *itertools.product(("refit",), SHARED)], indirect=["method"]
+    "method, claim",
+    [*itertools.product(METHODS, OWN), *itertools.product(("refit",), SHARED)],
+    indirect=["method"],
 )
 def test_contract_holds(method, claim, build):
     class Quick(ReconstructorContract):
@@ -60,13 +64,19 @@ def test_every_claim_of_the_contract_is_tried():
 
 
 def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
-    """The editor inverts; a scene fitted to its edits is nearer to the inverted photos than to the photos."""
+    """The editor inverts; a scene fitted to its edits is nearer to the inverted photos than to the
+    photos.
+    """
     inverted = edit3r.Views(1 - posed.images, posed.intrinsics)
     fast = {"steps": 12, "edit_steps": 36, "colour_rate": 0.15}
-    settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(method, {})
+    settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(
+        method, {}
+    )
     result = build(method, **fast, **settings)(inverted, posed, ASK)
     seen = rasterizer.render(result.gaussians, result.cameras).images
-    assert (seen - inverted.images).abs().mean() < 0.5 * (seen - posed.images).abs().mean()
+    assert (seen - inverted.images).abs().mean() < 0.5 * (
+        seen - posed.images
+    ).abs().mean()
 
 
 @pytest.mark.parametrize(
@@ -80,8 +90,12 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
         ("editsplat", {}, 3),
     ],
 )
-def test_the_editor_is_called_as_often_as_the_method_says(build, editor, posed, name, settings, calls):
-    build(name, **settings)(edit3r.Views(1 - posed.images, posed.intrinsics), posed, ASK)
+def test_the_editor_is_called_as_often_as_the_method_says(
+    build, editor, posed, name, settings, calls
+):
+    build(name, **settings)(
+        edit3r.Views(1 - posed.images, posed.intrinsics), posed, ASK
+    )
     assert len(editor.calls) == calls
     assert all(request.prompt == "invert" for _, request in editor.calls)
 
@@ -91,7 +105,9 @@ def test_editsplat_edits_itself_when_it_is_given_nothing_edited(build, editor, p
     assert [views.count for views, _ in editor.calls] == [3, 1, 1, 1]
 
 
-def test_editsplat_edits_each_view_again_from_its_neighbours_edits_too(build, editor, posed, monkeypatch):
+def test_editsplat_edits_each_view_again_from_its_neighbours_edits_too(
+    build, editor, posed, monkeypatch
+):
     """View 0 is edited to black, the others to white: what view 0 begins from is neither."""
     starts = []
 
@@ -115,7 +131,9 @@ def test_refit_of_nothing_edited_is_the_first_fit_alone(build, posed):
     assert "refit.photos" in report.notes and "refit.edits" not in report.notes
 
 
-def test_prompt_and_seed_of_the_settings_count_when_no_run_gives_others(build, editor, posed):
+def test_prompt_and_seed_of_the_settings_count_when_no_run_gives_others(
+    build, editor, posed
+):
     build("gaussctrl", prompt="paint it", seed=4)(posed)
     assert (editor.calls[0][1].prompt, editor.calls[0][1].seed) == ("paint it", 4)
 
@@ -125,20 +143,29 @@ def test_a_run_gives_the_method_its_editor_prompt_and_masks(build, posed, name):
     recon = build("instruct-nerf2nerf", {"editor": edit3r.build("editor", name)})
     masks = torch.zeros(1, 3, 32, 40)
     masks[..., :20] = 1
-    result = edit3r.run(posed, "make it red", editor=recon.editor, recon=recon, masks=masks, seed=1)
+    result = edit3r.run(
+        posed, "make it red", editor=recon.editor, recon=recon, masks=masks, seed=1
+    )
     assert result.report.notes["refit.edits_of_the_dataset"] == 1
     assert result.gaussians.count > 0 and result.cameras.count == 3
 
 
 def test_in_a_run_by_names_the_editor_is_the_runs_own(posed):
     tiny = {"steps": 1, "edit_steps": 1, "points": 50}
-    result = edit3r.run(posed, "make it red", recon={"name": "refit", **tiny}, editor="none")
-    assert result.reconstructor.editor is result.editor and result.editor.offer.component.name == "none"
+    result = edit3r.run(
+        posed, "make it red", recon={"name": "refit", **tiny}, editor="none"
+    )
+    assert (
+        result.reconstructor.editor is result.editor
+        and result.editor.offer.component.name == "none"
+    )
 
 
 def test_strengths_in_the_wrong_order_are_refused():
     with pytest.raises((SettingsError, ValidationError), match="least_strength"):
-        edit3r.build("reconstructor", "instruct-nerf2nerf", least_strength=0.9, most_strength=0.2)
+        edit3r.build(
+            "reconstructor", "instruct-nerf2nerf", least_strength=0.9, most_strength=0.2
+        )
 
 
 @pytest.fixture
@@ -146,7 +173,9 @@ def first(build, posed) -> Reconstruction:
     return build("refit").reconstructor(posed)
 
 
-def test_a_fit_begins_with_visible_gaussians_and_the_cameras_of_the_reconstruction(build, posed, first):
+def test_a_fit_begins_with_visible_gaussians_and_the_cameras_of_the_reconstruction(
+    build, posed, first
+):
     gaussians, cameras = begin(posed, build("refit").reconstructor, 100, seed=0)
     assert torch.equal(cameras.c2w, first.cameras.c2w)
     assert gaussians.count == 100 and gaussians.opacities.min() >= VISIBLE_OPACITY

@@ -1,13 +1,15 @@
-"""An independent renderer: numpy, float64, one Gaussian after the other over the whole picture, textbook formulas."""
+"""An independent renderer: numpy, float64, one Gaussian after the other over the whole picture,
+textbook formulas.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from edit3r.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians
 
-# Real spherical harmonics as in "3D Gaussian Splatting", written out from the definition: rows are (l, m), functions of
-# x, y, z on the unit sphere, with the Condon-Shortley sign.
+# Real spherical harmonics as in "3D Gaussian Splatting", written out from the definition: rows are
+# (l, m), functions of x, y, z on the unit sphere, with the Condon-Shortley sign.
 SH = [
     lambda x, y, z: 0.5 * np.sqrt(1 / np.pi) + 0 * x,
     lambda x, y, z: -np.sqrt(3 / (4 * np.pi)) * y,
@@ -65,7 +67,12 @@ def render(
     c2w = cameras.c2w[scene, camera].double().numpy()
     height, width = cameras.image_size
     matrix = cameras.intrinsics[scene, camera].double().numpy()
-    fx, cx, fy, cy = matrix[0, 0] * width, matrix[0, 2] * width, matrix[1, 1] * height, matrix[1, 2] * height
+    fx, cx, fy, cy = (
+        matrix[0, 0] * width,
+        matrix[0, 2] * width,
+        matrix[1, 1] * height,
+        matrix[1, 2] * height,
+    )
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     image, depth = np.zeros((3, height, width)), np.zeros((height, width))
     left = np.ones((height, width))
@@ -77,14 +84,20 @@ def render(
         z = view[i, 2]
         if not near <= z <= far:
             continue
-        mean, cov = _project(view[i], scales[i], quats[i], c2w, (fx, fy, cx, cy), (width, height), eps2d)
+        mean, cov = _project(
+            view[i], scales[i], quats[i], c2w, (fx, fy, cx, cy), (width, height), eps2d
+        )
         offset = np.stack((x - mean[0], y - mean[1]))
         sigma = 0.5 * np.einsum("ihw,ij,jhw->hw", offset, _inverse(cov), offset)
         alpha = np.minimum(max_alpha, opacities[i] * np.exp(-np.maximum(sigma, 0)))
         after = left * (1 - alpha)
         seen = alpha >= 1 / 255
-        near_decision = (np.abs(alpha * 255 - 1) < 1e-3) | (seen & (np.abs(after / 1e-4 - 1) < 1e-2))
-        near_decision |= seen & (z - drawn_z < 1e-6 * z) & (z != drawn_z)  # order in float32
+        near_decision = (np.abs(alpha * 255 - 1) < 1e-3) | (
+            seen & (np.abs(after / 1e-4 - 1) < 1e-2)
+        )
+        near_decision |= (
+            seen & (z - drawn_z < 1e-6 * z) & (z != drawn_z)
+        )  # order in float32
         fragile |= near_decision & ~ended
         ended |= seen & ~ended & (after <= 1e-4)
         shown = seen & ~ended
@@ -106,7 +119,9 @@ def _project(position, scales, quat, c2w, intrinsics, size, eps2d):
     margin_x, margin_y = 0.15 * size[0] / fx, 0.15 * size[1] / fy
     clamped_u = min(max(u, -(cx / fx) - margin_x), (size[0] - cx) / fx + margin_x)
     clamped_v = min(max(v, -(cy / fy) - margin_y), (size[1] - cy) / fy + margin_y)
-    jacobian = np.array([[fx / z, 0, -fx * clamped_u / z], [0, fy / z, -fy * clamped_v / z]])
+    jacobian = np.array(
+        [[fx / z, 0, -fx * clamped_u / z], [0, fy / z, -fy * clamped_v / z]]
+    )
     factor = jacobian @ c2w[:3, :3].T @ _rotation(quat) @ np.diag(scales)
     return (fx * u + cx, fy * v + cy), factor @ factor.T + eps2d * np.eye(2)
 
@@ -126,4 +141,6 @@ def _rotation(quat):
 
 def _colour(harmonics, offset):
     direction = offset / np.linalg.norm(offset)
-    return np.maximum(0, sum(SH[k](*direction) * harmonics[k] for k in range(len(harmonics))) + 0.5)
+    return np.maximum(
+        0, sum(SH[k](*direction) * harmonics[k] for k in range(len(harmonics))) + 0.5
+    )

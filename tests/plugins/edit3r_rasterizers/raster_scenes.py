@@ -6,8 +6,8 @@ import naive_rasterizer
 import numpy as np
 import torch
 
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.types import Cameras, Gaussians, Rendering
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
@@ -28,7 +28,9 @@ def cloud(
 
     means = (uniform(batch, count, 3) - 0.5) * 2 + torch.tensor([0.0, 0.0, 3.0])
     quats = torch.randn(batch, count, 4, generator=draw, dtype=torch.float64)
-    harmonics = 0.5 * torch.randn(batch, count, (degree + 1) ** 2, 3, generator=draw, dtype=torch.float64)
+    harmonics = 0.5 * torch.randn(
+        batch, count, (degree + 1) ** 2, 3, generator=draw, dtype=torch.float64
+    )
     sizes = scales[0] + (scales[1] - scales[0]) * uniform(batch, count, 3)
     return Gaussians(means, sizes, quats, uniform(batch, count), harmonics).to(dtype)
 
@@ -42,11 +44,17 @@ def one(**changes) -> Gaussians:
         "opacities": 0.8,
         "harmonics": [[0.5, -0.2, 0.1]],
     } | changes
-    return Gaussians(**{name: torch.tensor(values[name])[None, None] for name in FIELDS})
+    return Gaussians(
+        **{name: torch.tensor(values[name])[None, None] for name in FIELDS}
+    )
 
 
 def cameras(
-    size: tuple[int, int] = (40, 53), count: int = 1, batch: int = 1, fov: float = 1.0, dtype=torch.float32
+    size: tuple[int, int] = (40, 53),
+    count: int = 1,
+    batch: int = 1,
+    fov: float = 1.0,
+    dtype=torch.float32,
 ) -> Cameras:
     """Cameras on an arc around (0, 0, 3), the first at the origin."""
     poses = []
@@ -59,7 +67,11 @@ def cameras(
         poses.append(c2w)
     intrinsics = intrinsics_from_fov(fov, size).to(torch.float64)
     shape = (batch, count, -1, -1)
-    return Cameras(torch.stack(poses)[None].expand(*shape), intrinsics[None, None].expand(*shape), size).to(dtype)
+    return Cameras(
+        torch.stack(poses)[None].expand(*shape),
+        intrinsics[None, None].expand(*shape),
+        size,
+    ).to(dtype)
 
 
 def assert_matches_naive(
@@ -70,20 +82,28 @@ def assert_matches_naive(
     most_fragile: float = 0.2,
     **settings,
 ) -> None:
-    """Colour and alpha within `tolerance`, depth within 1e-4 of its size, at all pixels but the fragile ones."""
+    """Colour and alpha within `tolerance`, depth within 1e-4 of its size, at all pixels but the
+    fragile ones.
+    """
     for scene in range(views.c2w.shape[0]):
         for camera in range(views.count):
             truth = naive_rasterizer.render(gaussians, views, scene, camera, **settings)
             solid = ~truth.fragile
-            assert solid.mean() >= 1 - most_fragile, f"only {solid.mean():.0%} of the pixels can be compared"
+            assert solid.mean() >= 1 - most_fragile, (
+                f"only {solid.mean():.0%} of the pixels can be compared"
+            )
             image = rendering.images[scene, camera].detach().double().numpy()
             alpha = rendering.alphas[scene, camera, 0].detach().double().numpy()
             depth = rendering.depths[scene, camera, 0].detach().double().numpy()
             peak = max(1.0, np.abs(truth.image).max())
-            assert np.abs(image - truth.image)[:, solid].max(initial=0) <= tolerance * peak
+            assert (
+                np.abs(image - truth.image)[:, solid].max(initial=0) <= tolerance * peak
+            )
             assert np.abs(alpha - truth.alpha)[solid].max(initial=0) <= tolerance
             relative = np.abs(depth - truth.depth) / np.maximum(truth.depth, 1e-6)
-            assert relative[solid & (truth.alpha > 0)].max(initial=0) <= max(1e-4, tolerance)
+            assert relative[solid & (truth.alpha > 0)].max(initial=0) <= max(
+                1e-4, tolerance
+            )
 
 
 def assert_finite(rendering: Rendering) -> None:
@@ -91,10 +111,19 @@ def assert_finite(rendering: Rendering) -> None:
         assert torch.isfinite(getattr(rendering, name)).all(), name
 
 
-def gradients(rasterizer, gaussians: Gaussians, views: Cameras, background: torch.Tensor, seed: int = 0) -> dict:
+def gradients(
+    rasterizer,
+    gaussians: Gaussians,
+    views: Cameras,
+    background: torch.Tensor,
+    seed: int = 0,
+) -> dict:
     """Gradient of a random weighting of all outputs by every field and the background."""
     draw = torch.Generator().manual_seed(seed)
-    leaves = {name: getattr(gaussians, name).detach().clone().requires_grad_() for name in FIELDS}
+    leaves = {
+        name: getattr(gaussians, name).detach().clone().requires_grad_()
+        for name in FIELDS
+    }
     background = background.detach().clone().to(gaussians.means).requires_grad_()
     rendering = rasterizer.render(Gaussians(**leaves), views, background)
     total = 0.0
@@ -102,4 +131,6 @@ def gradients(rasterizer, gaussians: Gaussians, views: Cameras, background: torc
         weights = torch.randn(picture.shape, generator=draw, dtype=torch.float64)
         total = total + (picture.double() * weights).sum()
     total.backward()
-    return {name: leaf.grad for name, leaf in leaves.items()} | {"background": background.grad}
+    return {name: leaf.grad for name, leaf in leaves.items()} | {
+        "background": background.grad
+    }

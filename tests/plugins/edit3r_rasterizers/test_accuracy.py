@@ -1,4 +1,6 @@
-"""Every rasterizer that runs here against an independent float64 renderer, and their gradients against each other."""
+"""Every rasterizer that runs here against an independent float64 renderer, and their gradients
+against each other.
+"""
 
 import pytest
 import torch
@@ -39,10 +41,21 @@ def test_batches_render_each_scene_with_its_own_cameras(rasterizer):
 
 
 def test_settings_change_the_picture_as_they_say(rasterizer):
-    changed = {"near": 2.8, "far": 3.4, "eps2d": 1.0, "max_alpha": 0.7, "background": (0.2, 0.5, 0.9)}
+    changed = {
+        "near": 2.8,
+        "far": 3.4,
+        "eps2d": 1.0,
+        "max_alpha": 0.7,
+        "background": (0.2, 0.5, 0.9),
+    }
     scene, views = cloud(60), cameras()
     name = rasterizer.offer.component.name
-    assert_matches_naive(edit3r.build("rasterizer", name, **changed).render(scene, views), scene, views, **changed)
+    assert_matches_naive(
+        edit3r.build("rasterizer", name, **changed).render(scene, views),
+        scene,
+        views,
+        **changed,
+    )
 
 
 def test_off_centre_and_anisotropic_intrinsics(rasterizer):
@@ -53,16 +66,27 @@ def test_off_centre_and_anisotropic_intrinsics(rasterizer):
     assert_matches_naive(rasterizer.render(scene, views), scene, views)
 
 
-def test_a_pixel_ends_before_the_gaussian_that_would_take_it_below_the_least_transmittance(rasterizer):
-    # Three layers leave 0.07^3 = 3.4e-4, a fourth would leave 2.4e-5: it and all behind it are not drawn.
-    layers = [one(means=[0.0, 0.0, 2.0 + k], scales=[99.0, 99.0, 0.1], opacities=0.93) for k in range(6)]
+def test_a_pixel_ends_before_the_gaussian_that_would_take_it_below_the_least_transmittance(
+    rasterizer,
+):
+    # Three layers leave 0.07^3 = 3.4e-4, a fourth would leave 2.4e-5: it and all behind it are not
+    # drawn.
+    layers = [
+        one(means=[0.0, 0.0, 2.0 + k], scales=[99.0, 99.0, 0.1], opacities=0.93)
+        for k in range(6)
+    ]
     rendering = rasterizer.render(edit3r.Gaussians.cat(layers), cameras((1, 1)))
     assert rendering.alphas.item() == pytest.approx(1 - 0.07**3, abs=1e-6)
-    assert rendering.depths.item() == pytest.approx((0.93 * (2 + 3 * 0.07 + 4 * 0.07**2)) / (1 - 0.07**3), rel=1e-5)
+    assert rendering.depths.item() == pytest.approx(
+        (0.93 * (2 + 3 * 0.07 + 4 * 0.07**2)) / (1 - 0.07**3), rel=1e-5
+    )
 
 
 def test_mean_of_a_distant_wide_picture_is_placed_to_a_thousandth_of_a_pixel(numba):
-    scene, views = one(means=[0.9, 0.1, 2.0], scales=[1e-5] * 3), cameras((8, 4000), fov=1.2)
+    scene, views = (
+        one(means=[0.9, 0.1, 2.0], scales=[1e-5] * 3),
+        cameras((8, 4000), fov=1.2),
+    )
     assert_matches_naive(numba.render(scene, views), scene, views)
 
 
@@ -71,26 +95,47 @@ def test_numba_gradients_agree_with_the_reference(numba, reference, degree):
     background = torch.tensor([0.2, 0.5, 0.8])
     scene, views = cloud(120, degree, batch=2), cameras((33, 47), count=2, batch=2)
     found = gradients(numba, scene, views, background)
-    truth = gradients(reference, scene.to(torch.float64), views.to(torch.float64), background)
+    truth = gradients(
+        reference, scene.to(torch.float64), views.to(torch.float64), background
+    )
     for name, gradient in truth.items():
         allowed = 1e-3 * gradient.abs() + 1e-4 * gradient.abs().max()
         assert ((found[name] - gradient).abs() <= allowed).all(), name
 
 
 def test_reference_gradients_agree_with_finite_differences(reference):
-    scene, views = cloud(3, degree=1, dtype=torch.float64), cameras((3, 4), dtype=torch.float64)
+    scene, views = (
+        cloud(3, degree=1, dtype=torch.float64),
+        cameras((3, 4), dtype=torch.float64),
+    )
     background = torch.tensor([0.2, 0.5, 0.8], dtype=torch.float64)
 
     def render(means, scales, quats, opacities, harmonics, background):
-        rendering = reference.render(edit3r.Gaussians(means, scales, quats, opacities, harmonics), views, background)
+        rendering = reference.render(
+            edit3r.Gaussians(means, scales, quats, opacities, harmonics),
+            views,
+            background,
+        )
         return rendering.images, rendering.alphas, rendering.depths
 
-    inputs = [scene.means, scene.scales, scene.quats, scene.opacities, scene.harmonics, background]
-    assert torch.autograd.gradcheck(render, [value.requires_grad_() for value in inputs], atol=1e-5)
+    inputs = [
+        scene.means,
+        scene.scales,
+        scene.quats,
+        scene.opacities,
+        scene.harmonics,
+        background,
+    ]
+    assert torch.autograd.gradcheck(
+        render, [value.requires_grad_() for value in inputs], atol=1e-5
+    )
 
 
 def test_reference_chunks_change_nothing(reference, monkeypatch):
-    scene, views = cloud(200, dtype=torch.float64), cameras((20, 20), dtype=torch.float64)
+    scene, views = (
+        cloud(200, dtype=torch.float64),
+        cameras((20, 20), dtype=torch.float64),
+    )
     whole = reference.render(scene, views).images
     monkeypatch.setattr("edit3r_rasterizers.torch_rasterizer.CHUNK", 7)
     assert torch.allclose(reference.render(scene, views).images, whole, atol=1e-12)

@@ -36,13 +36,17 @@ def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
         found = edit3r.build("rasterizer", "auto", eps2d=0.5).render(scene, views)
     assert report.notes["rasterizer.picked"] == "numba"
     assert report.notes["rasterizer.reason"] == "the Gaussians are on the CPU"
-    assert torch.equal(found.images, edit3r.build("rasterizer", "numba", eps2d=0.5).render(scene, views).images)
+    assert torch.equal(
+        found.images,
+        edit3r.build("rasterizer", "numba", eps2d=0.5).render(scene, views).images,
+    )
 
 
 def test_gsplat_without_cuda_says_what_to_use_instead(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(
-        MissingDependencyError, match=r"needs an NVIDIA GPU .* this machine has none; use 'numba' instead"
+        MissingDependencyError,
+        match=r"needs an NVIDIA GPU .* this machine has none; use 'numba' instead",
     ):
         edit3r.build("rasterizer", "gsplat")
 
@@ -56,7 +60,10 @@ def test_gsplat_with_cuda_but_not_installed_says_how_to_install_it(monkeypatch):
 
 def test_gsplat_refuses_settings_its_kernels_cannot_follow(monkeypatch):
     _pretend_cuda(monkeypatch)
-    with pytest.raises(SettingsError, match=r"max_alpha: gsplat's kernels have 0\.999 built in, got 0.5"):
+    with pytest.raises(
+        SettingsError,
+        match=r"max_alpha: gsplat's kernels have 0\.999 built in, got 0.5",
+    ):
         GsplatRasterizer(GsplatRasterizer.Settings(max_alpha=0.5))
 
 
@@ -76,13 +83,26 @@ def test_gsplat_is_called_in_its_own_conventions(monkeypatch):
 
     _pretend_cuda(monkeypatch, rasterization)
     scene, views = cloud(7, degree=2, batch=2), cameras((20, 30), count=3, batch=2)
-    rasterizer = GsplatRasterizer(GsplatRasterizer.Settings(background=(1, 0, 0), near=0.5))
+    rasterizer = GsplatRasterizer(
+        GsplatRasterizer.Settings(background=(1, 0, 0), near=0.5)
+    )
     colours, alphas, depths = rasterizer._render_scene(scene, views, 1)
-    assert colours.shape == (3, 3, 20, 30) and alphas.shape == depths.shape == (3, 1, 20, 30)
+    assert colours.shape == (3, 3, 20, 30) and alphas.shape == depths.shape == (
+        3,
+        1,
+        20,
+        30,
+    )
     (given,) = calls
-    assert torch.allclose(given["viewmats"] @ views.c2w[1], torch.eye(4).expand(3, 4, 4), atol=1e-6)
+    assert torch.allclose(
+        given["viewmats"] @ views.c2w[1], torch.eye(4).expand(3, 4, 4), atol=1e-6
+    )
     assert given["Ks"][0, 0, 2] == 15 and given["Ks"][0, 1, 2] == 10
-    assert given["sh_degree"] == 2 and given["colors"].shape == (7, 9, 3) and given["near_plane"] == 0.5
+    assert (
+        given["sh_degree"] == 2
+        and given["colors"].shape == (7, 9, 3)
+        and given["near_plane"] == 0.5
+    )
     assert torch.allclose(given["quats"].norm(dim=-1), torch.ones(7))
 
 
@@ -100,6 +120,10 @@ def test_gsplat_agrees_with_numba():
     pytest.importorskip("gsplat")
     scene, views = cloud(200, degree=3), cameras((70, 90), count=2)
     truth = edit3r.build("rasterizer", "numba").render(scene, views)
-    found = edit3r.build("rasterizer", "gsplat").render(scene.to("cuda"), views.to("cuda")).to("cpu")
+    found = (
+        edit3r.build("rasterizer", "gsplat")
+        .render(scene.to("cuda"), views.to("cuda"))
+        .to("cpu")
+    )
     assert torch.allclose(found.images, truth.images, atol=2e-3)
     assert torch.allclose(found.alphas, truth.alphas, atol=2e-3)

@@ -1,4 +1,6 @@
-"""Scenes at the ends of what is possible: exact where a float64 renderer can say, always finite, gradients too."""
+"""Scenes at the ends of what is possible: exact where a float64 renderer can say, always finite,
+gradients too.
+"""
 
 import math
 
@@ -6,11 +8,18 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raster_scenes import assert_finite, assert_matches_naive, cameras, cloud, gradients, one
+from raster_scenes import (
+    assert_finite,
+    assert_matches_naive,
+    cameras,
+    cloud,
+    gradients,
+    one,
+)
 
 import edit3r
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
-from edit3r.types import Cameras, Gaussians
 
 RASTERIZERS = {name: edit3r.build("rasterizer", name) for name in ("numba", "torch")}
 NUMBA = RASTERIZERS["numba"]
@@ -28,7 +37,9 @@ def assert_gradients_finite(rasterizer, scene, views):
 
 
 def check(rasterizer, scene, views, tolerance=2e-5, most_fragile=0.2):
-    assert_matches_naive(rasterizer.render(scene, views), scene, views, tolerance, most_fragile)
+    assert_matches_naive(
+        rasterizer.render(scene, views), scene, views, tolerance, most_fragile
+    )
     assert_gradients_finite(rasterizer, scene, views)
 
 
@@ -36,7 +47,12 @@ def check(rasterizer, scene, views, tolerance=2e-5, most_fragile=0.2):
 def test_needles_of_ratio_ten_thousand(rasterizer, seed):
     scene = cloud(40, seed=seed)
     long = torch.tensor([1.0, 1e-4, 1e-4]) * (0.2 + scene.opacities[..., None])
-    check(rasterizer, Gaussians(scene.means, long, *list_fields(scene)), cameras((70, 90)), tolerance=1e-4)
+    check(
+        rasterizer,
+        Gaussians(scene.means, long, *list_fields(scene)),
+        cameras((70, 90)),
+        tolerance=1e-4,
+    )
 
 
 def list_fields(scene):
@@ -59,15 +75,25 @@ def test_gaussians_much_smaller_than_a_pixel(rasterizer):
 
 def test_gaussians_at_and_behind_the_near_plane(rasterizer):
     depths = [-3.0, -0.01, 0.0, 0.00999, 0.0100001, 0.02, 0.5]
-    parts = [one(means=[0.002 * k, 0.001, z], scales=[0.003] * 3) for k, z in enumerate(depths)]
+    parts = [
+        one(means=[0.002 * k, 0.001, z], scales=[0.003] * 3)
+        for k, z in enumerate(depths)
+    ]
     scene = Gaussians.cat(parts)
     rendering = rasterizer.render(scene, cameras())
-    assert torch.equal(rendering.images, rasterizer.render(scene.select(torch.tensor([4, 5, 6])), cameras()).images)
+    assert torch.equal(
+        rendering.images,
+        rasterizer.render(scene.select(torch.tensor([4, 5, 6])), cameras()).images,
+    )
     check(rasterizer, scene, cameras())
 
 
 def test_gaussians_far_outside_of_the_border_are_seen_as_far_as_they_reach(rasterizer):
-    parts = [one(means=[x, y, 2.0], scales=[1.0, 0.4, 0.2]) for x in (-5.0, 3.0) for y in (-4.0, 0.5, 5.0)]
+    parts = [
+        one(means=[x, y, 2.0], scales=[1.0, 0.4, 0.2])
+        for x in (-5.0, 3.0)
+        for y in (-4.0, 0.5, 5.0)
+    ]
     check(rasterizer, Gaussians.cat(parts), cameras())
 
 
@@ -76,23 +102,36 @@ def test_opacity_of_zero_hides_nothing_and_of_one_hides_almost_all(rasterizer, o
     scene = one(opacities=opacity, scales=[5.0, 5.0, 0.1])
     check(rasterizer, scene, cameras())
     expected = 0.999 if opacity == 1 else 0.0
-    assert rasterizer.render(scene, cameras((1, 1))).alphas.item() == pytest.approx(expected, abs=1e-6)
+    assert rasterizer.render(scene, cameras((1, 1))).alphas.item() == pytest.approx(
+        expected, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("norm", [1e-3, 1e3])
 def test_the_norm_of_a_quaternion_does_not_matter(rasterizer, norm):
     scene = cloud(30)
-    scaled = Gaussians(scene.means, scene.scales, scene.quats * norm, scene.opacities, scene.harmonics)
+    scaled = Gaussians(
+        scene.means, scene.scales, scene.quats * norm, scene.opacities, scene.harmonics
+    )
     expected = rasterizer.render(scene, cameras()).images
-    assert torch.allclose(rasterizer.render(scaled, cameras()).images, expected, atol=1e-5)
+    assert torch.allclose(
+        rasterizer.render(scaled, cameras()).images, expected, atol=1e-5
+    )
     check(rasterizer, scaled, cameras())
 
 
 def test_a_zero_quaternion_is_the_identity_with_zero_gradient(rasterizer):
-    zero, identity = one(quats=[0.0] * 4, scales=[0.3, 0.1, 0.1]), one(scales=[0.3, 0.1, 0.1])
-    pictures = [rasterizer.render(scene, cameras()).images for scene in (zero, identity)]
+    zero, identity = (
+        one(quats=[0.0] * 4, scales=[0.3, 0.1, 0.1]),
+        one(scales=[0.3, 0.1, 0.1]),
+    )
+    pictures = [
+        rasterizer.render(scene, cameras()).images for scene in (zero, identity)
+    ]
     assert torch.equal(*pictures)
-    assert torch.equal(gradients(rasterizer, zero, cameras(), WHITE)["quats"], torch.zeros(1, 1, 4))
+    assert torch.equal(
+        gradients(rasterizer, zero, cameras(), WHITE)["quats"], torch.zeros(1, 1, 4)
+    )
 
 
 def test_identical_depths_are_drawn_in_index_order(rasterizer):
@@ -104,7 +143,9 @@ def test_identical_depths_are_drawn_in_index_order(rasterizer):
         assert (brightest[0] > brightest[2]) == (first is red)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 40), (17, 1), (16, 16), (17, 33), (15, 31), (5, 2)])
+@pytest.mark.parametrize(
+    "size", [(1, 1), (1, 40), (17, 1), (16, 16), (17, 33), (15, 31), (5, 2)]
+)
 def test_pictures_of_any_size(rasterizer, size):
     check(rasterizer, cloud(60), cameras(size), most_fragile=1.0)
 
@@ -114,7 +155,9 @@ def test_very_long_and_very_short_focal_lengths(rasterizer, fov):
     scene = cloud(60)
     if fov < 1:
         squeeze = torch.tensor([1e-3, 1e-3, 1.0])
-        scene = Gaussians(scene.means * squeeze, scene.scales * 1e-3, *list_fields(scene))
+        scene = Gaussians(
+            scene.means * squeeze, scene.scales * 1e-3, *list_fields(scene)
+        )
     check(rasterizer, scene, cameras(fov=fov))
 
 
@@ -122,7 +165,9 @@ def test_one_gaussian_and_none(rasterizer):
     check(rasterizer, one(), cameras())
     none = cloud(0, degree=1)
     rendering = rasterizer.render(none, cameras(), torch.tensor([0.2, 0.5, 0.8]))
-    assert torch.allclose(rendering.images.amax((-1, -2)), torch.tensor([[0.2, 0.5, 0.8]]))
+    assert torch.allclose(
+        rendering.images.amax((-1, -2)), torch.tensor([[0.2, 0.5, 0.8]])
+    )
     assert rendering.alphas.abs().max() == 0 and rendering.depths.abs().max() == 0
     assert_gradients_finite(rasterizer, none, cameras())
 
@@ -140,7 +185,11 @@ def test_a_scene_ten_thousand_units_away_with_its_camera(rasterizer):
     shift = torch.tensor([1e4, -1e4, 1e4])
     views.c2w.data = views.c2w.clone()
     views.c2w[..., :3, 3] += shift
-    check(rasterizer, Gaussians(scene.means + shift, scene.scales, *list_fields(scene)), views)
+    check(
+        rasterizer,
+        Gaussians(scene.means + shift, scene.scales, *list_fields(scene)),
+        views,
+    )
 
 
 def test_gaussians_ten_thousand_units_in_front(rasterizer):
@@ -150,19 +199,32 @@ def test_gaussians_ten_thousand_units_in_front(rasterizer):
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-4, 1e2, 1e4])
 def test_scales_from_tiny_to_huge(rasterizer, scale):
-    check(rasterizer, one(scales=[scale, 0.5 * scale, 2 * scale]), cameras(), most_fragile=0.5)
+    check(
+        rasterizer,
+        one(scales=[scale, 0.5 * scale, 2 * scale]),
+        cameras(),
+        most_fragile=0.5,
+    )
 
 
 def test_colours_far_out_of_range(rasterizer):
     scene = cloud(40, degree=2)
-    wild = Gaussians(scene.means, scene.scales, scene.quats, scene.opacities, scene.harmonics * 1e6)
+    wild = Gaussians(
+        scene.means, scene.scales, scene.quats, scene.opacities, scene.harmonics * 1e6
+    )
     check(rasterizer, wild, cameras())
 
 
 def test_the_largest_floats_make_no_infinite_picture(rasterizer):
     huge = torch.finfo(torch.float32).max
     scene = cloud(20, degree=1)
-    wild = Gaussians(scene.means, scene.scales, scene.quats, scene.opacities, scene.harmonics.sign() * huge)
+    wild = Gaussians(
+        scene.means,
+        scene.scales,
+        scene.quats,
+        scene.opacities,
+        scene.harmonics.sign() * huge,
+    )
     assert_finite(rasterizer.render(wild, cameras()))
     assert_finite(rasterizer.render(one(scales=[huge] * 3), cameras()))
     assert_finite(rasterizer.render(one(means=[huge, huge, huge]), cameras()))
@@ -182,8 +244,15 @@ finite = {"allow_nan": False, "allow_infinity": False, "width": 32}
     size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
     fov=st.floats(0.001, 3.1),
 )
-def test_any_gaussian_gives_finite_pictures_and_gradients(position, scales, quat, opacity, colour, size, fov):
-    values = {"means": list(position), "scales": [10.0**s for s in scales], "quats": list(quat), "opacities": opacity}
+def test_any_gaussian_gives_finite_pictures_and_gradients(
+    position, scales, quat, opacity, colour, size, fov
+):
+    values = {
+        "means": list(position),
+        "scales": [10.0**s for s in scales],
+        "quats": list(quat),
+        "opacities": opacity,
+    }
     scene = one(**values, harmonics=[list(colour)])
     views = cameras(size, fov=fov)
     rendering = NUMBA.render(scene, views)
@@ -193,11 +262,18 @@ def test_any_gaussian_gives_finite_pictures_and_gradients(position, scales, quat
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10**6), spread=st.floats(-3, 0.5), ratio=st.floats(-2, 0), degree=st.integers(0, 4))
+@given(
+    seed=st.integers(0, 10**6),
+    spread=st.floats(-3, 0.5),
+    ratio=st.floats(-2, 0),
+    degree=st.integers(0, 4),
+)
 def test_any_cloud_agrees_with_the_naive_renderer(seed, spread, ratio, degree):
     scene = cloud(25, degree, seed, scales=(10 ** (spread + ratio), 10**spread))
     views = cameras((23, 37))
-    assert_matches_naive(NUMBA.render(scene, views), scene, views, tolerance=4e-5, most_fragile=1.0)
+    assert_matches_naive(
+        NUMBA.render(scene, views), scene, views, tolerance=4e-5, most_fragile=1.0
+    )
 
 
 @pytest.mark.parametrize("name", ["means", "scales", "quats", "opacities", "harmonics"])
@@ -206,13 +282,17 @@ def test_input_that_is_not_finite_names_the_field_and_how_many(rasterizer, name,
     scene = cloud(50, degree=1)
     getattr(scene, name).view(-1)[[3, 17]] = value
     total = getattr(scene, name).numel()
-    with pytest.raises(InputError, match=rf"Gaussians\.{name}: 2 of {total} values are not finite"):
+    with pytest.raises(
+        InputError, match=rf"Gaussians\.{name}: 2 of {total} values are not finite"
+    ):
         rasterizer.render(scene, cameras())
 
 
 def test_what_is_not_finite_is_found_behind_the_camera_too(rasterizer):
     scene = one(means=[0.0, 0.0, -5.0], harmonics=[[0.1, math.nan, 0.1]])
-    with pytest.raises(InputError, match=r"Gaussians\.harmonics: 1 of 3 values is not finite"):
+    with pytest.raises(
+        InputError, match=r"Gaussians\.harmonics: 1 of 3 values is not finite"
+    ):
         rasterizer.render(scene, cameras())
 
 
@@ -228,18 +308,25 @@ def test_cameras_that_are_not_finite_or_see_nothing_are_refused(rasterizer):
         rasterizer.render(cloud(5), flat)
     with pytest.raises(InputError, match="cameras for 1 scenes, but Gaussians of 2"):
         rasterizer.render(cloud(5, batch=2), views)
-    with pytest.raises(InputError, match=r"background: expected a shape that fits \[1, 2, 3\], got \[4\]"):
+    with pytest.raises(
+        InputError,
+        match=r"background: expected a shape that fits \[1, 2, 3\], got \[4\]",
+    ):
         rasterizer.render(cloud(5), views, torch.zeros(4))
 
 
 def test_four_million_gaussians():
     draw = torch.Generator().manual_seed(0)
     count = 4_000_000
-    means = torch.rand(1, count, 3, generator=draw) * torch.tensor([3.0, 3.0, 2.0]) - torch.tensor([1.5, 1.5, -2.0])
+    means = torch.rand(1, count, 3, generator=draw) * torch.tensor(
+        [3.0, 3.0, 2.0]
+    ) - torch.tensor([1.5, 1.5, -2.0])
     scales = torch.full((1, 1, 3), 1e-3).expand(1, count, 3).contiguous()
     quats = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(1, count, 4).contiguous()
     colours = torch.zeros(1, count, 1, 3)
     scene = Gaussians(means, scales, quats, torch.full((1, count), 0.3), colours)
     rendering = NUMBA.render(scene, cameras((64, 64)))
     assert_finite(rendering)
-    assert torch.allclose(rendering.images, 0.5 * rendering.alphas.expand(1, 1, 3, 64, 64), atol=1e-4)
+    assert torch.allclose(
+        rendering.images, 0.5 * rendering.alphas.expand(1, 1, 3, 64, 64), atol=1e-4
+    )

@@ -27,8 +27,13 @@ def pictures(rasterizer, scene, views):
 
 @pytest.mark.parametrize("threads", [2, 3, 7])
 def test_the_same_bits_for_any_number_of_threads_forward_and_backward(threads):
-    scene, views = cloud(20_000, degree=1, scales=(0.005, 0.05)), cameras((70, 90), count=2)
-    for a, b in zip(pictures(build(1), scene, views), pictures(build(threads), scene, views)):
+    scene, views = (
+        cloud(20_000, degree=1, scales=(0.005, 0.05)),
+        cameras((70, 90), count=2),
+    )
+    for a, b in zip(
+        pictures(build(1), scene, views), pictures(build(threads), scene, views)
+    ):
         assert torch.equal(a, b)
     alone, shared = (gradients(build(n), scene, views, WHITE) for n in (1, threads))
     for name in alone:
@@ -44,7 +49,9 @@ def test_many_callers_at_once_get_what_one_gets():
     def call(index):
         found[index] = rasterizer.render(scenes[index], views).images
 
-    callers = [threading.Thread(target=call, args=(index,)) for index in range(len(scenes))]
+    callers = [
+        threading.Thread(target=call, args=(index,)) for index in range(len(scenes))
+    ]
     for caller in callers:
         caller.start()
     for caller in callers:
@@ -68,17 +75,25 @@ def test_inputs_need_not_be_contiguous():
         harmonics=torch.stack((scene.harmonics, scene.harmonics), -1)[..., 0],
     )
     assert not strided.means.is_contiguous() and not strided.harmonics.is_contiguous()
-    assert torch.equal(build(1).render(strided, views).images, build(1).render(scene, views).images)
+    assert torch.equal(
+        build(1).render(strided, views).images, build(1).render(scene, views).images
+    )
 
 
 def test_rendering_twice_before_one_backward_pass_keeps_both_graphs():
     rasterizer, views = build(1), cameras()
     means = cloud(40).means.clone().requires_grad_()
-    scenes = [replace(cloud(40), means=means), replace(cloud(40, seed=0), means=means + 0.1)]
+    scenes = [
+        replace(cloud(40), means=means),
+        replace(cloud(40, seed=0), means=means + 0.1),
+    ]
     for scene in scenes:
         rasterizer.render(scene, views).images.sum().backward()
     apart, means.grad = means.grad, None
-    scenes = [replace(cloud(40), means=means), replace(cloud(40, seed=0), means=means + 0.1)]
+    scenes = [
+        replace(cloud(40), means=means),
+        replace(cloud(40, seed=0), means=means + 0.1),
+    ]
     sum(rasterizer.render(scene, views).images.sum() for scene in scenes).backward()
     assert torch.allclose(means.grad, apart, rtol=1e-5, atol=1e-5)
 
@@ -86,9 +101,17 @@ def test_rendering_twice_before_one_backward_pass_keeps_both_graphs():
 def test_colours_alone_get_the_same_gradient_as_with_all_else():
     scene, views, rasterizer = cloud(60, degree=1), cameras(count=3), build(1)
     colours = scene.harmonics.clone().requires_grad_()
-    every = {name: getattr(scene, name).clone().requires_grad_() for name in ("means", "scales", "quats", "opacities")}
+    every = {
+        name: getattr(scene, name).clone().requires_grad_()
+        for name in ("means", "scales", "quats", "opacities")
+    }
     alone, beside = (
-        torch.autograd.grad(rasterizer.render(replace(scene, **others, harmonics=colours), views).images.sum(), colours)
+        torch.autograd.grad(
+            rasterizer.render(
+                replace(scene, **others, harmonics=colours), views
+            ).images.sum(),
+            colours,
+        )
         for others in ({}, every)
     )
     assert torch.equal(*alone, *beside) and alone[0].any()
@@ -102,14 +125,18 @@ def test_no_gradient_memory_is_kept_without_gradients():
 def test_cameras_that_want_a_gradient_are_refused_with_the_way_out():
     views = cameras()
     views = replace(views, c2w=views.c2w.clone().requires_grad_())
-    with pytest.raises(InputError, match="no gradient for cameras; detach them, or use 'torch'"):
+    with pytest.raises(
+        InputError, match="no gradient for cameras; detach them, or use 'torch'"
+    ):
         build(1).render(cloud(5), views)
     with torch.no_grad():
         build(1).render(cloud(5), views)
 
 
 def test_another_device_is_refused_with_the_way_out():
-    with pytest.raises(InputError, match="the Gaussians are on meta; use 'gsplat' or 'torch' there"):
+    with pytest.raises(
+        InputError, match="the Gaussians are on meta; use 'gsplat' or 'torch' there"
+    ):
         build(1).render(cloud(5).to("meta"), cameras().to("meta"))
 
 
@@ -117,7 +144,10 @@ def test_another_device_is_refused_with_the_way_out():
     ("changed", "message"),
     [
         ({"far": 0.005}, r"far \(0.005\) must be above near \(0.01\)"),
-        ({"background": (0.0, 2.0, 0.0)}, r"background must be three numbers in \[0, 1\]"),
+        (
+            {"background": (0.0, 2.0, 0.0)},
+            r"background must be three numbers in \[0, 1\]",
+        ),
         ({"eps2d": 0.0}, "eps2d"),
         ({"max_alpha": 1.0}, "max_alpha"),
     ],
@@ -149,4 +179,7 @@ def test_kernels_without_a_cache_folder_still_run_and_say_so(monkeypatch):
 
 
 def test_a_kernel_is_named_after_all_sources_so_that_no_stale_one_is_run():
-    assert shade_tiles.py_func.__qualname__ == f"shade_tiles_{kernels._digest_of_sources()}"
+    assert (
+        shade_tiles.py_func.__qualname__
+        == f"shade_tiles_{kernels._digest_of_sources()}"
+    )

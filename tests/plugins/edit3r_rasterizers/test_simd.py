@@ -14,7 +14,14 @@ from edit3r_rasterizers.simd import (
     minimum,
     select,
 )
-from edit3r_rasterizers.simd_memory import flat, load, load_block, store, store_block, store_sums
+from edit3r_rasterizers.simd_memory import (
+    flat,
+    load,
+    load_block,
+    store,
+    store_block,
+    store_sums,
+)
 from numba import njit
 
 F, U = np.float32, np.uint64
@@ -62,11 +69,17 @@ def first_set(bits):
 
 def test_arithmetic_and_masks():
     draw = np.random.default_rng(0)
-    x, y, out = draw.normal(size=16).astype(F), draw.uniform(0.1, 1, 16).astype(F), np.empty(16, F)
+    x, y, out = (
+        draw.normal(size=16).astype(F),
+        draw.uniform(0.1, 1, 16).astype(F),
+        np.empty(16, F),
+    )
     bits = arithmetic(x, y, out)
     positive = (x > y) & (y <= 0.5)
     assert bits == sum(1 << lane for lane in range(16) if positive[lane])
-    expected = np.minimum(np.where(positive, x * y + 2, x / np.maximum(y, F(0.25))), 3) - np.where(positive, -y, y)
+    expected = np.minimum(
+        np.where(positive, x * y + 2, x / np.maximum(y, F(0.25))), 3
+    ) - np.where(positive, -y, y)
     assert np.allclose(out, expected, rtol=1e-6)
 
 

@@ -29,7 +29,10 @@ def scene(tmp_path):
     k = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
     poses = [np.eye(4), np.eye(4)]
     poses[1][0, 3] = 0.25
-    cameras = [PosedCamera(f"images/{name}.png", SIZE[1], SIZE[0], k, pose) for name, pose in zip(NAMES, poses)]
+    cameras = [
+        PosedCamera(f"images/{name}.png", SIZE[1], SIZE[0], k, pose)
+        for name, pose in zip(NAMES, poses)
+    ]
     write_cameras(folder / "cameras.json", cameras)
     return folder
 
@@ -43,20 +46,32 @@ def _pixels(path) -> np.ndarray:
 
 
 def _files(folder) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
 
 
 def test_writes_pictures_masks_recipe_and_cameras(scene, tmp_path):
     out = tmp_path / "out"
     assert _run(scene, out, "--masks", tmp_path / "masks", "--augment") == 0
     for name in NAMES:
-        photo, picture = _pixels(scene / "images" / f"{name}.png"), _pixels(out / "images" / f"{name}.png")
+        photo, picture = (
+            _pixels(scene / "images" / f"{name}.png"),
+            _pixels(out / "images" / f"{name}.png"),
+        )
         mask = _pixels(out / "masks" / "1" / f"{name}.png")
         assert np.array_equal(mask, _pixels(tmp_path / "masks" / "1" / f"{name}.png"))
         assert np.array_equal(photo[mask == 0], picture[mask == 0])
         assert np.abs(photo[mask > 0].astype(int) - picture[mask > 0]).mean() > 10
         assert (out / "augmented" / f"{name}.png").is_file()
-    inside = [_pixels(out / "images" / f"{n}.png")[_pixels(out / "masks" / "1" / f"{n}.png") > 0] for n in NAMES]
+    inside = [
+        _pixels(out / "images" / f"{n}.png")[
+            _pixels(out / "masks" / "1" / f"{n}.png") > 0
+        ]
+        for n in NAMES
+    ]
     assert np.array_equal(*inside)  # one colour before, one colour after, in both views
     recipe = json.loads((out / "recolor.json").read_text())
     assert [view["objects"] for view in recipe["views"]] == [[1], [1]]
@@ -64,14 +79,23 @@ def test_writes_pictures_masks_recipe_and_cameras(scene, tmp_path):
 
 
 def test_cameras_follow_the_pictures_size_and_keep_their_poses(scene, tmp_path):
-    assert _run(scene, tmp_path / "out", "--masks", tmp_path / "masks", "--size", 32) == 0
-    before, after = read_cameras(scene / "cameras.json"), read_cameras(tmp_path / "out" / "cameras.json")
+    assert (
+        _run(scene, tmp_path / "out", "--masks", tmp_path / "masks", "--size", 32) == 0
+    )
+    before, after = (
+        read_cameras(scene / "cameras.json"),
+        read_cameras(tmp_path / "out" / "cameras.json"),
+    )
     for one, other in zip(before, after, strict=True):
         assert other.file == one.file and (other.width, other.height) == (32, 24)
-        assert np.allclose(other.K[:2], one.K[:2] / 2) and np.array_equal(other.c2w, one.c2w)
+        assert np.allclose(other.K[:2], one.K[:2] / 2) and np.array_equal(
+            other.c2w, one.c2w
+        )
 
 
-def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_files(scene, tmp_path):
+def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_files(
+    scene, tmp_path
+):
     """Colours, masks and faults come from the recipe; the second run needs no segmenter."""
     first, second = tmp_path / "first", tmp_path / "second"
     loose = ("--set", "filter.min_predicted_iou=0", "--set", "filter.min_stability=0.5")
@@ -112,10 +136,15 @@ def test_files_of_others_are_never_replaced(scene, tmp_path):
         (("--segmenter", "clasical"), "Did you mean 'classical'"),
         (("--seed", "-1"), "--seed: must be at least 0"),
         (("--replay", "missing.json"), "missing.json: cannot be read"),
-        (("--replay", "missing.json", "--masks", "empty"), "leave --masks and --set away"),
+        (
+            ("--replay", "missing.json", "--masks", "empty"),
+            "leave --masks and --set away",
+        ),
     ],
 )
-def test_wrong_use_is_one_sentence_and_leaves_nothing(scene, tmp_path, monkeypatch, capsys, arguments, complaint):
+def test_wrong_use_is_one_sentence_and_leaves_nothing(
+    scene, tmp_path, monkeypatch, capsys, arguments, complaint
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     before = sorted(tmp_path.iterdir())
@@ -127,5 +156,8 @@ def test_wrong_use_is_one_sentence_and_leaves_nothing(scene, tmp_path, monkeypat
 def test_a_replay_on_other_photos_is_refused(scene, tmp_path, capsys):
     assert _run(scene, tmp_path / "out", "--masks", tmp_path / "masks") == 0
     one = scene / "images" / "img2.png"
-    assert _run(one, tmp_path / "again", "--replay", tmp_path / "out" / "recolor.json") == 2
+    assert (
+        _run(one, tmp_path / "again", "--replay", tmp_path / "out" / "recolor.json")
+        == 2
+    )
     assert "was made for the photos img2, img10; got img2" in capsys.readouterr().err

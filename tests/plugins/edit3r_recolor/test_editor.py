@@ -4,19 +4,21 @@ import pytest
 import torch
 from edit3r_recolor.editor import RecolorEditor
 
+from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, PromptError, SettingsError
-from edit3r.interfaces import Proposal, Segmenter, Tracks
-from edit3r.pipeline import composite
-from edit3r.registry import build
+from edit3r.pipeline.steps import composite
+from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting
-from edit3r.types import EditRequest, Views
 
 HEIGHT, WIDTH = 12, 16
 
 
 @dataclass
 class LeftHalf(Segmenter):
-    """The left half of the first view is the object; `found_in` are the views it is found in, `text` what it reads."""
+    """The left half of the first view is the object; `found_in` are the views it is found in,
+    `text` what it reads.
+    """
 
     found_in: tuple[int, ...] = (0, 1)
     text: tuple | None = None
@@ -37,19 +39,33 @@ class LeftHalf(Segmenter):
     def track(self, images, masks):
         logits = (20 * masks - 10).expand(len(images), -1, -1, -1).clone()
         present = torch.tensor([[view in self.found_in] for view in range(len(images))])
-        return Tracks(torch.where(present[..., None, None], logits, logits.clamp(max=-1)), present)
+        return Tracks(
+            torch.where(present[..., None, None], logits, logits.clamp(max=-1)), present
+        )
 
     def segment_text(self, image, text):
-        return None if self.text is None else tuple(self._proposal(image) for t in self.text if t == text)
+        return (
+            None
+            if self.text is None
+            else tuple(self._proposal(image) for t in self.text if t == text)
+        )
 
 
 def photos(batch: int = 1) -> Views:
-    images = torch.rand(batch, 2, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+    images = torch.rand(
+        batch, 2, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)
+    )
     return Views(0.2 + 0.6 * images, torch.eye(3).expand(batch, 2, 3, 3), ("a", "b"))
 
 
 def edit(
-    prompt: str, segmenter: Segmenter | None = None, masks=None, seed: int = 0, views=None, guess=True, **settings
+    prompt: str,
+    segmenter: Segmenter | None = None,
+    masks=None,
+    seed: int = 0,
+    views=None,
+    guess=True,
+    **settings,
 ):
     editor = RecolorEditor(RecolorEditor.Settings(**settings), segmenter or LeftHalf())
     report = Report()
@@ -75,7 +91,9 @@ def test_pixels_outside_the_given_mask_are_bit_equal():
 def test_a_soft_mask_blends_once_between_photo_and_colour():
     full = edit("paint it red", masks=torch.ones(1, 2, HEIGHT, WIDTH))[0]
     masks = torch.full((1, 2, HEIGHT, WIDTH), 0.5)
-    half = composite(photos().images, edit("paint it red", masks=masks)[0], masks)  # as the pipeline does
+    half = composite(
+        photos().images, edit("paint it red", masks=masks)[0], masks
+    )  # as the pipeline does
     assert torch.allclose(half, 0.5 * full + 0.5 * photos().images, atol=1e-6)
 
 
@@ -101,7 +119,9 @@ def test_words_are_looked_up_where_the_segmenter_reads_them():
 
 def test_a_lost_object_is_reported_and_keeps_its_colours():
     images, report = edit("paint the bike red", LeftHalf(found_in=(0,)))
-    assert changed(images)[:, 0].any() and torch.equal(images[:, 1], photos().images[:, 1])
+    assert changed(images)[:, 0].any() and torch.equal(
+        images[:, 1], photos().images[:, 1]
+    )
     assert any("not found again on photo 2" in warning for warning in report.warnings)
 
 
@@ -112,12 +132,18 @@ def test_global_words_change_the_whole_picture():
 
 def test_the_background_is_all_but_the_object():
     images, _ = edit("make the background darker")
-    assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[:, 0, :, : WIDTH // 2].any()
+    assert (
+        changed(images)[..., WIDTH // 2 :].all()
+        and not changed(images)[:, 0, :, : WIDTH // 2].any()
+    )
 
 
 def test_the_background_of_a_marked_object_is_all_but_that():
     images, report = edit("make the background darker", point=(0.2, 0.5))
-    assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[:, 0, :, : WIDTH // 2].any()
+    assert (
+        changed(images)[..., WIDTH // 2 :].all()
+        and not changed(images)[:, 0, :, : WIDTH // 2].any()
+    )
     assert report.notes["editor.region"] == "all but the point"
 
 
@@ -126,7 +152,11 @@ def test_a_marked_object_is_handed_to_the_segmenter(mark):
     segmenter = LeftHalf()
     _, report = edit("darker", segmenter, **mark)
     assert report.notes["editor.region"] == next(iter(mark))
-    assert segmenter.asked == (((0.2, 0.5),), None) if "point" in mark else ((), (0.1, 0.1, 0.5, 0.5))
+    assert (
+        segmenter.asked == (((0.2, 0.5),), None)
+        if "point" in mark
+        else ((), (0.1, 0.1, 0.5, 0.5))
+    )
 
 
 def test_without_any_object_the_error_says_how_to_mark_one():
@@ -136,7 +166,9 @@ def test_without_any_object_the_error_says_how_to_mark_one():
 
 def test_recolouring_without_a_colour_samples_from_the_seed_and_notes_the_parameters():
     first, report = edit("recolor it", seed=3)
-    assert torch.equal(first, edit("recolor it", seed=3)[0]) and not torch.equal(first, edit("recolor it", seed=4)[0])
+    assert torch.equal(first, edit("recolor it", seed=3)[0]) and not torch.equal(
+        first, edit("recolor it", seed=4)[0]
+    )
     assert set(report.notes["editor.parameters"]) >= {"hue", "gamma", "permutation"}
 
 
@@ -156,7 +188,9 @@ def test_scenes_of_a_batch_are_edited_one_by_one():
 def test_what_was_understood_is_noted():
     notes = edit("paint the bike red")[1].notes
     (understood,) = notes["editor.understood"]
-    assert understood["subject"] == ("bike",) and understood["steps"][0]["colour"] == "red"
+    assert (
+        understood["subject"] == ("bike",) and understood["steps"][0]["colour"] == "red"
+    )
     assert (understood["read"], understood["words"]) == ("bike: red", ("bike", "red"))
     assert notes["edit.understood"] == "bike: red (words: bike, red)"
 
@@ -168,14 +202,28 @@ class Halves(LeftHalf):
         if text not in ("left", "right"):
             return ()
         mask = self._proposal(image).soft_mask
-        return (Proposal(mask if text == "left" else 1 - mask, 0.5, 1.0, 1.0, (0, 0, WIDTH, HEIGHT)),)
+        return (
+            Proposal(
+                mask if text == "left" else 1 - mask,
+                0.5,
+                1.0,
+                1.0,
+                (0, 0, WIDTH, HEIGHT),
+            ),
+        )
 
 
 def test_two_things_get_their_own_colours():
     images, report = edit("paint the left red and the right green", Halves())
-    left, right = images[..., : WIDTH // 2].mean((0, 1, 3, 4)), images[..., WIDTH // 2 :].mean((0, 1, 3, 4))
+    left, right = (
+        images[..., : WIDTH // 2].mean((0, 1, 3, 4)),
+        images[..., WIDTH // 2 :].mean((0, 1, 3, 4)),
+    )
     assert left.argmax() == 0 and right.argmax() == 1
-    assert torch.equal(images[..., : WIDTH // 2], edit("paint the left red", Halves())[0][..., : WIDTH // 2])
+    assert torch.equal(
+        images[..., : WIDTH // 2],
+        edit("paint the left red", Halves())[0][..., : WIDTH // 2],
+    )
     assert len(report.notes["editor.region_share"]) == 2
 
 
@@ -185,7 +233,9 @@ def test_two_things_and_one_place_is_an_error_that_says_so(place):
     segmenter = LeftHalf(text=("bike",))
     segmenter.prompt = "bike" if place == "segmenter" else ""
     more = {"point": (0.2, 0.5)} if place == "point" else {}
-    with pytest.raises(PromptError, match=r"several places .*door: green; wall: white.*--from"):
+    with pytest.raises(
+        PromptError, match=r"several places .*door: green; wall: white.*--from"
+    ):
         edit("paint the door green and the wall white", segmenter, masks, **more)
 
 
@@ -195,7 +245,10 @@ def test_two_changes_of_one_place_need_no_second_mask():
 
 def test_everything_except_the_object_changes():
     images, report = edit("paint everything except the left red", Halves())
-    assert changed(images)[..., WIDTH // 2 :].all() and not changed(images)[..., : WIDTH // 2].any()
+    assert (
+        changed(images)[..., WIDTH // 2 :].all()
+        and not changed(images)[..., : WIDTH // 2].any()
+    )
     assert report.notes["editor.region"] == "all but the named object"
 
 
@@ -208,7 +261,10 @@ def test_a_photo_without_the_exception_stays_as_it_is():
 
 def test_everything_except_and_a_given_mask_contradict_each_other():
     with pytest.raises(PromptError, match="say where the edit goes"):
-        edit("paint everything except the bear red", masks=torch.ones(1, 2, HEIGHT, WIDTH))
+        edit(
+            "paint everything except the bear red",
+            masks=torch.ones(1, 2, HEIGHT, WIDTH),
+        )
 
 
 def coloured() -> Views:
@@ -226,7 +282,10 @@ def test_only_pixels_near_the_first_colour_change(near, third):
     for masks in (None, torch.ones(1, 2, HEIGHT, WIDTH)):
         images, _ = edit(f"from {near} to brown", views=views, masks=masks)
         moved = (images - views.images).abs().amax(2) > 0.02
-        thirds = [moved[..., columns].float().mean() for columns in (slice(0, 5), slice(5, 10), slice(10, None))]
+        thirds = [
+            moved[..., columns].float().mean()
+            for columns in (slice(0, 5), slice(5, 10), slice(10, None))
+        ]
         assert thirds == [float(index == third) for index in range(3)]
 
 

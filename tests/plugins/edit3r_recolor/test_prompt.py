@@ -19,7 +19,11 @@ def one(prompt: str) -> Instruction:
         ("Paint the bike RED, please!", "red", ("bike",)),
         ("turn the wall light blue", "light blue", ("wall",)),
         ("make the red bike blue", "blue", ("red", "bike")),
-        ("change the colour of the old chair to dark green", "dark green", ("old", "chair")),
+        (
+            "change the colour of the old chair to dark green",
+            "dark green",
+            ("old", "chair"),
+        ),
         ("I would like the bear to be gold", "gold", ("bear",)),
         ("paint it #ff8800", "#ff8800", ()),
         ("turn the orange blue", "blue", ("orange",)),
@@ -36,9 +40,9 @@ def one(prompt: str) -> Instruction:
 )
 def test_paints(prompt, colour, subject):
     instruction = one(prompt)
-    assert [step.colour for step in instruction.steps if isinstance(step, Paint)] == [colour] and len(
-        instruction.steps
-    ) == 1
+    assert [step.colour for step in instruction.steps if isinstance(step, Paint)] == [
+        colour
+    ] and len(instruction.steps) == 1
     assert (instruction.scope, instruction.subject) == ("object", subject)
 
 
@@ -66,7 +70,10 @@ def test_adjustments(prompt, what, sign, scope):
 
 
 def test_degrees_scale_an_adjustment():
-    weak, plain, strong = (one(p).steps[0].amount for p in ("slightly brighter", "brighter", "a lot brighter"))
+    weak, plain, strong = (
+        one(p).steps[0].amount
+        for p in ("slightly brighter", "brighter", "a lot brighter")
+    )
     assert 0 < weak < plain < strong
 
 
@@ -77,9 +84,15 @@ def test_tints():
 
 
 def test_steps_of_several_clauses_are_taken_together_paint_first():
-    for prompt in ("make the bike darker and paint the bike red", "paint the bike red and make it darker"):
+    for prompt in (
+        "make the bike darker and paint the bike red",
+        "paint the bike red and make it darker",
+    ):
         instruction = one(prompt)
-        assert [type(step) for step in instruction.steps] == [Paint, Adjust] and instruction.subject == ("bike",)
+        assert [type(step) for step in instruction.steps] == [
+            Paint,
+            Adjust,
+        ] and instruction.subject == ("bike",)
     assert len(one("make it brighter and warmer").steps) == 2
 
 
@@ -90,10 +103,19 @@ def test_steps_of_several_clauses_are_taken_together_paint_first():
         ("the roof dark red, the door green", "roof: dark red; door: green"),
         ("turn the car blue and the background grey", "car: blue; background: grey"),
         ("make everything warmer and the car red", "all: warmth +1; car: red"),
-        ("make the car bluer and recolor the sofa", "car: blue +0.35; sofa: colours drawn by the seed"),
+        (
+            "make the car bluer and recolor the sofa",
+            "car: blue +0.35; sofa: colours drawn by the seed",
+        ),
         ("paint the door and the wall white", "door: white; wall: white"),
-        ("make the wall and door white and the roof red", "wall: white; door: white; roof: red"),
-        ("paint the old door, the wall and the roof white", "old door: white; wall: white; roof: white"),
+        (
+            "make the wall and door white and the roof red",
+            "wall: white; door: white; roof: red",
+        ),
+        (
+            "paint the old door, the wall and the roof white",
+            "old door: white; wall: white; roof: white",
+        ),
         ("darken the door and the wall", "wall: brightness -1; door: brightness -1"),
         (
             "turn the door and the wall from grey to blue",
@@ -109,7 +131,13 @@ def test_two_colours_go_on_two_things_in_the_order_of_the_sentence(prompt, read)
     "prompt, scope, subject, near, colour",
     [
         ("turn the wall from grey to brown", "object", ("wall",), "grey", "brown"),
-        ("change the colour from light blue to gold", "everything", (), "light blue", "gold"),
+        (
+            "change the colour from light blue to gold",
+            "everything",
+            (),
+            "light blue",
+            "gold",
+        ),
         ("from grey to brown", "everything", (), "grey", "brown"),
         ("turn red into blue", "everything", (), "red", "blue"),
         ("replace the red with green", "everything", (), "red", "green"),
@@ -118,7 +146,11 @@ def test_two_colours_go_on_two_things_in_the_order_of_the_sentence(prompt, read)
 )
 def test_from_one_colour_to_another(prompt, scope, subject, near, colour):
     instruction = one(prompt)
-    assert (instruction.scope, instruction.subject, instruction.near.colour) == (scope, subject, near)
+    assert (instruction.scope, instruction.subject, instruction.near.colour) == (
+        scope,
+        subject,
+        near,
+    )
     assert [step.colour for step in instruction.steps] == [colour]
 
 
@@ -141,8 +173,13 @@ def test_everything_except_one_thing(prompt):
 
 
 def test_it_says_which_words_it_used():
-    first, second = parse_prompt("Please paint the old door green, and the wall much darker")
-    assert (first.words, second.words) == (("old", "door", "green"), ("wall", "much", "darker"))
+    first, second = parse_prompt(
+        "Please paint the old door green, and the wall much darker"
+    )
+    assert (first.words, second.words) == (
+        ("old", "door", "green"),
+        ("wall", "much", "darker"),
+    )
     assert (str(first), str(second)) == ("old door: green", "wall: brightness -1.7")
 
 
@@ -202,7 +239,12 @@ KNOWN += "from to except but all apart rest"
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.one_of(st.text(max_size=30), st.lists(st.sampled_from(KNOWN.split()), max_size=9).map(" ".join)))
+@given(
+    st.one_of(
+        st.text(max_size=30),
+        st.lists(st.sampled_from(KNOWN.split()), max_size=9).map(" ".join),
+    )
+)
 def test_any_text_is_read_or_refused(text):
     try:
         found = parse_prompt(text)

@@ -32,11 +32,15 @@ STRONG = RecolorRanges(brightness=1, contrast=1, saturation=1, gamma=4, lighting
 
 
 def sample(seed: int, ranges: RecolorRanges | None = None) -> RecolorParameters:
-    return sample_parameters(torch.Generator().manual_seed(seed), ranges or RecolorRanges())
+    return sample_parameters(
+        torch.Generator().manual_seed(seed), ranges or RecolorRanges()
+    )
 
 
 def read_back(parameters: RecolorParameters) -> RecolorParameters:
-    return TypeAdapter(RecolorParameters).validate_python(json.loads(json.dumps(asdict(parameters))))
+    return TypeAdapter(RecolorParameters).validate_python(
+        json.loads(json.dumps(asdict(parameters)))
+    )
 
 
 @given(st.integers(0, 2**31))
@@ -47,11 +51,21 @@ def test_parameters_survive_json_exactly(seed):
 
 @given(st.integers(0, 2**31))
 def test_samples_stay_in_their_ranges(seed):
-    ranges = RecolorRanges(brightness=0.2, contrast=0.1, saturation=0.9, hue=0.3, gamma=2)
+    ranges = RecolorRanges(
+        brightness=0.2, contrast=0.1, saturation=0.9, hue=0.3, gamma=2
+    )
     drawn = sample(seed, ranges)
-    assert abs(drawn.brightness - 1) <= 0.2 and abs(drawn.contrast - 1) <= 0.1 and abs(drawn.saturation - 1) <= 0.9
+    assert (
+        abs(drawn.brightness - 1) <= 0.2
+        and abs(drawn.contrast - 1) <= 0.1
+        and abs(drawn.saturation - 1) <= 0.9
+    )
     assert abs(drawn.hue) <= 0.3 and 0.5 <= drawn.gamma <= 2
-    assert sorted(drawn.order) == sorted(JITTERS) and sorted(drawn.permutation) == [0, 1, 2]
+    assert sorted(drawn.order) == sorted(JITTERS) and sorted(drawn.permutation) == [
+        0,
+        1,
+        2,
+    ]
 
 
 def test_the_seed_alone_decides():
@@ -60,20 +74,34 @@ def test_the_seed_alone_decides():
 
 
 def test_ranges_of_zero_leave_colours_alone():
-    ranges = {"brightness": 0, "contrast": 0, "saturation": 0, "hue": 0, "gamma": 1, "lighting": 0}
-    drawn = sample(3, RecolorRanges(**ranges, permute_probability=0, greyscale_probability=0))
+    ranges = {
+        "brightness": 0,
+        "contrast": 0,
+        "saturation": 0,
+        "hue": 0,
+        "gamma": 1,
+        "lighting": 0,
+    }
+    drawn = sample(
+        3, RecolorRanges(**ranges, permute_probability=0, greyscale_probability=0)
+    )
     assert drawn == RecolorParameters(order=drawn.order)
 
 
 def test_probabilities_are_kept_over_many_samples():
-    drawn = [sample(seed, RecolorRanges(permute_probability=1, greyscale_probability=0.25)) for seed in range(400)]
+    drawn = [
+        sample(seed, RecolorRanges(permute_probability=1, greyscale_probability=0.25))
+        for seed in range(400)
+    ]
     assert 0.15 < sum(p.greyscale for p in drawn) / 400 < 0.35
     assert len({p.permutation for p in drawn}) == 6
 
 
 def test_lighting_directions_are_orthonormal():
     directions = torch.tensor(PCA_DIRECTIONS, dtype=torch.float64)
-    assert torch.allclose(directions @ directions.T, torch.eye(3, dtype=torch.float64), atol=1e-3)
+    assert torch.allclose(
+        directions @ directions.T, torch.eye(3, dtype=torch.float64), atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("wrong", [{"order": ("hue",)}, {"permutation": (0, 0, 1)}])
@@ -96,7 +124,9 @@ def test_default_parameters_change_nothing():
 def test_the_result_is_finite_and_in_range_for_any_parameters(seed):
     image = picture(2, 3, 4, 6)
     image[0, :, 0], image[0, :, 1] = 0, 1
-    result = recolor(image, sample_parameters(torch.Generator().manual_seed(seed), STRONG))
+    result = recolor(
+        image, sample_parameters(torch.Generator().manual_seed(seed), STRONG)
+    )
     assert result.shape == image.shape and torch.isfinite(result).all()
     assert result.min() >= 0 and result.max() <= 1
 
@@ -107,11 +137,15 @@ def test_a_colour_maps_to_the_same_colour_in_every_picture(seed):
     """What makes one Theta the same edit in all views: neighbours and picture size have no say."""
     parameters = sample_parameters(torch.Generator().manual_seed(seed), STRONG)
     image = picture(3, 6, 8)
-    shuffled = image.flatten(1)[:, torch.randperm(48, generator=torch.Generator().manual_seed(seed))]
+    shuffled = image.flatten(1)[
+        :, torch.randperm(48, generator=torch.Generator().manual_seed(seed))
+    ]
     alone = recolor(image[:, 2:3, 5:6], parameters)
     assert torch.allclose(recolor(image, parameters)[:, 2:3, 5:6], alone, atol=1e-6)
     index = (shuffled - image[:, 2, 5:6]).abs().sum(0).argmin()
-    assert torch.allclose(recolor(shuffled[:, None], parameters)[:, 0, index], alone[:, 0, 0], atol=1e-6)
+    assert torch.allclose(
+        recolor(shuffled[:, None], parameters)[:, 0, index], alone[:, 0, 0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -130,20 +164,34 @@ def test_a_colour_maps_to_the_same_colour_in_every_picture(seed):
 def test_each_part_alone(change, before, after):
     image = torch.tensor(before, dtype=torch.float64)[:, None, None]
     result = recolor(image, RecolorParameters(**change))
-    assert torch.allclose(result[:, 0, 0], torch.tensor(after, dtype=torch.float64), atol=2e-3)
+    assert torch.allclose(
+        result[:, 0, 0], torch.tensor(after, dtype=torch.float64), atol=2e-3
+    )
 
 
 def test_the_order_of_the_jitters_counts():
     image = picture(3, 4, 4)
     change = {"brightness": 1.4, "contrast": 0.4}
-    first = recolor(image, RecolorParameters(**change, order=("brightness", "contrast", "saturation", "hue")))
-    second = recolor(image, RecolorParameters(**change, order=("contrast", "brightness", "saturation", "hue")))
+    first = recolor(
+        image,
+        RecolorParameters(
+            **change, order=("brightness", "contrast", "saturation", "hue")
+        ),
+    )
+    second = recolor(
+        image,
+        RecolorParameters(
+            **change, order=("contrast", "brightness", "saturation", "hue")
+        ),
+    )
     assert (first - second).abs().max() > 0.1
 
 
 def test_gradients_reach_the_image():
     image = (0.2 + 0.6 * picture(3, 2, 2, dtype=torch.float64)).requires_grad_()
-    parameters = RecolorParameters(brightness=0.9, contrast=1.1, saturation=0.8, gamma=1.2, lighting=(0.01, 0, 0))
+    parameters = RecolorParameters(
+        brightness=0.9, contrast=1.1, saturation=0.8, gamma=1.2, lighting=(0.01, 0, 0)
+    )
     assert torch.autograd.gradcheck(lambda x: recolor(x, parameters), image, atol=1e-5)
 
 
@@ -153,7 +201,14 @@ def test_greyscale_has_equal_channels():
 
 
 def masks(regions: int) -> torch.Tensor:
-    return torch.rand(regions, 2, 4, 5, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    return torch.rand(
+        regions,
+        2,
+        4,
+        5,
+        generator=torch.Generator().manual_seed(5),
+        dtype=torch.float64,
+    )
 
 
 def test_blend_follows_the_equation_pixel_by_pixel():
@@ -164,7 +219,10 @@ def test_blend_follows_the_equation_pixel_by_pixel():
     for view, channel, row, column in [(0, 0, 0, 0), (1, 2, 3, 4), (0, 1, 2, 2)]:
         alphas = [float(weights[r, view, row, column]) for r in range(3)]
         expected = (1 - sum(alphas)) * float(IMAGE[view, channel, row, column])
-        expected += sum(a * float(RECOLORED[r, view, channel, row, column]) for r, a in enumerate(alphas))
+        expected += sum(
+            a * float(RECOLORED[r, view, channel, row, column])
+            for r, a in enumerate(alphas)
+        )
         assert abs(float(blended[view, channel, row, column]) - expected) < 1e-12
 
 
@@ -177,7 +235,9 @@ def test_overlapping_binary_masks_share_a_pixel_evenly():
 def test_a_single_region_is_plain_alpha_blending():
     mask = masks(1)
     expected = mask[0, :, None] * RECOLORED[0] + (1 - mask[0, :, None]) * IMAGE
-    assert torch.allclose(blend_regions(IMAGE, RECOLORED[:1], mask), expected, atol=1e-12)
+    assert torch.allclose(
+        blend_regions(IMAGE, RECOLORED[:1], mask), expected, atol=1e-12
+    )
 
 
 def test_pixels_no_mask_touches_are_bit_equal():
@@ -189,7 +249,9 @@ def test_pixels_no_mask_touches_are_bit_equal():
 @settings(max_examples=50)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=6))
 def test_weights_are_shares_that_sum_to_at_most_one(values):
-    weights = renormalize(torch.tensor(values, dtype=torch.float64)[:, None, None, None])
+    weights = renormalize(
+        torch.tensor(values, dtype=torch.float64)[:, None, None, None]
+    )
     assert (weights >= 0).all() and weights.sum() <= 1 + 1e-12
     if sum(values) > 1:
         assert weights.sum() > 1 - 2e-6
@@ -234,7 +296,11 @@ def test_soft_masks_keep_their_shape_and_range():
     mask = torch.rand(2, 3, 20, 30, generator=torch.Generator().manual_seed(0))
     for outline in ("grown", "shrunk", "leaking"):
         spoilt = with_outline(mask, outline)
-        assert spoilt.shape == mask.shape and float(spoilt.min()) >= 0 and float(spoilt.max()) <= 1
+        assert (
+            spoilt.shape == mask.shape
+            and float(spoilt.min()) >= 0
+            and float(spoilt.max()) <= 1
+        )
 
 
 def test_a_perturbed_palette_is_close_to_the_one_meant_and_not_the_same():

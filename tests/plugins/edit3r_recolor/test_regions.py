@@ -12,14 +12,18 @@ from edit3r_recolor.regions import (
 )
 
 from edit3r.config import make_settings
+from edit3r.contract.interfaces import Proposal, Tracks
 from edit3r.errors import SettingsError
-from edit3r.interfaces import Proposal, Tracks
 
-CRITERIA = ProposalFilter(min_area=0.1, min_stability=0.9, min_predicted_iou=0.8, aspect=(0.5, 2.0), margin=3)
+CRITERIA = ProposalFilter(
+    min_area=0.1, min_stability=0.9, min_predicted_iou=0.8, aspect=(0.5, 2.0), margin=3
+)
 SIZE = (40, 60)
 
 
-def _proposal(area=0.1, stability=0.9, predicted_iou=0.8, box=(3.0, 3.0, 20.0, 10.0)) -> Proposal:
+def _proposal(
+    area=0.1, stability=0.9, predicted_iou=0.8, box=(3.0, 3.0, 20.0, 10.0)
+) -> Proposal:
     return Proposal(torch.zeros(SIZE), area, stability, predicted_iou, box)
 
 
@@ -48,7 +52,13 @@ def test_each_criterion_refuses_what_is_just_beyond_it(change, objection):
 
 def test_order_is_kept_and_refusals_are_counted_by_criterion():
     first, second = _proposal(area=0.5), _proposal(area=0.2)
-    given = [first, _proposal(area=0.01), second, _proposal(stability=0), _proposal(area=0.02)]
+    given = [
+        first,
+        _proposal(area=0.01),
+        second,
+        _proposal(stability=0),
+        _proposal(area=0.02),
+    ]
     kept, rejected = kept_proposals(given, SIZE, CRITERIA)
     assert kept == [first, second]
     assert rejected == {"area": 2, "stability": 1}
@@ -70,8 +80,9 @@ def test_overlap_ratio_divides_by_the_larger_set():
 
 
 def test_a_view_is_compared_with_the_most_recently_processed_one_not_with_its_neighbour():
-    # View 1 shares one of three objects with view 0 and is skipped; view 2 shares two of two with view 1 but only
-    # one of three with view 0, so it is skipped too; view 3 shares two of three with view 0.
+    # View 1 shares one of three objects with view 0 and is skipped; view 2 shares two of two with
+    # view 1 but only one of three with view 0, so it is skipped too; view 3 shares two of three
+    # with view 0.
     active = _shown("xxx..", "x..xx", "x..x.", "xx...", "xx..x")
     assert processed_views(active) == [0, 3, 4]
 
@@ -85,7 +96,10 @@ def test_objects_are_active_where_a_logit_is_above_zero():
     logits[0, 0, 1, 1] = 0.1
     logits[1, 1, 1, 1] = 0.0
     present = torch.ones(2, 2, dtype=torch.bool)
-    assert active_objects(Tracks(logits, present)).tolist() == [[True, False], [False, False]]
+    assert active_objects(Tracks(logits, present)).tolist() == [
+        [True, False],
+        [False, False],
+    ]
 
 
 def test_masks_are_zero_where_faint_and_where_the_object_is_not():

@@ -13,12 +13,14 @@ from edit3r_recolor.scene import (
     make_recipe,
 )
 
+from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.errors import InputError
-from edit3r.interfaces import Proposal, Segmenter, Tracks
 
 HEIGHT, WIDTH, VIEWS = 24, 32, 4
 NAMES = ("a", "b", "c", "d")
-IMAGES = 0.2 + 0.6 * torch.rand(VIEWS, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+IMAGES = 0.2 + 0.6 * torch.rand(
+    VIEWS, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)
+)
 SETTINGS = RecoloringSettings(filter={"min_area": 0.02, "margin": 1})
 
 
@@ -29,14 +31,22 @@ def _box_mask(x: int, y: int, width: int, height: int) -> torch.Tensor:
 
 
 class Boxes(Segmenter):
-    """Two overlapping boxes and one at the border; `seen` says which of the first two each view shows."""
+    """Two overlapping boxes and one at the border; `seen` says which of the first two each view
+    shows.
+    """
 
     BOXES = ((4, 4, 10, 8), (10, 6, 12, 10), (0, 0, 8, 8))
     seen: ClassVar = ((0, 1), (0, 1), (), (0,))
 
     def propose(self, image):
         return tuple(
-            Proposal(_box_mask(*box), box[2] * box[3] / HEIGHT / WIDTH, 1.0, 1.0, tuple(map(float, box)))
+            Proposal(
+                _box_mask(*box),
+                box[2] * box[3] / HEIGHT / WIDTH,
+                1.0,
+                1.0,
+                tuple(map(float, box)),
+            )
             for box in self.BOXES
         )
 
@@ -73,7 +83,9 @@ def test_every_region_has_one_transform_for_all_views():
     for index, view in enumerate(recipe.processed):
         expected = IMAGES[view].clone()
         for region, weight in zip(recipe.regions, weights[:, view]):
-            expected += weight * (recolor(IMAGES[view], region.parameters) - IMAGES[view])
+            expected += weight * (
+                recolor(IMAGES[view], region.parameters) - IMAGES[view]
+            )
         assert torch.allclose(pictures[index], expected, atol=1e-6)
 
 
@@ -81,16 +93,22 @@ def test_pixels_outside_every_region_keep_their_exact_value():
     found, recipe = _recipe()
     pictures = carry_out(IMAGES, found.masks, recipe)
     outside = (found.masks.sum(0) == 0)[recipe.processed][:, None].expand_as(pictures)
-    assert outside.any() and torch.equal(pictures[outside], IMAGES[recipe.processed][outside])
+    assert outside.any() and torch.equal(
+        pictures[outside], IMAGES[recipe.processed][outside]
+    )
 
 
 def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
-    found, recipe = _recipe(3, SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0}))
+    found, recipe = _recipe(
+        3, SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0})
+    )
     recipe.save(tmp_path / "recolor.json")
     again = SceneRecipe.load(tmp_path / "recolor.json")
     assert again == recipe
     for faults in (False, True):
-        first, second = (carry_out(IMAGES, found.masks, one, faults) for one in (again, recipe))
+        first, second = (
+            carry_out(IMAGES, found.masks, one, faults) for one in (again, recipe)
+        )
         assert torch.equal(first, second)
 
 
@@ -107,8 +125,13 @@ def test_a_region_s_colours_do_not_depend_on_how_many_others_there_are():
 def test_faults_spoil_the_augmented_pictures_only_near_their_regions():
     always = SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0})
     found, recipe = _recipe(0, always)
-    assert all(set(view.faults) == set(view.objects) for view in recipe.views if view.processed)
-    clean, faulty = carry_out(IMAGES, found.masks, recipe), carry_out(IMAGES, found.masks, recipe, with_faults=True)
+    assert all(
+        set(view.faults) == set(view.objects) for view in recipe.views if view.processed
+    )
+    clean, faulty = (
+        carry_out(IMAGES, found.masks, recipe),
+        carry_out(IMAGES, found.masks, recipe, with_faults=True),
+    )
     change = (clean - faulty).abs().amax((0, 1))
     assert change.max() > 0.01
     assert not change[:, 28:].any()
@@ -117,25 +140,40 @@ def test_faults_spoil_the_augmented_pictures_only_near_their_regions():
 def test_without_faults_the_augmented_pictures_are_the_plain_ones():
     never = SETTINGS.model_copy(update={"mask_jitter": 0.0, "palette_jitter": 0.0})
     found, recipe = _recipe(0, never)
-    assert torch.equal(carry_out(IMAGES, found.masks, recipe), carry_out(IMAGES, found.masks, recipe, with_faults=True))
+    assert torch.equal(
+        carry_out(IMAGES, found.masks, recipe),
+        carry_out(IMAGES, found.masks, recipe, with_faults=True),
+    )
 
 
 def test_the_data_s_own_masks_go_through_the_same_filter():
-    masks = torch.stack([_box_mask(*box) for box in Boxes.BOXES])[:, None].repeat(1, VIEWS, 1, 1)
+    masks = torch.stack([_box_mask(*box) for box in Boxes.BOXES])[:, None].repeat(
+        1, VIEWS, 1, 1
+    )
     masks[0, 2:] = 0
     found = given_regions(masks, SETTINGS)
     assert found.rejected == {"margin": 1}
-    assert found.active.tolist() == [[True, True], [True, True], [False, True], [False, True]]
+    assert found.active.tolist() == [
+        [True, True],
+        [True, True],
+        [False, True],
+        [False, True],
+    ]
     assert torch.equal(found.masks, masks[:2])
 
 
 def test_nothing_left_after_the_filter_is_an_error_that_counts_the_reasons():
     strict = RecoloringSettings(filter={"min_area": 0.9})
-    with pytest.raises(InputError, match=r"none of 3 proposals passes the filter \(area 3\)"):
+    with pytest.raises(
+        InputError, match=r"none of 3 proposals passes the filter \(area 3\)"
+    ):
         find_regions(IMAGES, Boxes(), strict)
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"format": "other"}', '{"format": "edit3r recolor 1", "regions": [1]}'])
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", '{"format": "other"}', '{"format": "edit3r recolor 1", "regions": [1]}'],
+)
 def test_a_file_that_is_no_recipe_is_refused_by_name(tmp_path, content):
     path = tmp_path / "recolor.json"
     path.write_text(content)
@@ -152,6 +190,10 @@ def test_a_misspelt_key_in_a_recipe_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("shared, used", [(1, [0]), (2, [0, 1])])
-def test_by_default_a_view_that_shares_less_than_half_of_the_objects_is_left_out(shared, used):
-    active = torch.tensor([[True, True, True], [number < shared for number in range(3)]])
+def test_by_default_a_view_that_shares_less_than_half_of_the_objects_is_left_out(
+    shared, used
+):
+    active = torch.tensor(
+        [[True, True, True], [number < shared for number in range(3)]]
+    )
     assert processed_views(active, RecoloringSettings().least_overlap) == used

@@ -24,10 +24,15 @@ def test_css_names_and_hex(words, name, rgb):
 
 
 def test_light_and_dark_go_before_any_colour():
-    plain, light, dark = (sum(read_colour(words)[1]) for words in (["teal"], ["light", "teal"], ["dark", "teal"]))
+    plain, light, dark = (
+        sum(read_colour(words)[1])
+        for words in (["teal"], ["light", "teal"], ["dark", "teal"])
+    )
     assert dark < plain < light
 
 
-@pytest.mark.parametrize("words", [[], ["bike"], ["light"], ["light", "bike"], ["#zzz"], ["#12345"]])
+@pytest.mark.parametrize(
+    "words", [[], ["bike"], ["light"], ["light", "bike"], ["#zzz"], ["#12345"]]
+)
 def test_what_is_no_colour_is_none(words):
     assert read_colour(words) is None

@@ -6,15 +6,17 @@ from edit3r_refiners.importance import drop_unneeded_harmonics
 from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
+from edit3r.contract.types import Gaussians
 from edit3r.io.ply import load_ply, save_ply
-from edit3r.types import Gaussians
 
 from .scenes import textured
 
 STEP = 1 / 255
 
 
-def with_bands(gaussians: Gaussians, degree: int, strength: float, only: slice = slice(None)) -> Gaussians:
+def with_bands(
+    gaussians: Gaussians, degree: int, strength: float, only: slice = slice(None)
+) -> Gaussians:
     """The same scene with random bands up to `degree`."""
     generator = torch.Generator().manual_seed(0)
     harmonics = torch.zeros(1, gaussians.count, (degree + 1) ** 2, 3)
@@ -22,17 +24,29 @@ def with_bands(gaussians: Gaussians, degree: int, strength: float, only: slice =
     bands = torch.randn(harmonics[:, only, 1:].shape, generator=generator)
     harmonics[:, only, 1:] = strength * bands
     return Gaussians(
-        gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, harmonics, gaussians.view_index
+        gaussians.means,
+        gaussians.scales,
+        gaussians.quats,
+        gaussians.opacities,
+        harmonics,
+        gaussians.view_index,
     )
 
 
 def test_bands_that_are_zero_are_not_even_rendered():
     gaussians, cameras, _ = textured()
-    assert drop_unneeded_harmonics(with_bands(gaussians, 3, 0.0), [cameras], None, STEP).degree == 0
+    assert (
+        drop_unneeded_harmonics(
+            with_bands(gaussians, 3, 0.0), [cameras], None, STEP
+        ).degree
+        == 0
+    )
 
 
 @pytest.mark.parametrize(("strength", "left"), [(1e-4, 0), (0.3, 2)])
-def test_bands_go_where_no_pixel_changes_by_a_step_of_eight_bits(rasterizer, strength, left):
+def test_bands_go_where_no_pixel_changes_by_a_step_of_eight_bits(
+    rasterizer, strength, left
+):
     gaussians, cameras, _ = textured()
     coloured = with_bands(gaussians, 2, strength)
     fewer = drop_unneeded_harmonics(coloured, [cameras], rasterizer, STEP)
@@ -46,7 +60,10 @@ def test_one_gaussian_that_shines_to_one_side_keeps_its_bands(rasterizer):
     middle = gaussians.count // 4 + 32
     assert (
         drop_unneeded_harmonics(
-            with_bands(gaussians, 1, 2.0, slice(middle, middle + 1)), [cameras], rasterizer, STEP
+            with_bands(gaussians, 1, 2.0, slice(middle, middle + 1)),
+            [cameras],
+            rasterizer,
+            STEP,
         ).degree
         == 1
     )

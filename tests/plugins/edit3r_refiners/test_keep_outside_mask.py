@@ -6,9 +6,9 @@ import pytest
 import torch
 from edit3r_refiners.keep_outside_mask import FIELDS, differing, insert_edit
 
+from edit3r.contract.types import Gaussians
 from edit3r.geometry.paths import between_and_around
-from edit3r.testing.scenes import photograph
-from edit3r.types import Gaussians
+from edit3r_testing.scenes import photograph
 
 from .scenes import gaussian_per_pixel
 
@@ -17,10 +17,14 @@ SAME = 1e-6
 
 @pytest.fixture
 def edit():
-    """Scenes before and after all colours were inverted, the region of the first ball, and the cameras."""
+    """Scenes before and after all colours were inverted, the region of the first ball, and the
+    cameras.
+    """
     scene = photograph(2, (48, 64))
     images, depths, cameras = scene.views.images[0], scene.depths[0], scene.cameras
-    before, after = (gaussian_per_pixel(colours, depths, cameras) for colours in (images, 1 - images))
+    before, after = (
+        gaussian_per_pixel(colours, depths, cameras) for colours in (images, 1 - images)
+    )
     around = torch.nn.functional.max_pool2d(scene.objects[0, 0][:, None], 7, 1, 3)[:, 0]
     return before, after, around > 0, cameras
 
@@ -31,7 +35,10 @@ def pictures(rasterizer, gaussians, cameras):
 
 
 def largest_change(rasterizer, before, after, cameras, counted) -> float:
-    change = pictures(rasterizer, after, cameras).images - pictures(rasterizer, before, cameras).images
+    change = (
+        pictures(rasterizer, after, cameras).images
+        - pictures(rasterizer, before, cameras).images
+    )
     return float(change[0].abs().amax(1)[counted].amax())
 
 
@@ -55,7 +62,9 @@ def test_pixels_outside_the_region_render_as_before(rasterizer, edit):
     assert largest_change(rasterizer, before, edited, cameras, ~region) <= SAME
 
 
-def test_new_views_are_as_before_where_only_unchanged_gaussians_are_met(rasterizer, edit):
+def test_new_views_are_as_before_where_only_unchanged_gaussians_are_met(
+    rasterizer, edit
+):
     before, after, region, cameras = edit
     result = insert_edit(before, after, region, cameras, rasterizer)
     changed = differing(before, result)
@@ -69,9 +78,15 @@ def test_new_views_are_as_before_where_only_unchanged_gaussians_are_met(rasteriz
 def test_inside_the_region_the_edit_arrives(rasterizer, edit):
     before, after, region, cameras = edit
     edited = insert_edit(before, after, region, cameras, rasterizer)
-    inner = torch.nn.functional.max_pool2d((~region).float()[:, None], 9, 1, 4)[:, 0] == 0
-    wanted, got, old = (pictures(rasterizer, g, cameras).images[0] for g in (after, edited, before))
-    missing = (got - wanted).abs().mean(1)[inner].mean() / (old - wanted).abs().mean(1)[inner].mean()
+    inner = (
+        torch.nn.functional.max_pool2d((~region).float()[:, None], 9, 1, 4)[:, 0] == 0
+    )
+    wanted, got, old = (
+        pictures(rasterizer, g, cameras).images[0] for g in (after, edited, before)
+    )
+    missing = (got - wanted).abs().mean(1)[inner].mean() / (old - wanted).abs().mean(1)[
+        inner
+    ].mean()
     assert inner.any() and float(missing) < 0.05
 
 
@@ -80,10 +95,15 @@ def test_gaussians_that_stay_are_bit_equal_and_in_place(rasterizer, edit):
     result = insert_edit(before, after, region, cameras, rasterizer)
     changed = differing(before, result)
     assert int(changed.sum()) > 100
-    assert all(torch.equal(getattr(result, n)[:, changed], getattr(after, n)[:, changed]) for n in FIELDS)
+    assert all(
+        torch.equal(getattr(result, n)[:, changed], getattr(after, n)[:, changed])
+        for n in FIELDS
+    )
 
 
-def test_larger_gaussians_that_would_reach_over_the_border_are_not_taken(rasterizer, edit):
+def test_larger_gaussians_that_would_reach_over_the_border_are_not_taken(
+    rasterizer, edit
+):
     before, after, region, cameras = edit
     larger = replace(after, scales=after.scales * 2)
     result = insert_edit(before, larger, region, cameras, rasterizer)
@@ -91,16 +111,28 @@ def test_larger_gaussians_that_would_reach_over_the_border_are_not_taken(rasteri
     assert largest_change(rasterizer, before, result, cameras, ~region) <= SAME
 
 
-def test_another_reconstruction_with_other_gaussians_keeps_the_outside_too(rasterizer, edit):
+def test_another_reconstruction_with_other_gaussians_keeps_the_outside_too(
+    rasterizer, edit
+):
     before, after, region, cameras = edit
-    fewer = after.select(torch.randperm(after.count, generator=torch.Generator().manual_seed(0))[: after.count // 2])
+    fewer = after.select(
+        torch.randperm(after.count, generator=torch.Generator().manual_seed(0))[
+            : after.count // 2
+        ]
+    )
     result = insert_edit(before, fewer, region, cameras, rasterizer)
     assert largest_change(rasterizer, before, result, cameras, ~region) <= SAME
     stayed, came = (rows_of(result) & rows_of(scene) for scene in (before, fewer))
-    assert len(came) > 50 and before.count - len(stayed) > 50 and len(stayed) + len(came) == result.count
+    assert (
+        len(came) > 50
+        and before.count - len(stayed) > 50
+        and len(stayed) + len(came) == result.count
+    )
 
 
-def test_an_answer_in_another_unit_of_length_is_brought_to_the_scene_s(rasterizer, edit):
+def test_an_answer_in_another_unit_of_length_is_brought_to_the_scene_s(
+    rasterizer, edit
+):
     before, after, region, cameras = edit
     doubled = replace(after, means=after.means * 2, scales=after.scales * 2)
     result = insert_edit(before, doubled, region, cameras, rasterizer)

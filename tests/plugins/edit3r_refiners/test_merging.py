@@ -12,7 +12,9 @@ from .scenes import cameras_side_by_side, flat_wall, gaussian_per_pixel
 
 
 def found(gaussians, cameras, **settings):
-    return duplicates(gaussians, cameras, place(gaussians, cameras), SimplifySettings(**settings))
+    return duplicates(
+        gaussians, cameras, place(gaussians, cameras), SimplifySettings(**settings)
+    )
 
 
 def test_the_second_view_of_a_wall_keeps_only_what_the_first_does_not_show():
@@ -20,7 +22,9 @@ def test_the_second_view_of_a_wall_keeps_only_what_the_first_does_not_show():
     twice = found(gaussians, cameras)
     first, second = twice.view(2, 64, 64)
     assert not first.any()
-    shift = round(0.1 / 2.0 * float(cameras.intrinsics[0, 0, 0, 0]) * 64)  # disparity of the wall [pixels]
+    shift = round(
+        0.1 / 2.0 * float(cameras.intrinsics[0, 0, 0, 0]) * 64
+    )  # disparity of the wall [pixels]
     assert second[:, : 64 - shift - 1].all() and not second[:, 64 - shift + 1 :].any()
 
 
@@ -46,10 +50,14 @@ def test_a_view_from_closer_by_keeps_its_finer_pixels():
 def test_of_three_views_of_one_place_only_the_first_stays():
     gaussians, cameras = flat_wall(views=3, size=16)
     cameras.c2w[0, :, 0, 3] = 0
-    gaussians = gaussian_per_pixel(torch.full((3, 3, 16, 16), 0.6), torch.full((3, 16, 16), 2.0), cameras)
+    gaussians = gaussian_per_pixel(
+        torch.full((3, 3, 16, 16), 0.6), torch.full((3, 16, 16), 2.0), cameras
+    )
     assert found(gaussians, cameras).view(3, -1).all(1).tolist() == [False, True, True]
 
 
 def test_transparent_gaussians_hide_no_duplicate():
     gaussians, cameras = flat_wall(views=2, size=16)
-    assert not found(replace(gaussians, opacities=gaussians.opacities * 0.3), cameras).any()
+    assert not found(
+        replace(gaussians, opacities=gaussians.opacities * 0.3), cameras
+    ).any()

@@ -5,7 +5,14 @@ from functools import cache
 import pytest
 import torch
 from edit3r_refiners.merging import place
-from edit3r_refiners.partition import Cells, count_left, measure_cells, partition, price_for_count, scene_price
+from edit3r_refiners.partition import (
+    Cells,
+    count_left,
+    measure_cells,
+    partition,
+    price_for_count,
+    scene_price,
+)
 from edit3r_refiners.settings import SimplifySettings
 
 from .scenes import cameras_side_by_side, gaussian_per_pixel
@@ -22,12 +29,16 @@ def cells():
 
 def measured(colours, depths, parallax=10.0) -> Cells:
     cameras = cameras_side_by_side(1, depths.shape[1:])
-    cameras.intrinsics[..., :2, :2] *= 20  # pixels as narrow as those of a large picture
+    cameras.intrinsics[..., :2, :2] *= (
+        20  # pixels as narrow as those of a large picture
+    )
     gaussians = gaussian_per_pixel(colours, depths, cameras)
     placement = place(gaussians, cameras)
     flat = colours[0].permute(1, 2, 0).reshape(-1, 3)
     settings = SimplifySettings(largest_cell=LEVELS)
-    return measure_cells(placement, flat, gaussians.opacities[0], cameras, parallax, settings)
+    return measure_cells(
+        placement, flat, gaussians.opacities[0], cameras, parallax, settings
+    )
 
 
 def best_cost_by_trying_all(cells: Cells, price: float) -> float:
@@ -35,16 +46,26 @@ def best_cost_by_trying_all(cells: Cells, price: float) -> float:
 
     @cache
     def best(by_y: int, by_x: int, row: int, column: int) -> float:
-        one = price + (float(cells.error[by_y, by_x][0, row, column]) if by_y + by_x else 0.0)
+        one = price + (
+            float(cells.error[by_y, by_x][0, row, column]) if by_y + by_x else 0.0
+        )
         options = [one]
         if by_y:
-            options.append(sum(best(by_y - 1, by_x, 2 * row + i, column) for i in (0, 1)))
+            options.append(
+                sum(best(by_y - 1, by_x, 2 * row + i, column) for i in (0, 1))
+            )
         if by_x:
-            options.append(sum(best(by_y, by_x - 1, row, 2 * column + i) for i in (0, 1)))
+            options.append(
+                sum(best(by_y, by_x - 1, row, 2 * column + i) for i in (0, 1))
+            )
         return min(options)
 
     side = 8 >> LEVELS
-    return sum(best(LEVELS, LEVELS, row, column) for row in range(side) for column in range(side))
+    return sum(
+        best(LEVELS, LEVELS, row, column)
+        for row in range(side)
+        for column in range(side)
+    )
 
 
 def cost_of(group: torch.Tensor, cells: Cells, price: float) -> float:
@@ -53,24 +74,35 @@ def cost_of(group: torch.Tensor, cells: Cells, price: float) -> float:
     _, row, column = cells.pixel
     for one in group[group >= 0].unique():
         rows, columns = row[group == one], column[group == one]
-        by_y, by_x = (int(p.max() - p.min() + 1).bit_length() - 1 for p in (rows, columns))
-        cost += price + float(cells.error[by_y, by_x][0, int(rows[0]) >> by_y, int(columns[0]) >> by_x])
+        by_y, by_x = (
+            int(p.max() - p.min() + 1).bit_length() - 1 for p in (rows, columns)
+        )
+        cost += price + float(
+            cells.error[by_y, by_x][0, int(rows[0]) >> by_y, int(columns[0]) >> by_x]
+        )
     return cost
 
 
 @pytest.mark.parametrize("price", [0.003, 0.03, 0.1, 0.3])
 def test_no_other_dyadic_partition_costs_less(cells, price):
     group = partition(cells, price)
-    assert cost_of(group, cells, price) == pytest.approx(best_cost_by_trying_all(cells, price), rel=1e-5)
+    assert cost_of(group, cells, price) == pytest.approx(
+        best_cost_by_trying_all(cells, price), rel=1e-5
+    )
 
 
 def test_count_left_is_what_partition_leaves_and_falls_with_the_price(cells):
     counts = []
     for price in (1e-4, 0.01, 0.05, 0.2, 10):
         group = partition(cells, price)
-        assert count_left(cells, price) == int((group < 0).sum()) + group[group >= 0].unique().numel()
+        assert (
+            count_left(cells, price)
+            == int((group < 0).sum()) + group[group >= 0].unique().numel()
+        )
         counts.append(count_left(cells, price))
-    assert counts == sorted(counts, reverse=True) and counts[0] == 64 and counts[-1] == 4
+    assert (
+        counts == sorted(counts, reverse=True) and counts[0] == 64 and counts[-1] == 4
+    )
 
 
 @pytest.mark.parametrize("most", [4, 17, 40, 63])
@@ -81,11 +113,16 @@ def test_price_for_keeps_to_the_budget_and_uses_it(cells, most):
 
 def scene_price_of_noise(amplitude: float) -> float:
     noise = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1)) - 0.5
-    return scene_price(measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0)), SimplifySettings())
+    return scene_price(
+        measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0)),
+        SimplifySettings(),
+    )
 
 
 def test_the_price_of_a_scene_follows_the_variance_of_its_finest_detail_within_bounds():
-    assert scene_price_of_noise(0.12) == pytest.approx(4 * scene_price_of_noise(0.06), rel=1e-3)
+    assert scene_price_of_noise(0.12) == pytest.approx(
+        4 * scene_price_of_noise(0.06), rel=1e-3
+    )
     highest = SimplifySettings().price
     assert scene_price_of_noise(0) == pytest.approx(highest / 10)
     assert scene_price_of_noise(1) == highest
@@ -103,15 +140,23 @@ def test_a_step_in_depth_is_never_bridged_at_any_price():
 
 def test_a_slanted_plane_is_one_cell():
     rows, columns = torch.meshgrid(torch.arange(8.0), torch.arange(8.0), indexing="ij")
-    cells = measured(torch.full((1, 3, 8, 8), 0.5), 1 / (0.3 + 0.001 * rows + 0.002 * columns)[None], parallax=200.0)
+    cells = measured(
+        torch.full((1, 3, 8, 8), 0.5),
+        1 / (0.3 + 0.001 * rows + 0.002 * columns)[None],
+        parallax=200.0,
+    )
     assert count_left(cells, 0.01) == 4
 
 
 def test_gaussians_far_outside_the_pictures_stay_themselves():
     cameras = cameras_side_by_side(1, (8, 8))
-    gaussians = gaussian_per_pixel(torch.full((1, 3, 8, 8), 0.5), torch.full((1, 8, 8), 2.0), cameras)
+    gaussians = gaussian_per_pixel(
+        torch.full((1, 3, 8, 8), 0.5), torch.full((1, 8, 8), 2.0), cameras
+    )
     gaussians.means[0, :3] = torch.tensor([[100.0, 0, 2], [0, 0, -3], [0, -50, 1]])
     colours, opacities = torch.full((64, 3), 0.5), gaussians.opacities[0]
-    cells = measure_cells(place(gaussians, cameras), colours, opacities, cameras, 1.0, SimplifySettings())
+    cells = measure_cells(
+        place(gaussians, cameras), colours, opacities, cameras, 1.0, SimplifySettings()
+    )
     group = partition(cells, 1.0)
     assert (group[:3] == -1).all() and (group[3:] >= 0).all()

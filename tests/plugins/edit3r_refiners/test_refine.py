@@ -1,4 +1,6 @@
-"""Refinement steps help on the input views, know when to stop, and are never worse than no refining."""
+"""Refinement steps help on the input views, know when to stop, and are never worse than no
+refining.
+"""
 
 import subprocess
 import sys
@@ -8,9 +10,9 @@ import pytest
 import torch
 from edit3r_refiners.refine import BETAS, Adam, RefineRefiner, RefineSettings, refine
 
+from edit3r.contract.types import EditRequest, Views
 from edit3r.reporting import Report, collecting
-from edit3r.testing.scenes import cameras_around, gaussian_cloud
-from edit3r.types import EditRequest, Views
+from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
@@ -35,7 +37,9 @@ def test_steps_bring_the_pictures_closer_to_the_photos(rasterizer, scene):
 def test_the_state_that_was_best_by_held_back_pixels_is_returned(rasterizer, scene):
     wild = RefineSettings(colour=1.0, opacity=1.0, scale=1.0, centre=1.0)
     taken = []
-    with collecting(Report(on_event=lambda event, text, done, total: taken.append(done))):
+    with collecting(
+        Report(on_event=lambda event, text, done, total: taken.append(done))
+    ):
         result = refine(*scene, rasterizer, 30, wild)
     assert max(taken) == 30 > result.steps
     assert result.held_back[1] <= result.held_back[0]
@@ -49,7 +53,13 @@ def test_more_photos_get_more_steps(rasterizer):
         cameras, taken = cameras_around(count), []
         with torch.no_grad():
             views = Views(rasterizer.render(truth, cameras).images, cameras.intrinsics)
-        with collecting(Report(on_event=lambda event, text, done, total, taken=taken: taken.append(total))):
+        with collecting(
+            Report(
+                on_event=lambda event, text, done, total, taken=taken: taken.append(
+                    total
+                )
+            )
+        ):
             refiner(spoilt, cameras, views, EditRequest(""), rasterizer)
         assert max(taken) == steps
 
@@ -75,8 +85,14 @@ def test_the_photos_may_be_larger_than_the_grid_of_gaussians(rasterizer, scene):
     small = cameras.at(tuple(size // 2 for size in cameras.image_size))
     refiner = RefineRefiner(RefineRefiner.Settings(steps=4))
     views = Views(images, cameras.intrinsics)
-    from_small, from_full = (refiner(gaussians, c, views, EditRequest(""), rasterizer) for c in (small, cameras))
-    assert all(torch.equal(getattr(from_small, name), getattr(from_full, name)) for name in FIELDS)
+    from_small, from_full = (
+        refiner(gaussians, c, views, EditRequest(""), rasterizer)
+        for c in (small, cameras)
+    )
+    assert all(
+        torch.equal(getattr(from_small, name), getattr(from_full, name))
+        for name in FIELDS
+    )
 
 
 def test_a_perfect_scene_is_returned_as_it_was(rasterizer):
@@ -96,7 +112,11 @@ def test_the_result_is_what_was_measured(rasterizer, scene):
     _, cameras, images = scene
     result = refine(*scene, rasterizer, 6)
     with torch.no_grad():
-        error = (rasterizer.render(result.gaussians, cameras).images - images).square().mean()
+        error = (
+            (rasterizer.render(result.gaussians, cameras).images - images)
+            .square()
+            .mean()
+        )
     share = RefineSettings().held_back
     expected = share * result.held_back[1] + (1 - share) * result.fitted[1]
     assert float(error) == pytest.approx(expected, rel=1e-3)
@@ -104,7 +124,9 @@ def test_the_result_is_what_was_measured(rasterizer, scene):
 
 def test_the_input_is_left_alone_and_the_result_is_valid(rasterizer, scene):
     before = {name: getattr(scene[0], name).clone() for name in FIELDS}
-    result = refine(*scene, rasterizer, 10, RefineSettings(colour=1, opacity=1, scale=1, centre=1))
+    result = refine(
+        *scene, rasterizer, 10, RefineSettings(colour=1, opacity=1, scale=1, centre=1)
+    )
     assert all(torch.equal(getattr(scene[0], name), before[name]) for name in FIELDS)
     for name in FIELDS:
         value = getattr(result.gaussians, name)
@@ -122,13 +144,20 @@ def test_opacities_at_their_limits_can_still_be_refined(rasterizer, scene):
 
 def test_steps_of_adam_are_those_of_torch():
     generator = torch.Generator().manual_seed(0)
-    start = [torch.randn(5, 3, generator=generator), torch.randn(4, generator=generator)]
-    ours, theirs = ([value.clone().requires_grad_(True) for value in start] for _ in range(2))
+    start = [
+        torch.randn(5, 3, generator=generator),
+        torch.randn(4, generator=generator),
+    ]
+    ours, theirs = (
+        [value.clone().requires_grad_(True) for value in start] for _ in range(2)
+    )
     adam, reference = Adam(ours, [0.1, 1e-3]), torch.optim.Adam(
         [{"params": [value], "lr": rate} for value, rate in zip(theirs, [0.1, 1e-3])], betas=BETAS
     )  # fmt: skip
     for _ in range(20):
-        gradients = [torch.randn(value.shape, generator=generator) ** 3 for value in start]
+        gradients = [
+            torch.randn(value.shape, generator=generator) ** 3 for value in start
+        ]
         adam.step(gradients)
         for value, gradient in zip(theirs, gradients):
             value.grad = gradient
@@ -153,8 +182,6 @@ def test_what_a_view_does_not_show_is_not_carried_on_by_earlier_steps():
 
 
 def test_no_compiler_is_loaded():
-    code = (
-        "import sys, torch; from edit3r_refiners.refine import Adam; Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"
-    )
+    code = "import sys, torch; from edit3r_refiners.refine import Adam; Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"
     code += "; sys.exit('torch._dynamo' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import SettingsError
-from edit3r.interfaces import Rasterizer
 from edit3r.reporting import Report, collecting
-from edit3r.testing.scenes import cameras_around, gaussian_cloud
-from edit3r.types import EditRequest, Views
+from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 from .scenes import textured
 
@@ -32,21 +32,36 @@ def test_simplify_leaves_no_more_than_the_smaller_of_both_numbers(rasterizer, sc
 
 
 def test_simplify_to_all_changes_nothing(rasterizer, scene):
-    assert edit3r.build("refiner", "simplify", gaussians="all")(*scene, EditRequest("x"), rasterizer) is scene[0]
+    assert (
+        edit3r.build("refiner", "simplify", gaussians="all")(
+            *scene, EditRequest("x"), rasterizer
+        )
+        is scene[0]
+    )
 
 
 def test_a_wrong_number_for_simplify_is_one_sentence():
-    with pytest.raises(SettingsError, match="expected auto, all or a number of at least 1, got 'few'"):
+    with pytest.raises(
+        SettingsError, match="expected auto, all or a number of at least 1, got 'few'"
+    ):
         edit3r.build("refiner", "simplify", gaussians="few")
 
 
 def test_refine_brings_the_scene_closer_to_the_edited_views(rasterizer, scene):
     gaussians, cameras, views = scene
     with torch.no_grad():
-        better = edit3r.build("refiner", "refine", steps=10)(*scene, EditRequest("x"), rasterizer)
+        better = edit3r.build("refiner", "refine", steps=10)(
+            *scene, EditRequest("x"), rasterizer
+        )
         first = cameras.select([0])
-        before, after = (rasterizer.render(g, first).images - views.images for g in (gaussians, better))
-    assert after.square().mean() < 0.8 * before.square().mean() and not better.means.requires_grad
+        before, after = (
+            rasterizer.render(g, first).images - views.images
+            for g in (gaussians, better)
+        )
+    assert (
+        after.square().mean() < 0.8 * before.square().mean()
+        and not better.means.requires_grad
+    )
 
 
 def test_simplify_and_refine_tell_what_they_did(rasterizer):
@@ -56,8 +71,16 @@ def test_simplify_and_refine_tell_what_they_did(rasterizer):
         fewer = edit3r.build("refiner", "simplify", gaussians=900)(
             gaussians, cameras, views, EditRequest("x"), rasterizer
         )
-        edit3r.build("refiner", "refine", steps=2)(fewer, cameras, views, EditRequest("x"), rasterizer)
-    assert fewer.count == report.notes["simplify.left"] <= 900 < report.notes["simplify.before"] == gaussians.count
+        edit3r.build("refiner", "refine", steps=2)(
+            fewer, cameras, views, EditRequest("x"), rasterizer
+        )
+    assert (
+        fewer.count
+        == report.notes["simplify.left"]
+        <= 900
+        < report.notes["simplify.before"]
+        == gaussians.count
+    )
     assert report.notes["simplify.psnr_of_input_views_against_all"] > 15
     assert 0 <= report.notes["refine"]["steps"] <= 2
 
@@ -84,26 +107,47 @@ def masked(scene, rasterizer, share):
     gaussians, cameras, views = scene
     masks = torch.zeros(1, 2, *cameras.image_size)
     masks[..., : round(share * cameras.image_size[1])] = 0.5
-    edited = replace(gaussians, harmonics=-gaussians.harmonics, view_index=torch.zeros(80, dtype=torch.long))
+    edited = replace(
+        gaussians,
+        harmonics=-gaussians.harmonics,
+        view_index=torch.zeros(80, dtype=torch.long),
+    )
     before = replace(gaussians, view_index=torch.zeros(80, dtype=torch.long))
     request = EditRequest("x", masks=masks, before=before)
-    return edited, edit3r.build("refiner", "keep-outside-mask")(edited, cameras, views, request, rasterizer), request
+    return (
+        edited,
+        edit3r.build("refiner", "keep-outside-mask")(
+            edited, cameras, views, request, rasterizer
+        ),
+        request,
+    )
 
 
-def test_keep_outside_mask_keeps_what_shows_outside_and_takes_what_shows_inside_alone(rasterizer, scene):
+def test_keep_outside_mask_keeps_what_shows_outside_and_takes_what_shows_inside_alone(
+    rasterizer, scene
+):
     edited, result, request = masked(scene, rasterizer, 0.7)
     with torch.no_grad():
-        old, new = (rasterizer.render(g, scene[1]).images[0].movedim(1, -1) for g in (request.before, result))
-    assert torch.equal(old[request.masks[0] == 0], new[request.masks[0] == 0]) and not torch.equal(old, new)
+        old, new = (
+            rasterizer.render(g, scene[1]).images[0].movedim(1, -1)
+            for g in (request.before, result)
+        )
+    assert torch.equal(
+        old[request.masks[0] == 0], new[request.masks[0] == 0]
+    ) and not torch.equal(old, new)
     from_before = (result.harmonics == request.before.harmonics).flatten(2).all(2)
     from_edited = (result.harmonics == edited.harmonics).flatten(2).all(2)
     assert (from_before ^ from_edited).all() and from_edited.any()
 
 
-def test_keep_outside_mask_keeps_nothing_where_masks_cover_all_or_there_are_none(rasterizer, scene):
+def test_keep_outside_mask_keeps_nothing_where_masks_cover_all_or_there_are_none(
+    rasterizer, scene
+):
     gaussians, cameras, views = scene
     refiner = edit3r.build("refiner", "keep-outside-mask")
     assert refiner.needs_before
     for masks in (None, torch.ones(1, 2, *cameras.image_size)):
-        request = EditRequest("x", masks=masks, before=replace(gaussians, harmonics=-gaussians.harmonics))
+        request = EditRequest(
+            "x", masks=masks, before=replace(gaussians, harmonics=-gaussians.harmonics)
+        )
         assert refiner(gaussians, cameras, views, request, rasterizer) is gaussians

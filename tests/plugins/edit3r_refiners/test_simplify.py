@@ -9,9 +9,9 @@ from edit3r_measure.metrics import psnr
 from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
+from edit3r.contract.types import Gaussians
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.testing.scenes import cameras_around, gaussian_cloud, photograph
-from edit3r.types import Gaussians
+from edit3r_testing.scenes import cameras_around, gaussian_cloud, photograph
 
 from .scenes import flat_wall, gaussian_per_pixel, textured
 
@@ -24,7 +24,9 @@ def pictures(rasterizer, gaussians, cameras) -> np.ndarray:
 
 
 @pytest.mark.parametrize("views", [1, 2])
-def test_a_flat_wall_keeps_under_two_percent_of_its_gaussians_and_its_colour(rasterizer, views):
+def test_a_flat_wall_keeps_under_two_percent_of_its_gaussians_and_its_colour(
+    rasterizer, views
+):
     gaussians, cameras = flat_wall(views)
     result = simplify(gaussians, cameras, rasterizer)
     assert result.gaussians.count < 0.02 * gaussians.count
@@ -36,7 +38,9 @@ def test_detail_survives_on_a_flat_wall(rasterizer):
     gaussians, cameras = flat_wall()
     detail = torch.zeros(64, 64, dtype=torch.bool)
     detail[20:36, 20:36] = (torch.arange(16)[:, None] + torch.arange(16)) % 2 == 0
-    gaussians.harmonics[:, detail.flatten()] = colour_to_dc(torch.tensor([0.1, 0.2, 0.9]))
+    gaussians.harmonics[:, detail.flatten()] = colour_to_dc(
+        torch.tensor([0.1, 0.2, 0.9])
+    )
     before = pictures(rasterizer, gaussians, cameras)[0, 0, :, 20:36, 20:36]
     result = simplify(gaussians, cameras, rasterizer)
     after = pictures(rasterizer, result.gaussians, cameras)[0, 0, :, 20:36, 20:36]
@@ -48,20 +52,28 @@ def test_a_textured_scene_loses_two_thirds_and_little_else(rasterizer):
     gaussians, cameras, photos = textured(size=(96, 128))
     result = simplify(gaussians, cameras, rasterizer)
     assert result.gaussians.count < gaussians.count / 3
-    before, after = (pictures(rasterizer, g, cameras) for g in (gaussians, result.gaussians))
+    before, after = (
+        pictures(rasterizer, g, cameras) for g in (gaussians, result.gaussians)
+    )
     assert result.psnr == pytest.approx(psnr(after, before), abs=1e-3)
     assert psnr(after, photos.numpy()) > psnr(before, photos.numpy()) - 1
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_new_view_between_the_inputs_loses_under_a_fifth_of_a_decibel(rasterizer, seed):
+def test_a_new_view_between_the_inputs_loses_under_a_fifth_of_a_decibel(
+    rasterizer, seed
+):
     scene = photograph(3, (96, 128), seed=seed)
     inputs, between = scene.cameras.select([0, 2]), scene.cameras.select([1])
-    gaussians = gaussian_per_pixel(scene.views.images[0, [0, 2]], scene.depths[0, [0, 2]], inputs)
+    gaussians = gaussian_per_pixel(
+        scene.views.images[0, [0, 2]], scene.depths[0, [0, 2]], inputs
+    )
     fewer = simplify(gaussians, inputs, rasterizer).gaussians
     assert fewer.count < gaussians.count / 3
     photo = scene.views.images[:, [1]].numpy()
-    before, after = (psnr(pictures(rasterizer, g, between), photo) for g in (gaussians, fewer))
+    before, after = (
+        psnr(pictures(rasterizer, g, between), photo) for g in (gaussians, fewer)
+    )
     assert after > before - 0.2
 
 
@@ -82,15 +94,24 @@ def test_every_gaussian_is_accounted_for(rasterizer):
     gaussians, cameras, _ = textured()
     result = simplify(gaussians, cameras, rasterizer)
     assert result.before == gaussians.count
-    assert result.before - result.unseen - result.doubled - result.merged == result.gaussians.count
+    assert (
+        result.before - result.unseen - result.doubled - result.merged
+        == result.gaussians.count
+    )
     assert min(result.doubled, result.merged) > 0
 
 
 def test_hidden_gaussians_go(rasterizer):
     gaussians, cameras = flat_wall(size=32)
-    hidden = replace(gaussians, means=gaussians.means * 2, scales=gaussians.scales * 0.5)
+    hidden = replace(
+        gaussians, means=gaussians.means * 2, scales=gaussians.scales * 0.5
+    )
     behind = replace(hidden, harmonics=colour_to_dc(torch.rand(1, 1024, 1, 3)))
-    opaque = replace(gaussians, opacities=torch.ones_like(gaussians.opacities), scales=gaussians.scales * 2)
+    opaque = replace(
+        gaussians,
+        opacities=torch.ones_like(gaussians.opacities),
+        scales=gaussians.scales * 2,
+    )
     result = simplify(Gaussians.cat((opaque, behind)), cameras, rasterizer)
     assert result.unseen >= 1000
 
@@ -99,7 +120,9 @@ def test_gaussians_of_no_view_and_any_shape_are_kept_finite(rasterizer):
     gaussians, cameras = gaussian_cloud(300, degree=2), cameras_around(3)
     result = simplify(gaussians, cameras, rasterizer)
     assert all(torch.isfinite(getattr(result.gaussians, name)).all() for name in FIELDS)
-    assert 0 < result.gaussians.count <= 300 and (result.gaussians.view_index == -1).all()
+    assert (
+        0 < result.gaussians.count <= 300 and (result.gaussians.view_index == -1).all()
+    )
 
 
 def test_an_empty_scene_stays_empty(rasterizer):
@@ -120,5 +143,7 @@ def test_depth_edges_stay_apart_seen_from_the_side(rasterizer):
     depths = torch.full((2, 64, 64), 4.0)
     depths[:, 20:44, 20:44] = 2.0
     gaussians = gaussian_per_pixel(torch.full((2, 3, 64, 64), 0.6), depths, cameras)
-    z = simplify(gaussians, cameras, rasterizer, settings=SimplifySettings(polish=0, behind=0)).gaussians.means[0, :, 2]
+    z = simplify(
+        gaussians, cameras, rasterizer, settings=SimplifySettings(polish=0, behind=0)
+    ).gaussians.means[0, :, 2]
     assert ((z - 2).abs() < 0.01).logical_or((z - 4).abs() < 0.01).all()

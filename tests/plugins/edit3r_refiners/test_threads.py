@@ -12,7 +12,12 @@ def test_the_refined_scene_does_not_depend_on_the_number_of_threads():
     before, scenes = torch.get_num_threads(), []
     for threads in (1, 2, 4, 4):
         torch.set_num_threads(threads)
-        scenes.append(edit3r.run(views, editor="none", recon="classical", refine=3).gaussians)
+        scenes.append(
+            edit3r.run(views, editor="none", recon="classical", refine=3).gaussians
+        )
     torch.set_num_threads(before)
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        assert all(torch.equal(getattr(scenes[0], name), getattr(scene, name)) for scene in scenes[1:]), name
+        assert all(
+            torch.equal(getattr(scenes[0], name), getattr(scene, name))
+            for scene in scenes[1:]
+        ), name

@@ -22,7 +22,9 @@ KEY = "sk-very-secret-0123456789"
 
 
 class FakeService:
-    """Answers with the picture it was sent, inverted, unless `script` says what to do next ('ok' is the default)."""
+    """Answers with the picture it was sent, inverted, unless `script` says what to do next ('ok' is
+    the default).
+    """
 
     def __init__(self) -> None:
         self.script: deque[str] = deque()
@@ -31,7 +33,11 @@ class FakeService:
         self.busy = self.busiest = 0
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
         self.server.daemon_threads = True
-        self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        self.thread = threading.Thread(
+            target=self.server.serve_forever,
+            kwargs={"poll_interval": 0.02},
+            daemon=True,
+        )
         self.thread.start()
 
     @property
@@ -71,17 +77,33 @@ class FakeService:
 
 def read(path: str, headers, body: bytes) -> dict:
     """What a client sent, by field name."""
-    found = {"path": path, "headers": {name.lower(): value for name, value in headers.items()}, "body": body}
+    found = {
+        "path": path,
+        "headers": {name.lower(): value for name, value in headers.items()},
+        "body": body,
+    }
     if "/images/edits" in path:
-        message = message_from_bytes(b"Content-Type: " + headers["Content-Type"].encode() + b"\r\n\r\n" + body)
+        message = message_from_bytes(
+            b"Content-Type: " + headers["Content-Type"].encode() + b"\r\n\r\n" + body
+        )
         for part in message.get_payload():
-            found[part.get_param("name", header="content-disposition")] = part.get_payload(decode=True)
-        found["size"] = tuple(int(side) for side in reversed(found["size"].decode().split("x")))
+            found[part.get_param("name", header="content-disposition")] = (
+                part.get_payload(decode=True)
+            )
+        found["size"] = tuple(
+            int(side) for side in reversed(found["size"].decode().split("x"))
+        )
     else:
         found["json"] = json.loads(body)
-        parts = [part for content in found["json"]["contents"] for part in content["parts"]]
-        found["prompt"] = next(part["text"] for part in parts if "text" in part).encode()
-        data = next(part["inlineData"]["data"] for part in parts if "inlineData" in part)
+        parts = [
+            part for content in found["json"]["contents"] for part in content["parts"]
+        ]
+        found["prompt"] = next(
+            part["text"] for part in parts if "text" in part
+        ).encode()
+        data = next(
+            part["inlineData"]["data"] for part in parts if "inlineData" in part
+        )
         found["image"] = base64.b64decode(data + "=" * (-len(data) % 4), altchars=b"-_")
         width, height = Image.open(io.BytesIO(found["image"])).size
         found["size"] = (height, width)
@@ -89,7 +111,9 @@ def read(path: str, headers, body: bytes) -> dict:
 
 
 def inverted(picture: bytes, size=None) -> bytes:
-    image = Image.fromarray(255 - np.array(Image.open(io.BytesIO(picture)).convert("RGB")))
+    image = Image.fromarray(
+        255 - np.array(Image.open(io.BytesIO(picture)).convert("RGB"))
+    )
     if size is not None:
         image = image.resize((size[1], size[0]))
     buffer = io.BytesIO()
@@ -112,15 +136,23 @@ def respond(handler, request: dict, behaviour: str) -> None:
         "garbage": b"this is no picture",
         "key": f"ab {KEY}".encode(),
         "gigapixels": gigapixels() if kind == "gigapixels" else b"",
-        "wrong-size": inverted(request["image"], (height // 2, width // 2)) if kind == "wrong-size" else b"",
-        "wrong-shape": inverted(request["image"], (height, width // 2)) if kind == "wrong-shape" else b"",
+        "wrong-size": inverted(request["image"], (height // 2, width // 2))
+        if kind == "wrong-size"
+        else b"",
+        "wrong-shape": inverted(request["image"], (height, width // 2))
+        if kind == "wrong-shape"
+        else b"",
     }
     picture = pictures.get(kind) or inverted(request["image"])
     body = success(request, picture)
     if kind == "usage":
-        body = body.replace(b": 100", b": " + value.encode()).replace(b": 200", b": " + value.encode())
+        body = body.replace(b": 100", b": " + value.encode()).replace(
+            b": 200", b": " + value.encode()
+        )
     if kind == "no-usage":
-        body = body.replace(b'"usage": {', b'"usage": "none", "x": {').replace(b'"usageMetadata": {', b'"x": {')
+        body = body.replace(b'"usage": {', b'"usage": "none", "x": {').replace(
+            b'"usageMetadata": {', b'"x": {'
+        )
     if kind == "half-json":
         body = body[: len(body) // 2]
     send(handler, body, announced=2 * len(body) if kind == "truncated" else len(body))
@@ -130,7 +162,10 @@ def gigapixels() -> bytes:
     """A PNG whose header says 60000 x 40000."""
     header = struct.pack(">IIBBBBB", 60000, 40000, 8, 2, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")]
-    parts = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
+    parts = [
+        struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c))
+        for n, c in chunks
+    ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
@@ -138,20 +173,38 @@ def success(request: dict, picture: bytes) -> bytes:
     encoded = base64.b64encode(picture).decode()
     if "/images/edits" in request["path"]:
         details = {"image_tokens": 100, "text_tokens": 0}
-        usage = {"input_tokens": 100, "output_tokens": 200, "total_tokens": 300, "input_tokens_details": details}
-        return json.dumps({"created": 1, "data": [{"b64_json": encoded}], "usage": usage}).encode()
-    parts = [{"text": "Here you are."}, {"inlineData": {"mimeType": "image/png", "data": encoded}}]
+        usage = {
+            "input_tokens": 100,
+            "output_tokens": 200,
+            "total_tokens": 300,
+            "input_tokens_details": details,
+        }
+        return json.dumps(
+            {"created": 1, "data": [{"b64_json": encoded}], "usage": usage}
+        ).encode()
+    parts = [
+        {"text": "Here you are."},
+        {"inlineData": {"mimeType": "image/png", "data": encoded}},
+    ]
     candidate = {"content": {"role": "model", "parts": parts}, "finishReason": "STOP"}
     return json.dumps(
-        {"candidates": [candidate], "usageMetadata": {"promptTokenCount": 100, "candidatesTokenCount": 200}}
+        {
+            "candidates": [candidate],
+            "usageMetadata": {"promptTokenCount": 100, "candidatesTokenCount": 200},
+        }
     ).encode()
 
 
 def refusal(request: dict) -> tuple[bytes, int]:
     words = "I will not paint that."
     if "/images/edits" in request["path"]:
-        return json.dumps({"error": {"message": words, "code": "moderation_blocked"}}).encode(), 400
-    candidate = {"content": {"role": "model", "parts": [{"text": words}]}, "finishReason": "IMAGE_SAFETY"}
+        return json.dumps(
+            {"error": {"message": words, "code": "moderation_blocked"}}
+        ).encode(), 400
+    candidate = {
+        "content": {"role": "model", "parts": [{"text": words}]},
+        "finishReason": "IMAGE_SAFETY",
+    }
     return json.dumps({"candidates": [candidate]}).encode(), 200
 
 
@@ -180,7 +233,9 @@ def fake(monkeypatch):
 
 @pytest.fixture(params=["gpt-image", "gemini-image"])
 def editor_name(request) -> str:
-    pytest.importorskip({"gpt-image": "openai", "gemini-image": "google.genai"}[request.param])
+    pytest.importorskip(
+        {"gpt-image": "openai", "gemini-image": "google.genai"}[request.param]
+    )
     return request.param
 
 
@@ -191,7 +246,13 @@ def build(fake, editor_name, tmp_path):
     def build(**settings):
         base_url = f"{fake.url}/v1" if editor_name == "gpt-image" else fake.url
         quick = {"retry_delay_s": 0.01} if editor_name == "gemini-image" else {}
-        settings = {"base_url": base_url, "cache": str(tmp_path / "cache"), "concurrent": 1, **quick, **settings}
+        settings = {
+            "base_url": base_url,
+            "cache": str(tmp_path / "cache"),
+            "concurrent": 1,
+            **quick,
+            **settings,
+        }
         return edit3r.build("editor", editor_name, **settings)
 
     return build
@@ -200,6 +261,10 @@ def build(fake, editor_name, tmp_path):
 @pytest.fixture
 def two_views() -> edit3r.Views:
     """Two smooth 24 x 32 pictures."""
-    y, x = torch.meshgrid(torch.linspace(0.1, 0.9, 24), torch.linspace(0.1, 0.9, 32), indexing="ij")
+    y, x = torch.meshgrid(
+        torch.linspace(0.1, 0.9, 24), torch.linspace(0.1, 0.9, 32), indexing="ij"
+    )
     images = torch.stack((torch.stack((x, y, x)), torch.stack((y, x, y))))
-    return edit3r.Views(images[None], torch.eye(3).expand(1, 2, 3, 3), ("left.png", "right.png"))
+    return edit3r.Views(
+        images[None], torch.eye(3).expand(1, 2, 3, 3), ("left.png", "right.png")
+    )

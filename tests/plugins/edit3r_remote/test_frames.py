@@ -16,7 +16,10 @@ def test_a_photo_fits_inside_its_frame_undistorted_and_centred(height, width):
     frame = Frame.around((height, width), OFFERED)
     assert frame.size in OFFERED
     for side in (0, 1):
-        assert frame.corner[side] >= 0 and frame.corner[side] + frame.inner[side] <= frame.size[side]
+        assert (
+            frame.corner[side] >= 0
+            and frame.corner[side] + frame.inner[side] <= frame.size[side]
+        )
         assert abs(2 * frame.corner[side] + frame.inner[side] - frame.size[side]) <= 1
     scale = min(frame.size[0] / height, frame.size[1] / width)
     for side, length in zip(frame.inner, (height, width)):
@@ -26,7 +29,9 @@ def test_a_photo_fits_inside_its_frame_undistorted_and_centred(height, width):
 @pytest.mark.parametrize("size", [(48, 64), (64, 48), (30, 100), (50, 50), (1, 7)])
 def test_enclosing_and_extracting_gives_the_photo_back(size):
     offered = ((96, 96), (96, 144), (144, 96))
-    photo = torch.linspace(0.2, 0.8, size[0])[:, None] * torch.linspace(0.5, 1, size[1]).expand(3, 1, size[1])
+    photo = torch.linspace(0.2, 0.8, size[0])[:, None] * torch.linspace(
+        0.5, 1, size[1]
+    ).expand(3, 1, size[1])
     frame = Frame.around(size, offered)
     enclosed = frame.enclose(photo)
     assert enclosed.shape[1:] == frame.size
@@ -40,10 +45,14 @@ def test_png_round_trip_is_exact_to_a_byte():
 
 
 def test_a_softly_masked_pixel_may_change():
-    mask, _ = decode(encode_mask(torch.tensor([[0.0, 0.1], [0.9, 1.0]])), (2, 2), "mask")
+    mask, _ = decode(
+        encode_mask(torch.tensor([[0.0, 0.1], [0.9, 1.0]])), (2, 2), "mask"
+    )
     assert torch.equal(mask[0], torch.tensor([[1.0, 0.0], [0.0, 0.0]]))
 
 
 def test_what_is_no_picture_is_quoted():
-    with pytest.raises(RunError, match=r"view 3 is no picture \(5 bytes, starting 'hello'\)"):
+    with pytest.raises(
+        RunError, match=r"view 3 is no picture \(5 bytes, starting 'hello'\)"
+    ):
         decode(b"hello", (5, 7), "view 3")

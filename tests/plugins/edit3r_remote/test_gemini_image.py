@@ -23,5 +23,9 @@ def test_shape_seed_and_modality_are_asked_for(build, fake, two_views):
 
 
 def test_the_seed_is_declared_as_not_binding():
-    offer = next(offer for offer in edit3r.components("editor") if offer.component.name == "gemini-image")
+    offer = next(
+        offer
+        for offer in edit3r.components("editor")
+        if offer.component.name == "gemini-image"
+    )
     assert not offer.component.supports_seed

@@ -20,16 +20,26 @@ def editor_name(request):
 
 
 def test_the_declared_component_says_it_has_no_seed():
-    offer = next(offer for offer in edit3r.components("editor") if offer.component.name == "gpt-image")
+    offer = next(
+        offer
+        for offer in edit3r.components("editor")
+        if offer.component.name == "gpt-image"
+    )
     assert not offer.component.supports_seed and offer.component.needs_network
 
 
-def test_a_photo_is_sent_in_a_size_the_service_offers_with_settings(build, fake, two_views):
+def test_a_photo_is_sent_in_a_size_the_service_offers_with_settings(
+    build, fake, two_views
+):
     build(quality="low").edit(two_views, ASK)
     sent = fake.requests[0]
     assert sent["size"] == (1024, 1536)
     assert Image.open(io.BytesIO(sent["image"])).size == (1536, 1024)
-    assert (sent["quality"], sent["input_fidelity"], sent["model"]) == (b"low", b"high", b"gpt-image-1")
+    assert (sent["quality"], sent["input_fidelity"], sent["model"]) == (
+        b"low",
+        b"high",
+        b"gpt-image-1",
+    )
     assert "seed" not in sent and "mask" not in sent
 
 

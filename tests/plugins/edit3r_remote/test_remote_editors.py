@@ -15,11 +15,17 @@ SECRET = "sk-very-secret"
 
 @pytest.fixture(autouse=True)
 def small_frames(editor_name, monkeypatch):
-    """Pictures of an eighth of the services' sizes, for speed; their own sizes have tests of their own."""
+    """Pictures of an eighth of the services' sizes, for speed; their own sizes have tests of their
+    own.
+    """
     if editor_name == "gpt-image":
-        monkeypatch.setattr("edit3r_remote.gpt_image.SIZES", ((128, 128), (128, 192), (192, 128)))
+        monkeypatch.setattr(
+            "edit3r_remote.gpt_image.SIZES", ((128, 128), (128, 192), (192, 128))
+        )
     else:
-        monkeypatch.setattr("edit3r_remote.gemini_image.SHAPES", {(128, 128): "1:1", (108, 148): "4:3"})
+        monkeypatch.setattr(
+            "edit3r_remote.gemini_image.SHAPES", {(128, 128): "1:1", (108, 148): "4:3"}
+        )
 
 
 def test_views_come_back_edited_in_place_and_at_their_size(build, two_views):
@@ -36,7 +42,9 @@ def test_the_prompt_is_sent_and_the_key_only_as_a_header(build, fake, two_views)
         assert SECRET not in request["path"] and SECRET.encode() not in request["body"]
 
 
-@pytest.mark.parametrize("trouble", ["status:429", "status:500", "status:503", "truncated"])
+@pytest.mark.parametrize(
+    "trouble", ["status:429", "status:500", "status:503", "truncated"]
+)
 def test_passing_trouble_is_retried(build, fake, two_views, trouble):
     fake.script.extend([trouble, trouble, "ok", "ok"])
     edited = build().edit(two_views, ASK)
@@ -53,7 +61,11 @@ def test_an_answer_that_is_late_is_asked_for_again(build, fake, two_views):
 @pytest.mark.parametrize(
     ("trouble", "error", "says"),
     [
-        ("status:429", RunError, r"rate limit .*after 2 tries for left\.png.*editor\.concurrent"),
+        (
+            "status:429",
+            RunError,
+            r"rate limit .*after 2 tries for left\.png.*editor\.concurrent",
+        ),
         ("status:500", RunError, r"failed on left\.png with status 500"),
         ("status:404", RunError, "status 404"),
         ("status:401", MissingDependencyError, "does not accept the key in "),
@@ -63,15 +75,21 @@ def test_an_answer_that_is_late_is_asked_for_again(build, fake, two_views):
         ("half-json", RunError, r"no usable answer for left\.png"),
     ],
 )
-def test_lasting_trouble_is_one_sentence_without_the_key(build, fake, two_views, trouble, error, says):
+def test_lasting_trouble_is_one_sentence_without_the_key(
+    build, fake, two_views, trouble, error, says
+):
     fake.script.extend([trouble] * 4)
     with pytest.raises(error, match=says) as caught:
         build(attempts=2).edit(two_views, ASK)
     assert SECRET not in str(caught.value)
-    assert caught.value.__cause__ is None and caught.value.__suppress_context__  # nothing for --debug to print either
+    assert (
+        caught.value.__cause__ is None and caught.value.__suppress_context__
+    )  # nothing for --debug to print either
 
 
-def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(build, fake, two_views, tmp_path):
+def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(
+    build, fake, two_views, tmp_path
+):
     fake.script.extend(["key"] * 4)
     with pytest.raises(RunError, match=r"no picture .*ab \*\*\*") as caught:
         build(attempts=1).edit(two_views, ASK)
@@ -82,11 +100,15 @@ def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(build, fake, t
 
 def test_a_picture_of_gigapixels_is_named_before_it_is_decoded(build, fake, two_views):
     fake.script.extend(["gigapixels"] * 4)
-    with pytest.raises(RunError, match=r"the answer for left\.png (has|is).* far too many"):
+    with pytest.raises(
+        RunError, match=r"the answer for left\.png (has|is).* far too many"
+    ):
         build(attempts=1).edit(two_views, ASK)
 
 
-@pytest.mark.parametrize("trouble", ["usage:null", "usage:-5", "no-usage", "usage:true"])
+@pytest.mark.parametrize(
+    "trouble", ["usage:null", "usage:-5", "no-usage", "usage:true"]
+)
 def test_a_bill_of_wrong_types_never_costs_the_picture(build, fake, two_views, trouble):
     fake.script.extend([trouble] * 2)
     for _ in range(2):  # the second time from the cache
@@ -102,7 +124,9 @@ def test_an_answer_that_cannot_be_kept_is_used(build, fake, two_views, tmp_path)
     with collecting(Report()) as report:
         edited = build(cache=str(tmp_path / "file")).edit(two_views, ASK)
     assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
-    assert any("cannot be kept in editor.cache" in warning for warning in report.warnings)
+    assert any(
+        "cannot be kept in editor.cache" in warning for warning in report.warnings
+    )
 
 
 def test_a_service_that_is_not_there_is_one_sentence(build, fake, two_views):
@@ -112,18 +136,26 @@ def test_a_service_that_is_not_there_is_one_sentence(build, fake, two_views):
         build(attempts=1).edit(two_views, ASK)
 
 
-def test_an_answer_of_another_size_and_the_same_shape_is_scaled_and_said(build, fake, two_views):
+def test_an_answer_of_another_size_and_the_same_shape_is_scaled_and_said(
+    build, fake, two_views
+):
     fake.script.append("wrong-size")
     report = Report()
     with collecting(report):
         edited = build().edit(two_views, ASK)
     assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
-    assert len(report.warnings) == 1 and "left.png" in report.warnings[0] and "was scaled" in report.warnings[0]
+    assert (
+        len(report.warnings) == 1
+        and "left.png" in report.warnings[0]
+        and "was scaled" in report.warnings[0]
+    )
 
 
 def test_a_broken_run_goes_on_without_paying_twice(build, fake, two_views):
     fake.script.extend(["ok", "refusal"])
-    with pytest.raises(PromptError, match=r"1 of 2 views have their answer in .* cost nothing again"):
+    with pytest.raises(
+        PromptError, match=r"1 of 2 views have their answer in .* cost nothing again"
+    ):
         build().edit(two_views, ASK)
     report = Report()
     with collecting(report):
@@ -145,7 +177,10 @@ def test_views_already_under_way_when_one_fails_are_kept(build, fake, two_views)
 
 def test_only_an_equal_request_is_answered_from_the_cache(build, fake, two_views):
     first = build().edit(two_views, ASK).images
-    assert torch.equal(build().edit(two_views, ASK).images, first) and len(fake.requests) == 2
+    assert (
+        torch.equal(build().edit(two_views, ASK).images, first)
+        and len(fake.requests) == 2
+    )
     changes = [
         lambda: build().edit(two_views, replace(ASK, prompt="paint it blue")),
         lambda: build().edit(two_views, replace(ASK, seed=4)),
@@ -165,7 +200,9 @@ def test_without_a_cache_every_run_asks(build, fake, two_views):
 
 def test_views_are_sent_together_within_the_limit(build, fake, two_views):
     four = two_views.select([0, 1, 0, 1])
-    four = replace(four, images=four.images * torch.linspace(0.5, 1, 4)[None, :, None, None, None])
+    four = replace(
+        four, images=four.images * torch.linspace(0.5, 1, 4)[None, :, None, None, None]
+    )
     fake.script.extend(["slow:0.4"] * 4)
     build(concurrent=2).edit(four, ASK)
     assert fake.busiest == 2
@@ -177,8 +214,12 @@ def test_cost_tokens_and_seconds_are_noted_per_view(build, two_views):
         build(input_price=10.0, output_price=40.0).edit(two_views, ASK)
     bills = report.notes["editor.views"]
     assert [bill["view"] for bill in bills] == ["left.png", "right.png"]
-    assert all(bill["input_tokens"] == 100 and bill["output_tokens"] == 200 for bill in bills)
-    assert all(bill["cost_usd"] == pytest.approx((100 * 10 + 200 * 40) / 1e6) for bill in bills)
+    assert all(
+        bill["input_tokens"] == 100 and bill["output_tokens"] == 200 for bill in bills
+    )
+    assert all(
+        bill["cost_usd"] == pytest.approx((100 * 10 + 200 * 40) / 1e6) for bill in bills
+    )
     assert report.notes["editor.cost_usd"] == pytest.approx(0.018)
     assert SECRET not in str(report.notes) and "seed" in report.notes["editor.seed"]
 
@@ -191,7 +232,9 @@ def test_a_view_with_nothing_to_change_is_not_sent(build, fake, two_views):
     assert torch.equal(edited.images[:, 0], two_views.images[:, 0])
 
 
-def test_an_empty_instruction_is_refused_before_anything_is_sent(build, fake, two_views):
+def test_an_empty_instruction_is_refused_before_anything_is_sent(
+    build, fake, two_views
+):
     with pytest.raises(PromptError, match="--prompt"):
         build().edit(two_views, edit3r.EditRequest(" "))
     assert not fake.requests
@@ -203,5 +246,7 @@ def test_a_missing_key_names_the_variable(build, two_views, monkeypatch, value):
         monkeypatch.delenv(name, raising=False)
         if value is not None:
             monkeypatch.setenv(name, value)
-    with pytest.raises(MissingDependencyError, match=r"environment variable (OPENAI|GEMINI)_API_KEY"):
+    with pytest.raises(
+        MissingDependencyError, match=r"environment variable (OPENAI|GEMINI)_API_KEY"
+    ):
         build().edit(two_views, ASK)

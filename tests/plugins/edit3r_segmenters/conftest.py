@@ -1,4 +1,6 @@
-"""Tiny random SAM2, SAM3 and Grounding DINO of the real architectures, saved to disk and loaded as users do."""
+"""Tiny random SAM2, SAM3 and Grounding DINO of the real architectures, saved to disk and loaded as
+users do.
+"""
 
 import json
 from pathlib import Path
@@ -11,7 +13,20 @@ import edit3r
 pytest.importorskip("transformers")
 
 SIDE = 128  # pixels of the tiny SAM2's square input
-WORDS = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", ".", "?", "the", "a", "bike", "door", "chair"]
+WORDS = [
+    "[PAD]",
+    "[UNK]",
+    "[CLS]",
+    "[SEP]",
+    "[MASK]",
+    ".",
+    "?",
+    "the",
+    "a",
+    "bike",
+    "door",
+    "chair",
+]
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +61,12 @@ def tiny_sam2_config():
     return Sam2VideoConfig(
         vision_config=vision.to_dict(),
         prompt_encoder_config={"hidden_size": 128, "image_size": SIDE},
-        mask_decoder_config={"hidden_size": 128, "mlp_dim": 64, "num_attention_heads": 2, "iou_head_hidden_dim": 32},
+        mask_decoder_config={
+            "hidden_size": 128,
+            "mlp_dim": 64,
+            "num_attention_heads": 2,
+            "iou_head_hidden_dim": 32,
+        },
         image_size=SIDE,
         memory_attention_hidden_size=128,
         memory_attention_num_layers=1,
@@ -57,7 +77,8 @@ def tiny_sam2_config():
         memory_fuser_num_layers=1,
         memory_fuser_embed_dim=128,
         memory_fuser_intermediate_dim=64,
-        initializer_range=0.15,  # logits of a few units, as a trained network's; the usual 0.02 gives thousandths
+        # logits of a few units, as a trained network's; the usual 0.02 gives thousandths
+        initializer_range=0.15,
     )
 
 
@@ -74,8 +95,15 @@ def sam3_folder(tmp_path_factory) -> Path:
     state = {name: value.clone() for name, value in model.state_dict().items()}
     save_file(state, folder / "model.safetensors", metadata={"format": "pt"})
     letters = [*"abcdefghijklmnopqrstuvwxyz"]
-    tokens = [*letters, *(f"{letter}</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
-    (folder / "vocab.json").write_text(json.dumps({token: number for number, token in enumerate(tokens)}))
+    tokens = [
+        *letters,
+        *(f"{letter}</w>" for letter in letters),
+        "<|startoftext|>",
+        "<|endoftext|>",
+    ]
+    (folder / "vocab.json").write_text(
+        json.dumps({token: number for number, token in enumerate(tokens)})
+    )
     (folder / "merges.txt").write_text("#version: 0.2\n")
     return folder
 
@@ -100,7 +128,12 @@ def tiny_sam3_config():
         "fpn_hidden_size": width,
         "backbone_feature_sizes": [[32, 32], [16, 16], [8, 8]],
     }
-    part = {"hidden_size": width, "intermediate_size": 64, "num_attention_heads": 2, "num_layers": 1}
+    part = {
+        "hidden_size": width,
+        "intermediate_size": 64,
+        "num_attention_heads": 2,
+        "num_layers": 1,
+    }
     detector = {
         "vision_config": vision,
         "text_config": {
@@ -184,14 +217,20 @@ def dino_folder(tmp_path_factory) -> Path:
     )
     torch.manual_seed(0)
     GroundingDinoForObjectDetection(config).save_pretrained(folder)
-    images = GroundingDinoImageProcessorPil(size={"shortest_edge": 64, "longest_edge": 96})
-    GroundingDinoProcessor(images, BertTokenizer(str(folder / "vocab.txt"))).save_pretrained(folder)
+    images = GroundingDinoImageProcessorPil(
+        size={"shortest_edge": 64, "longest_edge": 96}
+    )
+    GroundingDinoProcessor(
+        images, BertTokenizer(str(folder / "vocab.txt"))
+    ).save_pretrained(folder)
     return folder
 
 
 @pytest.fixture(scope="session")
 def build_sam2(sam2_folder, dino_folder):
-    """The segmenter with its real detector, both tiny; quality bounds off, since random masks are poor."""
+    """The segmenter with its real detector, both tiny; quality bounds off, since random masks are
+    poor.
+    """
 
     def build(parts=None, **settings):
         settings = {
@@ -203,7 +242,9 @@ def build_sam2(sam2_folder, dino_folder):
             **settings,
         }
         if parts is None:
-            settings.setdefault("detector", {"model": str(dino_folder), "box_threshold": 0.0})
+            settings.setdefault(
+                "detector", {"model": str(dino_folder), "box_threshold": 0.0}
+            )
         return edit3r.build("segmenter", "sam2", parts, **settings)
 
     return build
@@ -214,8 +255,18 @@ def build_sam3(sam3_folder):
     """SAM3 with quality bounds off."""
 
     def build(**settings):
-        bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0, "min_score": 0.0}
-        chosen = {"model": str(sam3_folder), "local_files_only": True, **bounds, **settings}
+        bounds = {
+            "points_per_side": 4,
+            "min_predicted_iou": 0.0,
+            "min_stability": 0.0,
+            "min_score": 0.0,
+        }
+        chosen = {
+            "model": str(sam3_folder),
+            "local_files_only": True,
+            **bounds,
+            **settings,
+        }
         return edit3r.build("segmenter", "sam3", **chosen)
 
     return build
@@ -230,7 +281,9 @@ def at_hand(monkeypatch, tmp_path, sam2_folder, dino_folder):
 
     def put(*names: str) -> None:
         for name in names:
-            (tmp_path / "weights" / name).symlink_to({"sam2": sam2_folder, "grounding-dino": dino_folder}[name])
+            (tmp_path / "weights" / name).symlink_to(
+                {"sam2": sam2_folder, "grounding-dino": dino_folder}[name]
+            )
 
     return put
 
@@ -238,6 +291,8 @@ def at_hand(monkeypatch, tmp_path, sam2_folder, dino_folder):
 @pytest.fixture(scope="session")
 def photo() -> torch.Tensor:
     """60 x 80: a bright disc on a dark slope."""
-    y, x = torch.meshgrid(torch.linspace(0, 1, 60), torch.linspace(0, 1, 80), indexing="ij")
+    y, x = torch.meshgrid(
+        torch.linspace(0, 1, 60), torch.linspace(0, 1, 80), indexing="ij"
+    )
     disc = ((x - 0.3) ** 2 + (y - 0.5) ** 2 < 0.04).float()
     return torch.stack((0.2 * x + 0.7 * disc, 0.2 * y, 0.1 + 0.5 * disc)).clamp(0, 1)

@@ -1,12 +1,14 @@
-"""Segmenter `auto`: SAM2 where its weights are at hand, `classical` otherwise, and the run says which."""
+"""Segmenter `auto`: SAM2 where its weights are at hand, `classical` otherwise, and the run says
+which.
+"""
 
 import torch
 
 import edit3r
 from edit3r.cache import identity
-from edit3r.interfaces import Marks
+from edit3r.contract.interfaces import Marks
+from edit3r.pipeline.config import DEFAULTS, RunConfig
 from edit3r.reporting import Report, collecting
-from edit3r.run_config import DEFAULTS, RunConfig
 
 CLICK = Marks(positive=((0.3, 0.5),))
 
@@ -30,13 +32,19 @@ def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(at_hand, pho
     assert report.notes["segmenter.weights"]["name"] == "sam2"
     alone = edit3r.build("segmenter", "sam2")
     assert torch.equal(found.soft_mask, alone.segment_marks(photo, CLICK).soft_mask)
-    assert torch.equal(tracks.logits, alone.track(photo.expand(2, 3, 60, 80), found.soft_mask[None]).logits)
+    assert torch.equal(
+        tracks.logits,
+        alone.track(photo.expand(2, 3, 60, 80), found.soft_mask[None]).logits,
+    )
 
 
 def test_proposals_without_a_mark_stay_classical(at_hand, photo):
     at_hand("sam2")
     found = edit3r.build("segmenter", "auto").propose(photo)
-    assert torch.equal(found[0].soft_mask, edit3r.build("segmenter", "classical").propose(photo)[0].soft_mask)
+    assert torch.equal(
+        found[0].soft_mask,
+        edit3r.build("segmenter", "classical").propose(photo)[0].soft_mask,
+    )
 
 
 def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
@@ -45,21 +53,35 @@ def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
     assert segmenter.segment_text(photo, "the bike") is None
     at_hand("grounding-dino")
     assert segmenter.segment_text(photo, "the bike") is not None
-    assert float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1  # a word that classical knows
+    assert (
+        float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
+    )  # a word that classical knows
 
 
 def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
     at_hand("sam2")
     assert edit3r.build("segmenter", "auto").settings.pick == "sam2"
-    assert edit3r.build("segmenter", "auto", pick="classical", size=128).classical.settings.size == 128
+    assert (
+        edit3r.build(
+            "segmenter", "auto", pick="classical", size=128
+        ).classical.settings.size
+        == 128
+    )
 
 
 def test_it_is_what_a_run_takes_for_clicks(at_hand):
-    assert edit3r.build("editor", RunConfig().editor.name).parts["segmenter"].offer.component.name == "auto"
+    assert (
+        edit3r.build("editor", RunConfig().editor.name)
+        .parts["segmenter"]
+        .offer.component.name
+        == "auto"
+    )
     assert DEFAULTS["segmenter"] == "auto"
 
 
-def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weights(tmp_path, monkeypatch):
+def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weights(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     classical = edit3r.build("segmenter", "auto").classical
     without = identity(classical)

@@ -8,12 +8,14 @@ import torch
 from edit3r_segmenters.classical import _analyse
 from edit3r_segmenters.interactive import Glimpse, Picture, find
 
+from edit3r.contract.interfaces import Marks
 from edit3r.errors import InputError
-from edit3r.interfaces import Marks
 from edit3r.io.images import load_views, packaged_pair
-from edit3r.registry import build
+from edit3r.plugins.registry import build
 
-sys.path.insert(0, str(Path(__file__).parent))  # pytest in importlib mode finds no neighbours
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # pytest in importlib mode finds no neighbours
 
 from segmenter_scenes import backdrop, ellipse, iou, tensor, with_object
 
@@ -21,7 +23,9 @@ SEGMENTER = build("segmenter", "classical")
 HEIGHT, WIDTH = 120, 160
 LARGE = ellipse(HEIGHT, WIDTH, (70, 60), (30, 24))
 SMALL = ellipse(HEIGHT, WIDTH, (132, 30), (9, 7))
-PICTURE = tensor(with_object(with_object(backdrop(), LARGE), SMALL, (0.2, 0.25, 0.8), seed=4))
+PICTURE = tensor(
+    with_object(with_object(backdrop(), LARGE), SMALL, (0.2, 0.25, 0.8), seed=4)
+)
 
 
 def test_the_object_in_the_middle_is_the_most_salient():
@@ -29,7 +33,10 @@ def test_the_object_in_the_middle_is_the_most_salient():
 
 
 def test_other_objects_are_proposed_too():
-    assert max(iou(proposal.soft_mask, SMALL) for proposal in SEGMENTER.propose(PICTURE)) > 0.8
+    assert (
+        max(iou(proposal.soft_mask, SMALL) for proposal in SEGMENTER.propose(PICTURE))
+        > 0.8
+    )
 
 
 def test_proposals_do_not_repeat_an_object():
@@ -44,7 +51,10 @@ def test_fields_agree_with_the_mask():
     rows, columns = torch.nonzero(inside, as_tuple=True)
     assert proposal.area == pytest.approx(float(inside.float().mean()), abs=1e-6)
     x, y, width, height = proposal.box
-    assert (x, y) == (columns.min(), rows.min()) and (x + width, y + height) == (columns.max() + 1, rows.max() + 1)
+    assert (x, y) == (columns.min(), rows.min()) and (x + width, y + height) == (
+        columns.max() + 1,
+        rows.max() + 1,
+    )
     assert proposal.soft_mask.min() >= 0 and proposal.soft_mask.max() <= 1
     assert ((proposal.soft_mask > 0.05) & (proposal.soft_mask < 0.95)).any()
 
@@ -59,7 +69,10 @@ def test_a_clear_outline_scores_higher_than_a_faint_one():
 def test_the_same_picture_gives_the_same_proposals():
     first, second = SEGMENTER.propose(PICTURE), SEGMENTER.propose(PICTURE)
     assert len(first) == len(second)
-    assert all(torch.equal(a.soft_mask, b.soft_mask) and a.box == b.box for a, b in zip(first, second))
+    assert all(
+        torch.equal(a.soft_mask, b.soft_mask) and a.box == b.box
+        for a, b in zip(first, second)
+    )
 
 
 @pytest.mark.parametrize("mask", [LARGE, SMALL])
@@ -70,7 +83,9 @@ def test_a_point_gives_the_object_under_it(mask):
 
 
 def test_two_points_give_one_object_with_both():
-    proposal = SEGMENTER.segment(PICTURE, [(70.5 / WIDTH, 60.5 / HEIGHT), (90 / WIDTH, 60 / HEIGHT)])
+    proposal = SEGMENTER.segment(
+        PICTURE, [(70.5 / WIDTH, 60.5 / HEIGHT), (90 / WIDTH, 60 / HEIGHT)]
+    )
     assert iou(proposal.soft_mask, LARGE) > 0.8
 
 
@@ -97,13 +112,20 @@ def test_pictures_of_any_size(height, width):
     for proposal in SEGMENTER.propose(image):
         assert proposal.soft_mask.shape == (height, width)
     assert SEGMENTER.segment(image, [(0.5, 0.5)]).soft_mask.shape == (height, width)
-    assert SEGMENTER.segment(image, box=(0.2, 0.2, 0.5, 0.5)).soft_mask.shape == (height, width)
-    tracks = SEGMENTER.track(image.expand(2, 3, height, width), torch.ones(1, height, width))
+    assert SEGMENTER.segment(image, box=(0.2, 0.2, 0.5, 0.5)).soft_mask.shape == (
+        height,
+        width,
+    )
+    tracks = SEGMENTER.track(
+        image.expand(2, 3, height, width), torch.ones(1, height, width)
+    )
     assert tracks.logits.shape == (2, 1, height, width)
 
 
 def test_a_large_picture_is_answered_at_its_own_size():
-    large = torch.nn.functional.interpolate(PICTURE[None], scale_factor=5, mode="bilinear")[0]
+    large = torch.nn.functional.interpolate(
+        PICTURE[None], scale_factor=5, mode="bilinear"
+    )[0]
     mask = SEGMENTER.propose(large)[0].soft_mask
     assert mask.shape == (5 * HEIGHT, 5 * WIDTH)
     assert iou(mask, np.kron(LARGE, np.ones((5, 5)))) > 0.93
@@ -122,23 +144,35 @@ def test_words_for_stuff_need_no_weights():
     assert iou(SEGMENTER.segment_text(picture, "the sky")[0].soft_mask, above) > 0.95
     assert iou(SEGMENTER.segment_text(picture, "the ground")[0].soft_mask, ~above) > 0.9
     assert bool((SEGMENTER.segment_text(picture, "everything")[0].soft_mask == 1).all())
-    assert iou(SEGMENTER.segment_text(PICTURE, "the background")[0].soft_mask, ~LARGE) > 0.9
+    assert (
+        iou(SEGMENTER.segment_text(PICTURE, "the background")[0].soft_mask, ~LARGE)
+        > 0.9
+    )
 
 
 def test_a_negative_point_takes_a_part_away_and_a_positive_one_adds_it():
-    two = with_object(with_object(backdrop(), LARGE), ellipse(HEIGHT, WIDTH, (115, 60), (18, 14)), (0.9, 0.8, 0.1), 5)
+    two = with_object(
+        with_object(backdrop(), LARGE),
+        ellipse(HEIGHT, WIDTH, (115, 60), (18, 14)),
+        (0.9, 0.8, 0.1),
+        5,
+    )
     other = ellipse(HEIGHT, WIDTH, (115, 60), (18, 14)) & ~LARGE
     first, second = (60 / WIDTH, 60 / HEIGHT), (117 / WIDTH, 60 / HEIGHT)
     both = SEGMENTER.segment_marks(tensor(two), Marks((first, second))).soft_mask
     assert iou(both, LARGE | other) > 0.85
     prior = torch.from_numpy((LARGE | other).astype(np.float32))
-    less = SEGMENTER.segment_marks(tensor(two), Marks((first,), (second,), prior=prior)).soft_mask
+    less = SEGMENTER.segment_marks(
+        tensor(two), Marks((first,), (second,), prior=prior)
+    ).soft_mask
     assert iou(less, LARGE) > 0.85
 
 
 def test_a_mask_that_is_expected_moves_to_the_outline_near_it():
     """It says of itself how little it moved."""
-    expected = torch.from_numpy(ellipse(HEIGHT, WIDTH, (72, 60), (32, 25)).astype(np.float32))
+    expected = torch.from_numpy(
+        ellipse(HEIGHT, WIDTH, (72, 60), (32, 25)).astype(np.float32)
+    )
     found = SEGMENTER.segment_marks(PICTURE, Marks(prior=expected))
     assert iou(found.soft_mask, LARGE) > max(0.93, iou(expected, LARGE))
     assert 0.7 < found.predicted_iou < 1
@@ -155,8 +189,15 @@ def test_learned_salience_that_a_click_agrees_with_decides_between_part_and_whol
     everywhere = np.ones(seen.shape, dtype=bool)
     shared = (analysis.pixels, analysis.superpixels, analysis.members, analysis.measure)
     spot = (seen.shape[0] // 2, seen.shape[1] * 75 // WIDTH)
-    alone, told = (find(Picture(*shared, glimpses), [spot], []) for glimpses in ((), (Glimpse(seen, everywhere),)))
-    assert iou(torch.from_numpy(told), seen > 0.5) > 0.9 > iou(torch.from_numpy(alone), seen > 0.5)
+    alone, told = (
+        find(Picture(*shared, glimpses), [spot], [])
+        for glimpses in ((), (Glimpse(seen, everywhere),))
+    )
+    assert (
+        iou(torch.from_numpy(told), seen > 0.5)
+        > 0.9
+        > iou(torch.from_numpy(alone), seen > 0.5)
+    )
 
 
 def test_the_packaged_motorcycle_is_what_its_picture_is_about():
@@ -165,8 +206,13 @@ def test_the_packaged_motorcycle_is_what_its_picture_is_about():
     images = load_views(paths, size=384).images[0]
     proposal = SEGMENTER.propose(images[0])[0]
     tracks = SEGMENTER.track(images, proposal.soft_mask[None])
-    for image, mask in ((images[0], proposal.soft_mask > 0.5), (images[1], tracks.logits[1, 0] > 0)):
+    for image, mask in (
+        (images[0], proposal.soft_mask > 0.5),
+        (images[1], tracks.logits[1, 0] > 0),
+    ):
         red, green, blue = image[:, mask].median(1).values
         assert red > 2 * max(green, blue)
     assert bool(tracks.present.all())
-    assert float((tracks.logits[1] > 0).float().mean()) == pytest.approx(proposal.area, rel=0.2)
+    assert float((tracks.logits[1] > 0).float().mean()) == pytest.approx(
+        proposal.area, rel=0.2
+    )

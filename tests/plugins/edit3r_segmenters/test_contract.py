@@ -2,32 +2,49 @@
 
 import pytest
 
-from edit3r.testing import CONTRACTS, Contract, claims, contract_for
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
-# Whether a black picture shows the object is knowledge, which random weights do not have; that a lost object's logits
-# are not positive is tested in test_sam2.py.
+# Whether a black picture shows the object is knowledge, which random weights do not have; that a
+# lost object's logits are not positive is tested in test_sam2.py.
 LEARNED = "test_lost_objects_are_reported"
 
 
 @pytest.fixture(scope="module")
 def segmenter(sam2_folder, dino_folder):
     bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0}
-    return contract_for("segmenter", "sam2", model=str(sam2_folder), local_files_only=True, **bounds)
+    return contract_for(
+        "segmenter", "sam2", model=str(sam2_folder), local_files_only=True, **bounds
+    )
 
 
 @pytest.fixture(scope="module")
 def sam3(sam3_folder):
-    bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0, "min_score": 0.0}
-    return contract_for("segmenter", "sam3", model=str(sam3_folder), local_files_only=True, **bounds)
+    bounds = {
+        "points_per_side": 4,
+        "min_predicted_iou": 0.0,
+        "min_stability": 0.0,
+        "min_score": 0.0,
+    }
+    return contract_for(
+        "segmenter", "sam3", model=str(sam3_folder), local_files_only=True, **bounds
+    )
 
 
 @pytest.fixture(scope="module")
 def detector(dino_folder):
-    return contract_for("detector", "grounding-dino", model=str(dino_folder), local_files_only=True, box_threshold=0.0)
+    return contract_for(
+        "detector",
+        "grounding-dino",
+        model=str(dino_folder),
+        local_files_only=True,
+        box_threshold=0.0,
+    )
 
 
 def own_claims(kind: str) -> list[str]:
-    """The claims of a kind but those about the declaration, which `tests/test_contracts.py` tries."""
+    """The claims of a kind but those about the declaration, which `tests/test_contracts.py`
+    tries.
+    """
     return sorted({*claims(CONTRACTS[kind])} - {*claims(Contract), LEARNED})
 
 

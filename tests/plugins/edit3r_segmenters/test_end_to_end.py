@@ -10,7 +10,17 @@ from PIL import Image
 from edit3r.cli.main import main
 
 FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
-CHEAP = ["--plugin", FLAT, "--recon", "flat", "--rasterizer", "torch", "--fov", "60", "--quiet"]
+CHEAP = [
+    "--plugin",
+    FLAT,
+    "--recon",
+    "flat",
+    "--rasterizer",
+    "torch",
+    "--fov",
+    "60",
+    "--quiet",
+]
 CHEAP += ["--frames", "2", "--refine", "0"]
 
 
@@ -24,9 +34,17 @@ def photos(tmp_path, photo) -> list[str]:
 
 @pytest.fixture
 def sam2(sam2_folder, dino_folder) -> list[str]:
-    settings = [f"model={sam2_folder}", "local_files_only=true", f"detector.model={dino_folder}"]
+    settings = [
+        f"model={sam2_folder}",
+        "local_files_only=true",
+        f"detector.model={dino_folder}",
+    ]
     settings += ["detector.box_threshold=0.0", "detector.local_files_only=true"]
-    return ["--segmenter", "sam2", *(word for setting in settings for word in ("--set", f"segmenter.{setting}"))]
+    return [
+        "--segmenter",
+        "sam2",
+        *(word for setting in settings for word in ("--set", f"segmenter.{setting}")),
+    ]
 
 
 def run(photos, out: Path, *flags: str) -> dict:
@@ -38,25 +56,56 @@ def found_in(manifest: dict, key: str):
     """The value of a note wherever the manifest keeps it."""
     if key in manifest:
         return manifest[key]
-    inside = (found_in(value, key) for value in manifest.values() if isinstance(value, dict))
+    inside = (
+        found_in(value, key) for value in manifest.values() if isinstance(value, dict)
+    )
     return next((value for value in inside if value is not None), None)
 
 
 def test_recolor_finds_what_the_prompt_names(photos, sam2, tmp_path):
-    manifest = run(photos, tmp_path / "out", "--prompt", "paint the bike red", "--editor", "recolor", *sam2)
+    manifest = run(
+        photos,
+        tmp_path / "out",
+        "--prompt",
+        "paint the bike red",
+        "--editor",
+        "recolor",
+        *sam2,
+    )
     assert found_in(manifest, "editor.region") == "named object"
 
 
 @pytest.mark.parametrize("prompt", ["paint the bike red", "make it winter"])
-def test_an_editor_without_a_segmenter_is_confined_to_what_is_named(photos, sam2, tmp_path, prompt):
+def test_an_editor_without_a_segmenter_is_confined_to_what_is_named(
+    photos, sam2, tmp_path, prompt
+):
     words = ["--set", "segmenter.prompt=the door"] if "winter" in prompt else []
     command = ["--editor", "mock-diffusion", "--prompt", prompt]
     manifest = run(photos, tmp_path / "out", *command, *sam2, *words)
-    assert found_in(manifest, "edit.confined_to") == ("the door" if words else "the bike")
+    assert found_in(manifest, "edit.confined_to") == (
+        "the door" if words else "the bike"
+    )
 
 
 def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
     nothing = ["--set", "segmenter.detector.box_threshold=1.0"]
     command = ["--editor", "mock-diffusion", "--prompt", "paint the bike red"]
-    assert main(["run", *photos, *CHEAP, "--out", str(tmp_path / "out"), *command, *sam2, *nothing]) == 2
-    assert "'the bike' was not found" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert (
+        main(
+            [
+                "run",
+                *photos,
+                *CHEAP,
+                "--out",
+                str(tmp_path / "out"),
+                *command,
+                *sam2,
+                *nothing,
+            ]
+        )
+        == 2
+    )
+    assert (
+        "'the bike' was not found" in capsys.readouterr().err
+        and not (tmp_path / "out").exists()
+    )

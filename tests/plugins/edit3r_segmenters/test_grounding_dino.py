@@ -23,17 +23,26 @@ def test_boxes_lie_in_the_picture_best_first(build, photo):
     assert [d.score for d in found] == sorted((d.score for d in found), reverse=True)
     for detection in found:
         x, y, width, height = detection.box
-        assert 0 <= x < x + width <= 80 and 0 <= y < y + height <= 60 and 0 <= detection.score <= 1
+        assert (
+            0 <= x < x + width <= 80
+            and 0 <= y < y + height <= 60
+            and 0 <= detection.score <= 1
+        )
 
 
 def test_labels_are_words_of_the_text(build, photo):
-    labels = {d.label for d in build(box_threshold=0.0, text_threshold=0.0).detect(photo, "the bike")}
+    labels = {
+        d.label
+        for d in build(box_threshold=0.0, text_threshold=0.0).detect(photo, "the bike")
+    }
     assert labels == {"the bike"}
 
 
 def test_text_and_threshold_decide_what_is_found(build, photo):
     detector = build(box_threshold=0.0)
-    assert detector.detect(photo, "the bike") != detector.detect(photo, "a door. a chair.")
+    assert detector.detect(photo, "the bike") != detector.detect(
+        photo, "a door. a chair."
+    )
     assert build(box_threshold=1.0).detect(photo, "the bike") == ()
 
 
@@ -47,9 +56,16 @@ def test_a_question_is_lower_case_and_closed():
 def test_corner_boxes_are_clipped_sorted_and_empty_ones_dropped():
     boxes = torch.tensor([[-5.0, 10, 30, 90], [0, 0, 10, 10], [90, 0, 95, 10]])
     found = ranked(["a", "b", "c"], torch.tensor([0.4, 0.9, 0.8]), boxes, (60, 80))
-    assert [(d.label, d.box) for d in found] == [("b", (0, 0, 10, 10)), ("a", (0, 10, 30, 50))]
+    assert [(d.label, d.box) for d in found] == [
+        ("b", (0, 0, 10, 10)),
+        ("a", (0, 10, 30, 50)),
+    ]
 
 
 def test_missing_weights_are_a_sentence(photo):
-    with pytest.raises(MissingDependencyError, match=r"edit3r weights get grounding-dino"):
-        edit3r.build("detector", "grounding-dino", local_files_only=True).detect(photo, "the bike")
+    with pytest.raises(
+        MissingDependencyError, match=r"edit3r weights get grounding-dino"
+    ):
+        edit3r.build("detector", "grounding-dino", local_files_only=True).detect(
+            photo, "the bike"
+        )

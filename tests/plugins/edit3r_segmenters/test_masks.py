@@ -6,7 +6,9 @@ import pytest
 from edit3r_segmenters.masks import overlap, snapped, softened, tidied
 from edit3r_segmenters.superpixels import superpixels
 
-sys.path.insert(0, str(Path(__file__).parent))  # pytest in importlib mode finds no neighbours
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # pytest in importlib mode finds no neighbours
 
 from segmenter_scenes import backdrop, ellipse, with_object
 
@@ -31,7 +33,9 @@ def test_snapping_leaves_unsure_pixels_to_their_colours():
 
 
 def test_snapping_nothing_gives_nothing():
-    assert not snapped(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), bool), 0.1, 0.1).any()
+    assert not snapped(
+        np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), bool), 0.1, 0.1
+    ).any()
 
 
 def test_tidying_drops_crumbs_and_fills_small_holes_only():
@@ -49,7 +53,10 @@ def test_tidying_drops_crumbs_and_fills_small_holes_only():
 
 def test_a_soft_mask_is_full_inside_empty_far_outside_and_soft_between():
     soft = softened(PICTURE, MASK)
-    inner, outer = ellipse(HEIGHT, WIDTH, (64, 48), (20, 14)), ellipse(HEIGHT, WIDTH, (64, 48), (33, 27))
+    inner, outer = (
+        ellipse(HEIGHT, WIDTH, (64, 48), (20, 14)),
+        ellipse(HEIGHT, WIDTH, (64, 48), (33, 27)),
+    )
     assert soft.dtype == np.float32 and soft.shape == MASK.shape
     assert (soft[inner] == 1).all() and (soft[~outer] == 0).all()
     assert ((soft > 0) & (soft < 1)).any() and overlap(soft > 0.5, MASK) > 0.97

@@ -8,8 +8,8 @@ from edit3r_segmenters import sam
 from edit3r_segmenters.sam import is_present
 
 import edit3r
+from edit3r.contract.interfaces import Detection, Detector
 from edit3r.errors import InputError, MissingDependencyError, PromptError, RunError
-from edit3r.interfaces import Detection, Detector
 from edit3r.reporting import Report, collecting
 
 
@@ -31,8 +31,14 @@ def test_proposals_have_consistent_fields_best_first(build_sam2, photo):
     assert ious == sorted(ious, reverse=True)
     for proposal in proposals:
         inside = proposal.soft_mask > 0.5
-        assert proposal.soft_mask.shape == (60, 80) and 0 <= proposal.soft_mask.min() <= proposal.soft_mask.max() <= 1
-        assert proposal.area == pytest.approx(inside.float().mean().item()) and proposal.area > 0
+        assert (
+            proposal.soft_mask.shape == (60, 80)
+            and 0 <= proposal.soft_mask.min() <= proposal.soft_mask.max() <= 1
+        )
+        assert (
+            proposal.area == pytest.approx(inside.float().mean().item())
+            and proposal.area > 0
+        )
         assert 0 <= proposal.stability <= 1
         rows, columns = torch.nonzero(inside, as_tuple=True)
         x, y, width, height = proposal.box
@@ -41,7 +47,10 @@ def test_proposals_have_consistent_fields_best_first(build_sam2, photo):
 
 
 def test_equal_pictures_give_equal_proposals_whatever_the_batch(build_sam2, photo):
-    first, second = build_sam2().propose(photo), build_sam2(points_per_batch=3).propose(photo)
+    first, second = (
+        build_sam2().propose(photo),
+        build_sam2(points_per_batch=3).propose(photo),
+    )
     assert len(first) == len(second)
     for one, other in zip(first, second):
         assert torch.allclose(one.soft_mask, other.soft_mask, atol=1e-4)
@@ -49,12 +58,22 @@ def test_equal_pictures_give_equal_proposals_whatever_the_batch(build_sam2, phot
 
 def test_quality_bounds_and_overlap_only_ever_remove_proposals(build_sam2, photo):
     everything = build_sam2(max_box_overlap=1.0).propose(photo)
-    half_iou = sorted(proposal.predicted_iou for proposal in everything)[len(everything) // 2]
-    sure = build_sam2(max_box_overlap=1.0, min_predicted_iou=half_iou - 1e-6).propose(photo)
-    assert 0 < len(sure) < len(everything) and all(p.predicted_iou >= half_iou - 1e-5 for p in sure)
-    half_stable = sorted(proposal.stability for proposal in everything)[len(everything) // 2]
+    half_iou = sorted(proposal.predicted_iou for proposal in everything)[
+        len(everything) // 2
+    ]
+    sure = build_sam2(max_box_overlap=1.0, min_predicted_iou=half_iou - 1e-6).propose(
+        photo
+    )
+    assert 0 < len(sure) < len(everything) and all(
+        p.predicted_iou >= half_iou - 1e-5 for p in sure
+    )
+    half_stable = sorted(proposal.stability for proposal in everything)[
+        len(everything) // 2
+    ]
     stable = build_sam2(max_box_overlap=1.0, min_stability=half_stable).propose(photo)
-    assert 0 < len(stable) < len(everything) and all(p.stability >= half_stable - 1e-5 for p in stable)
+    assert 0 < len(stable) < len(everything) and all(
+        p.stability >= half_stable - 1e-5 for p in stable
+    )
     assert len(build_sam2(max_box_overlap=0.3).propose(photo)) < len(everything)
 
 
@@ -68,7 +87,9 @@ def test_points_and_boxes_change_the_mask(build_sam2, photo):
         segmenter.segment(photo, points=[(0.3, 0.5)], box=(0.1, 0.2, 0.4, 0.6)),
     ]
     for other in others:
-        assert other.soft_mask.shape == (60, 80) and not torch.equal(other.soft_mask, by_point.soft_mask)
+        assert other.soft_mask.shape == (60, 80) and not torch.equal(
+            other.soft_mask, by_point.soft_mask
+        )
 
 
 def test_a_segment_of_nothing_is_refused(build_sam2, photo):
@@ -94,9 +115,13 @@ def test_the_prompt_setting_limits_proposals_to_what_it_names(build_sam2, photo)
         build_sam2({"detector": Boxes()}, prompt="the bike").propose(photo)
 
 
-def test_the_real_detector_is_built_from_settings_and_feeds_the_segmenter(build_sam2, photo):
+def test_the_real_detector_is_built_from_settings_and_feeds_the_segmenter(
+    build_sam2, photo
+):
     found = build_sam2(prompt="the bike").propose(photo)
-    assert len(found) > 0 and all(proposal.soft_mask.shape == (60, 80) for proposal in found)
+    assert len(found) > 0 and all(
+        proposal.soft_mask.shape == (60, 80) for proposal in found
+    )
 
 
 def test_tracks_start_from_the_given_masks_in_their_order(build_sam2, photo):
@@ -107,7 +132,9 @@ def test_tracks_start_from_the_given_masks_in_their_order(build_sam2, photo):
     assert tracks.logits.shape == (3, 2, 60, 80) and tracks.present.shape == (3, 2)
     inside = tracks.logits[0] > 0
     for number in (0, 1):
-        both = (inside[number] & (masks[number] > 0)).sum() / (inside[number] | (masks[number] > 0)).sum()
+        both = (inside[number] & (masks[number] > 0)).sum() / (
+            inside[number] | (masks[number] > 0)
+        ).sum()
         assert both > 0.8
     assert tracks.present[0].all()
     lost = tracks.logits[~tracks.present]
@@ -138,7 +165,12 @@ def test_progress_and_weights_are_reported(build_sam2, photo, sam2_folder):
     report = Report(on_event=lambda *event: events.append(event))
     with collecting(report):
         build_sam2(points_per_batch=8).propose(photo)
-    assert ("progress", "segmenting", 8, 16) in events and ("progress", "segmenting", 16, 16) in events
+    assert ("progress", "segmenting", 8, 16) in events and (
+        "progress",
+        "segmenting",
+        16,
+        16,
+    ) in events
     assert report.notes["segmenter.weights"]["model"] == str(sam2_folder)
 
 
@@ -152,13 +184,17 @@ def test_missing_weights_and_memory_are_sentences(build_sam2, photo):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     segmenter._models["Sam2Model"].forward = forward
-    with pytest.raises(RunError, match=r"out of memory while segmenting.*points_per_batch"):
+    with pytest.raises(
+        RunError, match=r"out of memory while segmenting.*points_per_batch"
+    ):
         segmenter.propose(photo)
 
 
 def cone(radius: float, slope: float = 1.0, size: int = 101) -> torch.Tensor:
     """Logits that fall by `slope` a pixel from the centre and are 0 at `radius`."""
-    y, x = torch.meshgrid(torch.arange(size) - size // 2, torch.arange(size) - size // 2, indexing="ij")
+    y, x = torch.meshgrid(
+        torch.arange(size) - size // 2, torch.arange(size) - size // 2, indexing="ij"
+    )
     return (radius - torch.hypot(x.float(), y.float())) * slope
 
 
@@ -170,7 +206,10 @@ def test_stability_of_a_cone_is_the_ratio_of_two_discs():
 
 def test_a_sharp_mask_is_fully_stable_and_an_empty_one_not_at_all():
     sharp = torch.where(cone(20.0) > 0, 8.0, -8.0)
-    assert sam.stability(torch.stack((sharp, torch.full_like(sharp, -8)))).tolist() == [1.0, 0.0]
+    assert sam.stability(torch.stack((sharp, torch.full_like(sharp, -8)))).tolist() == [
+        1.0,
+        0.0,
+    ]
 
 
 def test_boxes_are_x_y_width_height_in_pixels():
@@ -185,14 +224,18 @@ def test_a_proposal_carries_the_sigmoid_of_the_logits_and_the_area_above_a_half(
     proposal = sam.proposal(logits, 0.9)
     assert torch.equal(proposal.soft_mask, torch.sigmoid(logits))
     assert proposal.soft_mask[50, 50] == torch.sigmoid(torch.tensor(20.0))
-    assert proposal.area == pytest.approx((proposal.soft_mask > 0.5).float().mean().item())
+    assert proposal.area == pytest.approx(
+        (proposal.soft_mask > 0.5).float().mean().item()
+    )
     assert proposal.area == pytest.approx(math.pi * 400 / 101**2, rel=0.02)
     assert proposal.predicted_iou == pytest.approx(0.9)
     assert proposal.box == (31.0, 31.0, 39.0, 39.0)
 
 
 def test_of_boxes_that_overlap_more_than_allowed_the_best_stays():
-    boxes = torch.tensor([[0, 0, 10, 10], [1, 0, 10, 10], [30, 30, 5, 5], [0, 0, 10, 6.0]])
+    boxes = torch.tensor(
+        [[0, 0, 10, 10], [1, 0, 10, 10], [30, 30, 5, 5], [0, 0, 10, 6.0]]
+    )
     scores = torch.tensor([0.8, 0.9, 0.5, 0.7])
     # IoU of the first two is 9/11, of the first and last 0.6, of the second and last 54/106.
     assert sam.best_boxes(boxes, scores, 0.7) == [1, 3, 2]
@@ -208,7 +251,11 @@ def test_predicted_iou_outside_its_range_is_brought_into_it():
 def test_grey_becomes_imagenet_normalised_whatever_the_shape(build_sam2):
     pixels = build_sam2()._pixels(torch.full((2, 3, 30, 50), 0.5), 64)
     assert pixels.shape == (2, 3, 64, 64)
-    assert torch.allclose(pixels[0, :, 0, 0], torch.tensor([0.015 / 0.229, 0.044 / 0.224, 0.094 / 0.225]), atol=1e-5)
+    assert torch.allclose(
+        pixels[0, :, 0, 0],
+        torch.tensor([0.015 / 0.229, 0.044 / 0.224, 0.094 / 0.225]),
+        atol=1e-5,
+    )
 
 
 def test_masks_are_cut_at_a_half():

@@ -6,7 +6,9 @@ from edit3r_segmenters.masks import overlap
 from edit3r_segmenters.salience import measure
 from edit3r_segmenters.superpixels import background_weights, merge_tree, superpixels
 
-sys.path.insert(0, str(Path(__file__).parent))  # pytest in importlib mode finds no neighbours
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # pytest in importlib mode finds no neighbours
 
 from segmenter_scenes import backdrop, ellipse, with_object
 
@@ -19,7 +21,9 @@ CELLS = superpixels(PICTURE)
 def test_superpixels_add_up_to_the_picture():
     assert CELLS.areas.sum() == HEIGHT * WIDTH == CELLS.histograms.sum()
     assert sorted(np.unique(CELLS.labels)) == list(range(len(CELLS.areas)))
-    assert (CELLS.pairs[:, 0] < CELLS.pairs[:, 1]).all() and len(np.unique(CELLS.pairs, axis=0)) == len(CELLS.pairs)
+    assert (CELLS.pairs[:, 0] < CELLS.pairs[:, 1]).all() and len(
+        np.unique(CELLS.pairs, axis=0)
+    ) == len(CELLS.pairs)
     assert CELLS.strengths.min() >= 0 and CELLS.strengths.max() <= 1
 
 
@@ -53,9 +57,16 @@ def test_an_object_cut_by_the_border_is_still_an_object():
 
 def test_a_mask_on_the_object_measures_better_than_one_beside_it():
     background = background_weights(CELLS)[CELLS.labels]
-    on, beside = (measure(mask, CELLS, background, (0, 1)) for mask in (MASK, np.roll(MASK, 15, 1)))
+    on, beside = (
+        measure(mask, CELLS, background, (0, 1))
+        for mask in (MASK, np.roll(MASK, 15, 1))
+    )
     assert on.outline > 1.5 * beside.outline and on.separation > 1.5 * beside.separation
-    assert on.quality > beside.quality and on.salience > beside.salience and on.as_part > beside.as_part
+    assert (
+        on.quality > beside.quality
+        and on.salience > beside.salience
+        and on.as_part > beside.as_part
+    )
 
 
 def test_masks_outside_the_allowed_areas_are_not_measured():

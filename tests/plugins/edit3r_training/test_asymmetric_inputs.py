@@ -10,8 +10,15 @@ SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[
 
 
 def _edit(regime: str, seed: int = 0, **more):
-    shares = {name: float(name == regime) for name in ("reference", "disagreeing", "agreeing", "unedited", "viewwise")}
-    return edit_sample(SAMPLE, RegimeShares(**shares, **{"mask_jitter": 0, **more}), np.random.default_rng(seed))
+    shares = {
+        name: float(name == regime)
+        for name in ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
+    }
+    return edit_sample(
+        SAMPLE,
+        RegimeShares(**shares, **{"mask_jitter": 0, **more}),
+        np.random.default_rng(seed),
+    )
 
 
 def test_reference_regime_recolours_view_0_only_and_asks_for_the_edit_everywhere():
@@ -36,36 +43,54 @@ def test_agreeing_regime_gives_the_truth():
 
 def test_unedited_regime_changes_nothing():
     edit = _edit("unedited")
-    assert torch.equal(edit.edited, SAMPLE.context) and torch.equal(edit.target, SAMPLE.target)
+    assert torch.equal(edit.edited, SAMPLE.context) and torch.equal(
+        edit.target, SAMPLE.target
+    )
 
 
 def test_viewwise_regime_asks_for_every_picture_s_own_edit():
     edit = _edit("viewwise")
     assert torch.equal(edit.edited, edit.truth)
-    changes = [(image - photo).mean((1, 2)) for image, photo in zip(edit.edited, SAMPLE.context)]
+    changes = [
+        (image - photo).mean((1, 2))
+        for image, photo in zip(edit.edited, SAMPLE.context)
+    ]
     assert (changes[0] - changes[1]).abs().max() > 0.02
 
 
 def test_jittered_masks_spoil_the_input_but_not_the_truth():
-    clean, jittered = _edit("reference", whole_picture=0), _edit("reference", whole_picture=0, mask_jitter=1)
+    clean, jittered = (
+        _edit("reference", whole_picture=0),
+        _edit("reference", whole_picture=0, mask_jitter=1),
+    )
     assert torch.equal(clean.truth, jittered.truth)
     assert not torch.equal(clean.edited[0], jittered.edited[0])
 
 
 def test_a_jittered_palette_spoils_the_input_but_not_the_truth():
-    clean, jittered = (_edit("reference", whole_picture=1, palette_jitter=share) for share in (0, 1))
-    assert torch.equal(clean.truth, jittered.truth) and torch.equal(clean.edited[0], clean.truth[0])
+    clean, jittered = (
+        _edit("reference", whole_picture=1, palette_jitter=share) for share in (0, 1)
+    )
+    assert torch.equal(clean.truth, jittered.truth) and torch.equal(
+        clean.edited[0], clean.truth[0]
+    )
     assert 0.002 < (jittered.edited[0] - clean.edited[0]).abs().mean() < 0.2
 
 
 def test_data_without_masks_is_edited_as_a_whole():
     bare = replace(SAMPLE, context_masks=None, target_masks=None)
-    edit = edit_sample(bare, RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0), np.random.default_rng(0))
+    edit = edit_sample(
+        bare,
+        RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0),
+        np.random.default_rng(0),
+    )
     assert ((edit.truth - SAMPLE.context).abs().amax(1) > 0.01).float().mean() > 0.5
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_regimes_are_drawn_from_the_seed(seed):
     shares = RegimeShares()
-    first, second = (edit_sample(SAMPLE, shares, np.random.default_rng(seed)) for _ in range(2))
+    first, second = (
+        edit_sample(SAMPLE, shares, np.random.default_rng(seed)) for _ in range(2)
+    )
     assert first.regime == second.regime and torch.equal(first.edited, second.edited)

@@ -4,11 +4,11 @@ import torch
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
+from edit3r_training.schedule import step_generator
 
-from edit3r.interfaces import Dataset
-from edit3r.registry import build
-from edit3r.testing.training import tiny_job
-from edit3r.training.schedule import step_generator
+from edit3r.contract.interfaces import Dataset
+from edit3r.plugins.registry import build
+from edit3r_testing.training import tiny_job
 
 
 class WithoutDepths:
@@ -45,7 +45,13 @@ def _job(out, depths: bool):
     data = job.train_data if depths else WithoutDepths(job.train_data)
     reconstructor = MovingReconstructor(job.reconstructor)
     losses = {"center": (1.0, build("loss", "center", beta=0.1))}
-    return replace(job, train_data=data, validation_data=None, reconstructor=reconstructor, losses=losses)
+    return replace(
+        job,
+        train_data=data,
+        validation_data=None,
+        reconstructor=reconstructor,
+        losses=losses,
+    )
 
 
 def _batch(job):
@@ -62,7 +68,9 @@ def test_true_depths_are_the_reference_where_there_are_any(tmp_path):
     assert torch.equal(reference(batch, gaussians).means, batch.true_centres())
 
 
-def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(tmp_path):
+def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(
+    tmp_path,
+):
     job = _job(tmp_path, depths=False)
     reference, batch = GeometricReference.of_start(job), _batch(job)
     start = job.reconstructor(batch.source).gaussians.means.detach()
@@ -83,8 +91,13 @@ def test_a_named_reference_wins_over_the_true_surface_and_stays_frozen(tmp_path)
     assert torch.equal(held, named(batch.source).gaussians.means.detach())
     assert not torch.allclose(held, batch.true_centres(), atol=1e-3)
     before = named.network.weight.detach().clone()
-    RecolorTrainer(RecolorTrainer.Settings(steps=2, batch=1, colour=0, depth=0, opacity=0)).train(job)
-    assert torch.equal(named.network.weight, before) and not named.network.weight.requires_grad
+    RecolorTrainer(
+        RecolorTrainer.Settings(steps=2, batch=1, colour=0, depth=0, opacity=0)
+    ).train(job)
+    assert (
+        torch.equal(named.network.weight, before)
+        and not named.network.weight.requires_grad
+    )
 
 
 def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
@@ -98,20 +111,33 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
 
     job = _job(tmp_path, depths=False)
     reconstructor = ByColour(job.reconstructor.inner)
-    reference, batch = GeometricReference.of_start(replace(job, reconstructor=reconstructor)), _batch(job)
+    reference, batch = (
+        GeometricReference.of_start(replace(job, reconstructor=reconstructor)),
+        _batch(job),
+    )
     held = reference(batch, reconstructor(batch.edited).gaussians).means
     assert torch.equal(held, reconstructor(batch.source).gaussians.means.detach())
-    assert not torch.allclose(held, reconstructor(batch.edited).gaussians.means, atol=1e-3)
+    assert not torch.allclose(
+        held, reconstructor(batch.edited).gaussians.means, atol=1e-3
+    )
 
 
-def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference(tmp_path):
+def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference(
+    tmp_path,
+):
     """Resumed after half of the steps, the reference is still the network before the first."""
 
     def weights(name: str, *steps_and_resume) -> torch.Tensor:
         for steps, resume in steps_and_resume:
             torch.manual_seed(0)
             job = replace(_job(tmp_path / name, depths=False), resume=resume)
-            shared = {"batch": 1, "warmup": 100, "colour": 0, "weight_decay": 1, "lr": 0.1}
+            shared = {
+                "batch": 1,
+                "warmup": 100,
+                "colour": 0,
+                "weight_decay": 1,
+                "lr": 0.1,
+            }
             RecolorTrainer(RecolorTrainer.Settings(steps=steps, **shared)).train(job)
         return job.reconstructor.network.weight.detach()
 

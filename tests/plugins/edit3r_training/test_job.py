@@ -2,7 +2,7 @@ import pytest
 from edit3r_training.job import prepare
 
 from edit3r.errors import InputError, SettingsError, UnknownComponentError
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 SMALL = {
     "trainer": {"name": "recolor", "steps": 3},
@@ -42,7 +42,9 @@ def test_a_weight_that_is_no_number_is_refused():
 def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
     (tmp_path / "last.pt").touch()
     values = SMALL | {"out": str(tmp_path)}
-    with pytest.raises(InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"):
+    with pytest.raises(
+        InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"
+    ):
         prepare(values, default_registry())
     assert prepare(values, default_registry(), overwrite=True)[1].resume is False
     assert prepare(values, default_registry(), resume=True)[1].resume is True

@@ -2,18 +2,32 @@ import sys
 
 import pytest
 import torch
-from edit3r_training.losses import CenterLoss, GeometryLoss, MseLoss, PointsLoss, chamfer_l1, pairwise_chamfer
+from edit3r_training.losses import (
+    CenterLoss,
+    GeometryLoss,
+    MseLoss,
+    PointsLoss,
+    chamfer_l1,
+    pairwise_chamfer,
+)
 
 import edit3r
+from edit3r.contract.interfaces import LossInputs
+from edit3r.contract.types import Gaussians
 from edit3r.errors import MissingDependencyError, SettingsError
-from edit3r.interfaces import LossInputs
-from edit3r.types import Gaussians
 
 
 def _gaussians(means: torch.Tensor, views: list[int]) -> Gaussians:
     count = means.shape[1]
     ones = torch.ones(1, count, 4)
-    return Gaussians(means, ones[..., :3], ones, ones[..., 0], torch.zeros(1, count, 1, 3), torch.tensor(views))
+    return Gaussians(
+        means,
+        ones[..., :3],
+        ones,
+        ones[..., 0],
+        torch.zeros(1, count, 1, 3),
+        torch.tensor(views),
+    )
 
 
 def test_mse_is_blind_to_detail_within_a_cell_and_sees_a_shift_of_colour():
@@ -30,14 +44,19 @@ def test_center_is_linear_far_from_the_reference():
     reference = _gaussians(torch.zeros(1, 4, 3), [0, 0, 1, 1])
     far = _gaussians(torch.full((1, 4, 3), 10.0), [0, 0, 1, 1])
     loss = CenterLoss(CenterLoss.Settings())
-    assert float(loss(LossInputs(gaussians=far, reference=reference))) == pytest.approx(9.5)
+    assert float(loss(LossInputs(gaussians=far, reference=reference))) == pytest.approx(
+        9.5
+    )
 
 
 def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
     torch.manual_seed(0)
     reference = torch.rand(1, 100, 3) + 1
     loss = lambda means, **settings: PointsLoss(PointsLoss.Settings(**settings))(  # noqa: E731
-        LossInputs(gaussians=_gaussians(means, [0] * 100), reference=_gaussians(reference, [0] * 100))
+        LossInputs(
+            gaussians=_gaussians(means, [0] * 100),
+            reference=_gaussians(reference, [0] * 100),
+        )
     )
     assert loss(7 * reference) == pytest.approx(0, abs=1e-6)
     farthest = reference.norm(dim=-1).argmax()
@@ -46,7 +65,9 @@ def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
     assert loss(moved, outliers=0) > 1.5 * loss(moved, outliers=0.02) > 0
     turned = reference[..., [1, 2, 0]]
     unit = reference.norm(dim=-1).mean()
-    assert loss(turned, outliers=0) == pytest.approx(float((turned - reference).norm(dim=-1).mean() / unit))
+    assert loss(turned, outliers=0) == pytest.approx(
+        float((turned - reference).norm(dim=-1).mean() / unit)
+    )
 
 
 def test_chamfer_of_two_points_is_twice_their_l1_distance():
@@ -61,17 +82,25 @@ def test_chamfer_counts_the_points_of_both_sets():
 
 
 def test_geometry_divides_by_views_times_views_less_one():
-    """Three views at 0, 1 and 3 on a line: pairs 1, 2 and 3 apart, Chamfer 2, 4 and 6, sum 12, divided by 6."""
+    """Three views at 0, 1 and 3 on a line: pairs 1, 2 and 3 apart, Chamfer 2, 4 and 6, sum 12,
+    divided by 6.
+    """
     means = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [3, 0, 0]]])
-    assert float(pairwise_chamfer(means, [torch.tensor([i]) for i in range(3)])) == pytest.approx(2)
+    assert float(
+        pairwise_chamfer(means, [torch.tensor([i]) for i in range(3)])
+    ) == pytest.approx(2)
 
 
 def test_geometry_has_the_same_gradient_with_and_without_a_reference():
     loss = GeometryLoss(GeometryLoss.Settings(samples=8))
     gradients = []
     for reference in (None, _gaussians(torch.zeros(1, 4, 3), [0, 0, 1, 1])):
-        means = torch.tensor([[[0.0, 0, 0], [1, 1.5, 0], [0, 3, 0], [4, 0, 1]]], requires_grad=True)
-        loss(LossInputs(gaussians=_gaussians(means, [0, 0, 1, 1]), reference=reference)).backward()
+        means = torch.tensor(
+            [[[0.0, 0, 0], [1, 1.5, 0], [0, 3, 0], [4, 0, 1]]], requires_grad=True
+        )
+        loss(
+            LossInputs(gaussians=_gaussians(means, [0, 0, 1, 1]), reference=reference)
+        ).backward()
         gradients.append(means.grad)
     assert torch.equal(*gradients)
 
@@ -106,7 +135,9 @@ class LPIPS(torch.nn.Module):
 def install_lpips(tmp_path, monkeypatch):
     def install(raises: str = "") -> None:
         (tmp_path / "lpips").mkdir()
-        (tmp_path / "lpips" / "__init__.py").write_text(LPIPS_PACKAGE.format(raises=raises))
+        (tmp_path / "lpips" / "__init__.py").write_text(
+            LPIPS_PACKAGE.format(raises=raises)
+        )
         monkeypatch.syspath_prepend(str(tmp_path))
         monkeypatch.delitem(sys.modules, "lpips", raising=False)
 
@@ -114,21 +145,32 @@ def install_lpips(tmp_path, monkeypatch):
     sys.modules.pop("lpips", None)
 
 
-def test_pictures_are_handed_over_in_the_range_lpips_expects_and_averaged(install_lpips):
+def test_pictures_are_handed_over_in_the_range_lpips_expects_and_averaged(
+    install_lpips,
+):
     install_lpips()
-    rendered, target = torch.rand(2, 2, 2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
+    rendered, target = torch.rand(
+        2, 2, 2, 3, 8, 8, generator=torch.Generator().manual_seed(0)
+    )
     value = edit3r.build("loss", "lpips")(LossInputs(rendered=rendered, target=target))
     assert torch.isclose(value, 4 * (rendered - target).square().mean())
-    assert edit3r.build("loss", "lpips")(LossInputs(rendered=target, target=target)) == 0
+    assert (
+        edit3r.build("loss", "lpips")(LossInputs(rendered=target, target=target)) == 0
+    )
 
 
 def test_a_backbone_that_cannot_be_downloaded_is_a_sentence(install_lpips):
     install_lpips(raises="raise OSError('no network')")
-    with pytest.raises(MissingDependencyError, match=r"VGG weights \(no network\).*'perceptual', which works offline"):
+    with pytest.raises(
+        MissingDependencyError,
+        match=r"VGG weights \(no network\).*'perceptual', which works offline",
+    ):
         edit3r.build("loss", "lpips")
 
 
 def test_without_the_package_the_install_command_is_named(monkeypatch):
-    monkeypatch.setattr("edit3r.registry._installed", lambda module: module != "lpips")
+    monkeypatch.setattr(
+        "edit3r.plugins.registry._installed", lambda module: module != "lpips"
+    )
     with pytest.raises(MissingDependencyError, match=r'pip install "edit3r\[lpips\]"'):
         edit3r.build("loss", "lpips")

@@ -8,15 +8,21 @@ from edit3r_training.procedural_scenes import look_at
 
 def _ring(count: int) -> np.ndarray:
     turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    return np.stack([look_at(np.array([np.sin(a), 0.1, np.cos(a)]), np.zeros(3)) for a in turns])
+    return np.stack(
+        [look_at(np.array([np.sin(a), 0.1, np.cos(a)]), np.zeros(3)) for a in turns]
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_gap_is_within_its_range_and_targets_lie_between(seed):
-    choice = choose_by_gap(np.random.default_rng(seed), 60, context=3, targets=4, gap=(10, 20))
+    choice = choose_by_gap(
+        np.random.default_rng(seed), 60, context=3, targets=4, gap=(10, 20)
+    )
     context, targets = choice[:3], choice[3:]
     assert 10 <= context[-1] - context[0] <= 20
-    assert len(targets) == 4 and all(context[0] <= target <= context[-1] for target in targets)
+    assert len(targets) == 4 and all(
+        context[0] <= target <= context[-1] for target in targets
+    )
     assert context == sorted(context)
 
 
@@ -35,7 +41,9 @@ def test_a_short_sequence_gets_the_widest_gap_it_has_and_a_single_frame_none():
 @pytest.mark.parametrize("seed", range(5))
 def test_neighbouring_context_views_are_the_asked_for_angle_apart(seed):
     c2w = _ring(36)
-    choice = choose_by_angle(np.random.default_rng(seed), c2w, context=3, targets=2, angles=(8, 25))
+    choice = choose_by_angle(
+        np.random.default_rng(seed), c2w, context=3, targets=2, angles=(8, 25)
+    )
     for a, b in itertools.pairwise(choice[:3]):
         angle = np.degrees(np.arccos(np.clip(c2w[a][:3, 2] @ c2w[b][:3, 2], -1, 1)))
         assert 8 <= angle <= 25
@@ -43,4 +51,9 @@ def test_neighbouring_context_views_are_the_asked_for_angle_apart(seed):
 
 
 def test_views_too_far_apart_are_not_forced_together():
-    assert choose_by_angle(np.random.default_rng(0), _ring(4), context=2, targets=1, angles=(5, 30)) is None
+    assert (
+        choose_by_angle(
+            np.random.default_rng(0), _ring(4), context=2, targets=1, angles=(5, 30)
+        )
+        is None
+    )

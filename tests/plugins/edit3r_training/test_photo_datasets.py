@@ -5,7 +5,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from edit3r_recolor.api import RecolorParameters, RegionRecipe, SceneRecipe, ViewRecipe, write_masks
+from edit3r_recolor.api import (
+    RecolorParameters,
+    RegionRecipe,
+    SceneRecipe,
+    ViewRecipe,
+    write_masks,
+)
 from edit3r_training.photo_dataset import DrawnPhotos
 from edit3r_training.procedural_dataset import ProceduralDataset
 from edit3r_training.re10k_dataset import Re10kDataset
@@ -17,8 +23,13 @@ from edit3r.geometry.cameras import invert_rigid, project, unproject
 from edit3r.reporting import Report, collecting
 
 VIEWS = 5
-SCENE = ProceduralDataset(ProceduralDataset.Settings(image_size=64, context=VIEWS, targets=0, angles=(6, 8)))[3]
-PICTURES = [(image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8) for image in SCENE.context]
+SCENE = ProceduralDataset(
+    ProceduralDataset.Settings(image_size=64, context=VIEWS, targets=0, angles=(6, 8))
+)[3]
+PICTURES = [
+    (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    for image in SCENE.context
+]
 
 
 def _write_transforms(folder) -> None:
@@ -28,9 +39,18 @@ def _write_transforms(folder) -> None:
     frames = []
     for view, picture in enumerate(PICTURES):
         Image.fromarray(picture).save(folder / f"{view}.png")
-        pose = SCENE.context_cameras.c2w[0, view] @ torch.diag(torch.tensor([1.0, -1, -1, 1]))
+        pose = SCENE.context_cameras.c2w[0, view] @ torch.diag(
+            torch.tensor([1.0, -1, -1, 1])
+        )
         frames.append({"file_path": f"{view}.png", "transform_matrix": pose.tolist()})
-    shared = {"fl_x": float(k[0, 0]), "fl_y": float(k[1, 1]), "cx": 32, "cy": 32, "w": 64, "h": 64}
+    shared = {
+        "fl_x": float(k[0, 0]),
+        "fl_y": float(k[1, 1]),
+        "cx": 32,
+        "cy": 32,
+        "w": 64,
+        "h": 64,
+    }
     (folder / "transforms.json").write_text(json.dumps(shared | {"frames": frames}))
 
 
@@ -43,44 +63,70 @@ def _chunk_scene(key: str = "scene") -> dict:
     k = SCENE.context_cameras.intrinsics[0]
     w2c = invert_rigid(SCENE.context_cameras.c2w[0])[:, :3].reshape(VIEWS, 12)
     head = torch.stack((k[:, 0, 0], k[:, 1, 1], k[:, 0, 2], k[:, 1, 2]), 1)
-    return {"key": key, "cameras": torch.cat((head, torch.zeros(VIEWS, 2), w2c), 1), "images": files}
+    return {
+        "key": key,
+        "cameras": torch.cat((head, torch.zeros(VIEWS, 2), w2c), 1),
+        "images": files,
+    }
 
 
 def _transforms(root, **settings) -> TransformsDataset:
     defaults = {"image_size": 64, "targets": 1, "angles": (4, 30), "mirror": 0}
-    return TransformsDataset(TransformsDataset.Settings(root=str(root), **{**defaults, **settings}))
+    return TransformsDataset(
+        TransformsDataset.Settings(root=str(root), **{**defaults, **settings})
+    )
 
 
 def _re10k(root, **settings) -> Re10kDataset:
     defaults = {"image_size": 64, "targets": 1, "gap": (2, 3), "mirror": 0}
-    return Re10kDataset(Re10kDataset.Settings(root=str(root), **{**defaults, **settings}))
+    return Re10kDataset(
+        Re10kDataset.Settings(root=str(root), **{**defaults, **settings})
+    )
 
 
 def _check_poses(sample) -> None:
-    """Relative pose and unit baseline equal the scene's own, up to scale: found by the pictures that were drawn."""
-    own = [min(range(VIEWS), key=lambda v: float((SCENE.context[v] - image).abs().mean())) for image in sample.context]
+    """Relative pose and unit baseline equal the scene's own, up to scale: found by the pictures
+    that were drawn.
+    """
+    own = [
+        min(range(VIEWS), key=lambda v: float((SCENE.context[v] - image).abs().mean()))
+        for image in sample.context
+    ]
     true = SCENE.context_cameras.c2w[0]
     relative = torch.linalg.inv(true[own[0]]) @ true[own[1]]
     given = sample.context_cameras.c2w[0, 1]
     assert torch.allclose(given[:3, :3], relative[:3, :3], atol=1e-4)
-    assert torch.allclose(given[:3, 3], relative[:3, 3] / relative[:3, 3].norm(), atol=1e-4)
+    assert torch.allclose(
+        given[:3, 3], relative[:3, 3] / relative[:3, 3].norm(), atol=1e-4
+    )
 
 
 def test_transforms_poses_and_pictures_are_those_of_the_files(tmp_path):
     _write_transforms(tmp_path / "a")
     sample = _transforms(tmp_path)[0]
-    assert sample.context.shape == (2, 3, 64, 64) and sample.target.shape == (1, 3, 64, 64)
+    assert sample.context.shape == (2, 3, 64, 64) and sample.target.shape == (
+        1,
+        3,
+        64,
+        64,
+    )
     _check_poses(sample)
 
 
 def _write_regions(folder, processed: list[bool]) -> None:
-    """A recoloured set whose only object is where the red channel leads, so that masks can be told to fit pictures."""
+    """A recoloured set whose only object is where the red channel leads, so that masks can be told
+    to fit pictures.
+    """
     parameters = RecolorParameters()
     region = RegionRecipe(1, parameters, 0.5, 1.0, 1.0, (0, 0, 64, 64))
-    views = [ViewRecipe(str(view), (1,), 1.0, used) for view, used in enumerate(processed)]
+    views = [
+        ViewRecipe(str(view), (1,), 1.0, used) for view, used in enumerate(processed)
+    ]
     folder.mkdir(parents=True)
     SceneRecipe(0, "test", (region,), tuple(views)).save(folder / "recolor.json")
-    masks = torch.stack([_reddish(torch.from_numpy(picture).permute(2, 0, 1)) for picture in PICTURES])
+    masks = torch.stack(
+        [_reddish(torch.from_numpy(picture).permute(2, 0, 1)) for picture in PICTURES]
+    )
     write_masks(folder / "masks", [view.name for view in views], [1], masks[None])
 
 
@@ -92,9 +138,19 @@ def _reddish(image: torch.Tensor) -> torch.Tensor:
 def test_masks_of_a_recoloured_scene_come_with_its_photos(tmp_path, mirror):
     _write_transforms(tmp_path / "data" / "a")
     _write_regions(tmp_path / "regions" / "a", [True] * VIEWS)
-    sample = _transforms(tmp_path / "data", masks=str(tmp_path / "regions"), mirror=mirror)[0]
-    assert sample.context_masks.shape == (1, 2, 64, 64) and sample.target_masks.shape == (1, 1, 64, 64)
-    for image, mask in zip((*sample.context, *sample.target), (*sample.context_masks[0], *sample.target_masks[0])):
+    sample = _transforms(
+        tmp_path / "data", masks=str(tmp_path / "regions"), mirror=mirror
+    )[0]
+    assert sample.context_masks.shape == (
+        1,
+        2,
+        64,
+        64,
+    ) and sample.target_masks.shape == (1, 1, 64, 64)
+    for image, mask in zip(
+        (*sample.context, *sample.target),
+        (*sample.context_masks[0], *sample.target_masks[0]),
+    ):
         assert torch.equal(mask, _reddish(image)) and 0 < mask.mean() < 1
 
 
@@ -105,7 +161,10 @@ def test_photos_that_the_recolouring_left_out_are_not_used(tmp_path):
     for index in range(6):
         sample = data[index]
         for image in (*sample.context, *sample.target):
-            view = min(range(VIEWS), key=lambda v: float((SCENE.context[v] - image).abs().mean()))
+            view = min(
+                range(VIEWS),
+                key=lambda v: float((SCENE.context[v] - image).abs().mean()),
+            )
             assert view in (0, 2, 3)
 
 
@@ -152,23 +211,38 @@ def test_an_empty_folder_is_an_error_that_names_it(tmp_path, make):
 @pytest.mark.parametrize("name", ["re10k", "transforms"])
 def test_a_training_begins_with_views_close_to_each_other(tmp_path, name):
     """At the start 1 frame apart; from a quarter of the training on 4."""
-    chosen = {"gap": (4, 4), "gap_start": (1, 1), "gap_growth": 0.25, "mirror": 0, "context": 2, "targets": 0}
+    chosen = {
+        "gap": (4, 4),
+        "gap_start": (1, 1),
+        "gap_growth": 0.25,
+        "mirror": 0,
+        "context": 2,
+        "targets": 0,
+    }
     if name == "re10k":
         torch.save([_chunk_scene()], tmp_path / "0.torch")
-        data = Re10kDataset(Re10kDataset.Settings(root=str(tmp_path), image_size=64, **chosen))
+        data = Re10kDataset(
+            Re10kDataset.Settings(root=str(tmp_path), image_size=64, **chosen)
+        )
     else:
         _write_transforms(tmp_path / "a")
         data = _transforms(tmp_path, select="gap", **chosen)
     seen = []
     for sample in (data.at_progress(0, 0.0), data.at_progress(0, 0.25), data[0]):
-        numbers = [min(range(VIEWS), key=lambda v: float((SCENE.context[v] - x).abs().mean())) for x in sample.context]
+        numbers = [
+            min(range(VIEWS), key=lambda v: float((SCENE.context[v] - x).abs().mean()))
+            for x in sample.context
+        ]
         seen.append(numbers[1] - numbers[0])
     assert seen == [1, 4, 4]
 
 
 def test_the_same_index_gives_the_same_sample(tmp_path):
     _write_transforms(tmp_path / "a")
-    first, second = _transforms(tmp_path, mirror=0.5)[1], _transforms(tmp_path, mirror=0.5)[1]
+    first, second = (
+        _transforms(tmp_path, mirror=0.5)[1],
+        _transforms(tmp_path, mirror=0.5)[1],
+    )
     assert torch.equal(first.context, second.context)
     assert torch.equal(first.context_cameras.c2w, second.context_cameras.c2w)
 
@@ -177,16 +251,22 @@ def test_the_same_index_gives_the_same_sample(tmp_path):
 def test_pictures_and_poses_fit_each_other_mirrored_or_not(mirror):
     """A surface point of view 0 projects into view 1 to where the same colour is seen."""
     cameras = SCENE.context_cameras
-    drawn = DrawnPhotos("scene", SCENE.context[:2], cameras.c2w[0, :2], cameras.intrinsics[0, :2])
+    drawn = DrawnPhotos(
+        "scene", SCENE.context[:2], cameras.c2w[0, :2], cameras.intrinsics[0, :2]
+    )
     sample = drawn.sample(2, "scene-0", mirror, np.random.default_rng(0))
     unit = 1 / SCENE.context_cameras.c2w[0, 1, :3, 3].norm()
     depth = SCENE.context_depths[:1] * unit
     depth = depth.flip(-1) if mirror else depth
     cameras = sample.context_cameras
-    points = unproject(depth, cameras.intrinsics[0, :1], cameras.c2w[0, :1]).reshape(1, -1, 3)
+    points = unproject(depth, cameras.intrinsics[0, :1], cameras.c2w[0, :1]).reshape(
+        1, -1, 3
+    )
     places, _ = project(points, cameras.intrinsics[0, 1:], cameras.c2w[0, 1:])
     grid = (places * 2 - 1).reshape(1, 64, 64, 2)
-    pulled = torch.nn.functional.grid_sample(sample.context[1:], grid, align_corners=False)[0]
+    pulled = torch.nn.functional.grid_sample(
+        sample.context[1:], grid, align_corners=False
+    )[0]
     gap = (pulled - sample.context[0]).abs().mean(0)[(grid[0].abs() < 1).all(-1)]
     assert gap.median() < 0.04
 
@@ -201,11 +281,15 @@ class TestSettings:
 
 
 def test_frames_of_a_chunk_are_found_by_the_scenes_key(tmp_path):
-    torch.save([_chunk_scene("other"), _chunk_scene("wanted")], tmp_path / "000000.torch")
+    torch.save(
+        [_chunk_scene("other"), _chunk_scene("wanted")], tmp_path / "000000.torch"
+    )
     data = _re10k(tmp_path)
     first, second = data.photos("wanted", (1, 4))
     assert np.abs(second.image - PICTURES[4] / 255).mean() < 0.02  # JPEG
-    assert np.allclose(first.intrinsics, SCENE.context_cameras.intrinsics[0, 1], atol=1e-5)
+    assert np.allclose(
+        first.intrinsics, SCENE.context_cameras.intrinsics[0, 1], atol=1e-5
+    )
     assert np.allclose(second.c2w, SCENE.context_cameras.c2w[0, 4], atol=1e-5)
     with pytest.raises(InputError, match="frame 9 is asked for, it has 5"):
         data.photos("wanted", (0, 9))

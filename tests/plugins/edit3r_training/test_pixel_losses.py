@@ -4,13 +4,17 @@ import pytest
 import torch
 from edit3r_training.pixel_losses import pixel_maps
 
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.errors import SettingsError
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.types import Cameras, Gaussians, Reconstruction
 
 VIEWS, HEIGHT, WIDTH = 2, 3, 4
 PIXELS = VIEWS * HEIGHT * WIDTH
-CAMERAS = Cameras(torch.eye(4).repeat(1, VIEWS, 1, 1), torch.eye(3).repeat(1, VIEWS, 1, 1), (HEIGHT, WIDTH))
+CAMERAS = Cameras(
+    torch.eye(4).repeat(1, VIEWS, 1, 1),
+    torch.eye(3).repeat(1, VIEWS, 1, 1),
+    (HEIGHT, WIDTH),
+)
 
 
 def _reconstruction(count: int) -> Reconstruction:
@@ -20,20 +24,32 @@ def _reconstruction(count: int) -> Reconstruction:
     colours = (number / 100)[None, :, None, None].expand(1, count, 1, 3)
     quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
     return Reconstruction(
-        Gaussians(means, torch.ones(1, count, 3), quats, torch.full((1, count), 0.5), colour_to_dc(colours))
+        Gaussians(
+            means,
+            torch.ones(1, count, 3),
+            quats,
+            torch.full((1, count), 0.5),
+            colour_to_dc(colours),
+        )
     )
 
 
 @pytest.mark.parametrize("rim", [0, 5])
-def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_out(rim):
+def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_out(
+    rim,
+):
     maps = pixel_maps(_reconstruction(PIXELS + rim), CAMERAS)
-    expected = torch.arange(PIXELS, dtype=torch.float32).reshape(1, VIEWS, HEIGHT, WIDTH)
+    expected = torch.arange(PIXELS, dtype=torch.float32).reshape(
+        1, VIEWS, HEIGHT, WIDTH
+    )
     assert torch.allclose(maps.colours[:, :, 0], expected / 100, atol=1e-6)
     assert torch.equal(maps.depths, expected + 1)
 
 
 def test_fewer_gaussians_than_pixels_are_refused():
-    with pytest.raises(SettingsError, match=f"{PIXELS - 1} Gaussians for {PIXELS} pixels"):
+    with pytest.raises(
+        SettingsError, match=f"{PIXELS - 1} Gaussians for {PIXELS} pixels"
+    ):
         pixel_maps(_reconstruction(PIXELS - 1), CAMERAS)
 
 
@@ -47,6 +63,8 @@ def test_depths_are_those_in_the_predicted_cameras_or_else_in_the_true_ones():
 
     own = answer.gaussians.means[..., 2].reshape(1, VIEWS, HEIGHT, WIDTH)
     alone = pixel_maps(answer, moved(10)).depths
-    assert torch.equal(alone[:, 0], own[:, 0]) and torch.equal(alone[:, 1], own[:, 1] + 10)
+    assert torch.equal(alone[:, 0], own[:, 0]) and torch.equal(
+        alone[:, 1], own[:, 1] + 10
+    )
     placed = pixel_maps(replace(answer, cameras=moved(3)), moved(10)).depths
     assert torch.equal(placed[:, 1], own[:, 1] + 3)

@@ -8,20 +8,30 @@ from edit3r.geometry.cameras import project, unproject
 
 
 def _dataset(**settings) -> ProceduralDataset:
-    return ProceduralDataset(ProceduralDataset.Settings(**{"image_size": 48, "scenes": 4, "textures": 8, **settings}))
+    return ProceduralDataset(
+        ProceduralDataset.Settings(
+            **{"image_size": 48, "scenes": 4, "textures": 8, **settings}
+        )
+    )
 
 
 def test_surfaces_seen_by_both_views_have_the_same_colour_and_depth():
-    """Warp view 0 into view 1 by the exact depth and pose: where it lands on the surface seen there, colours agree."""
+    """Warp view 0 into view 1 by the exact depth and pose: where it lands on the surface seen
+    there, colours agree.
+    """
     for index in range(3):
         sample = _dataset(image_size=96)[index]
         cameras, depths = sample.context_cameras, sample.context_depths
-        points = unproject(depths[:1], cameras.intrinsics[0, :1], cameras.c2w[0, :1]).reshape(1, -1, 3)
+        points = unproject(
+            depths[:1], cameras.intrinsics[0, :1], cameras.c2w[0, :1]
+        ).reshape(1, -1, 3)
         places, z = project(points, cameras.intrinsics[0, 1:], cameras.c2w[0, 1:])
         grid = (places * 2 - 1).reshape(1, 96, 96, 2)
         seen = torch.cat((sample.context[1], depths[1:]))[None]
         pulled = torch.nn.functional.grid_sample(seen, grid, align_corners=False)[0]
-        visible = (grid[0].abs() < 0.98).all(-1) & ((pulled[3] / z.reshape(96, 96)).log().abs() < 0.01)
+        visible = (grid[0].abs() < 0.98).all(-1) & (
+            (pulled[3] / z.reshape(96, 96)).log().abs() < 0.01
+        )
         assert visible.float().mean() > 0.3
         gap = (pulled[:3] - sample.context[0]).abs().mean(0)[visible]
         assert gap.median() < 0.03
@@ -42,7 +52,9 @@ def test_masks_cover_every_pixel_once():
 
 def test_recoloring_changes_one_object_and_nothing_else():
     sample = _dataset(edit="recolor")[1]
-    change = (sample.edited_context - sample.context).abs().amax(1)  # [view, height, width]
+    change = (
+        (sample.edited_context - sample.context).abs().amax(1)
+    )  # [view, height, width]
     inside = [(change * mask).sum() / change.sum() for mask in sample.context_masks]
     edited = max(range(len(inside)), key=lambda i: inside[i])
     assert change[sample.context_masks[edited] == 0].max() < 0.01
@@ -57,14 +69,21 @@ def test_removing_reveals_what_was_behind():
 
 def test_views_beyond_two_are_made_too():
     sample = _dataset(context=4, targets=3, image_size=16)[0]
-    assert sample.context.shape == (4, 3, 16, 16) and sample.target.shape == (3, 3, 16, 16)
+    assert sample.context.shape == (4, 3, 16, 16) and sample.target.shape == (
+        3,
+        3,
+        16,
+        16,
+    )
     assert sample.target_masks.shape[:2] == (sample.context_masks.shape[0], 3)
 
 
 def test_kept_samples_are_the_same_as_fresh_ones():
     kept = _dataset(keep=True)
     first, again = kept[1], kept[1]
-    assert torch.equal(first.context, again.context) and torch.equal(first.context, _dataset()[1].context)
+    assert torch.equal(first.context, again.context) and torch.equal(
+        first.context, _dataset()[1].context
+    )
 
 
 def test_two_seeds_share_no_scene():

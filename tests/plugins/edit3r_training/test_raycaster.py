@@ -1,12 +1,23 @@
 import numpy as np
-from edit3r_training.procedural_scenes import BOX, CYLINDER, ELLIPSOID, LEVELS, ROOM, TILE, Scene, look_at
+from edit3r_training.procedural_scenes import (
+    BOX,
+    CYLINDER,
+    ELLIPSOID,
+    LEVELS,
+    ROOM,
+    TILE,
+    Scene,
+    look_at,
+)
 from edit3r_training.raycaster import cast
 
 K = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
 
 
 def _scene(*objects) -> Scene:
-    """A room of half side 10 and objects given as (kind, centre, half extents); textures are plain grey."""
+    """A room of half side 10 and objects given as (kind, centre, half extents); textures are plain
+    grey.
+    """
     rows = [(ROOM, (0, 0, 0), (10, 10, 10)), *objects]
     count = len(rows)
     return Scene(
@@ -23,22 +34,31 @@ def _scene(*objects) -> Scene:
 
 def _cast(scene: Scene, size: int = 33):
     bank = np.full((1, LEVELS, TILE, TILE, 3), 128, np.uint8)
-    return cast(scene, bank, look_at(np.array([0.0, 0, -3]), np.zeros(3)), K, (size, size))
+    return cast(
+        scene, bank, look_at(np.array([0.0, 0, -3]), np.zeros(3)), K, (size, size)
+    )
 
 
 def test_depth_is_camera_z_of_the_nearest_surface():
     image = _cast(_scene((ELLIPSOID, (0, 0, 0), (1, 1, 1))))
     assert abs(image.depth[16, 16] - 2) < 1e-5
-    assert abs(image.depth[0, 0] - 13) < 1e-5  # the far wall, z and not the length of the ray
+    assert (
+        abs(image.depth[0, 0] - 13) < 1e-5
+    )  # the far wall, z and not the length of the ray
 
 
 def test_box_and_cylinder_fronts_are_where_they_should_be():
     assert abs(_cast(_scene((BOX, (0, 0, 0), (1, 1, 0.5)))).depth[16, 16] - 2.5) < 1e-5
-    assert abs(_cast(_scene((CYLINDER, (0, 0, 0), (1, 1, 0.5)))).depth[16, 16] - 2.5) < 1e-5
+    assert (
+        abs(_cast(_scene((CYLINDER, (0, 0, 0), (1, 1, 0.5)))).depth[16, 16] - 2.5)
+        < 1e-5
+    )
 
 
 def test_nearer_objects_hide_farther_ones():
-    image = _cast(_scene((BOX, (0, 0, 0), (1, 1, 1)), (ELLIPSOID, (0, 0, -1.5), (0.2, 0.2, 0.2))))
+    image = _cast(
+        _scene((BOX, (0, 0, 0), (1, 1, 1)), (ELLIPSOID, (0, 0, -1.5), (0.2, 0.2, 0.2)))
+    )
     assert (image.objects[:, 16, 16] == 2).all()
 
 

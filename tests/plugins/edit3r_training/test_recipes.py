@@ -1,4 +1,6 @@
-"""The shipped recipes of the paper's model: the tiny ones from data to image, the full ones setting by setting."""
+"""The shipped recipes of the paper's model: the tiny ones from data to image, the full ones setting
+by setting.
+"""
 
 import importlib
 import json
@@ -11,19 +13,44 @@ import pytest
 import torch
 import yaml
 from edit3r_training.job import TrainingConfig, prepare
+from edit3r_training.loop import parameter_groups
+from edit3r_training.processes import Processes
 from edit3r_training.recolor_trainer import RecolorRecipe
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.config import PartChoice, Settings, find_config, make_settings, merge, read_yaml
-from edit3r.registry import build, default_registry
-from edit3r.training.loop import parameter_groups
-from edit3r.training.processes import Processes
+from edit3r.config import (
+    PartChoice,
+    Settings,
+    find_config,
+    make_settings,
+    merge,
+    read_yaml,
+)
+from edit3r.plugins.registry import build, default_registry
 
-QUICK = ("trainer.steps=2", "trainer.batch=1", "trainer.validate_every=2", "trainer.log_every=1", "rasterizer=torch")
-DATA = ("train_data.scenes=2", "validation_data.scenes=1", "train_data.textures=8", "validation_data.textures=8")
+QUICK = (
+    "trainer.steps=2",
+    "trainer.batch=1",
+    "trainer.validate_every=2",
+    "trainer.log_every=1",
+    "rasterizer=torch",
+)
+DATA = (
+    "train_data.scenes=2",
+    "validation_data.scenes=1",
+    "train_data.textures=8",
+    "validation_data.textures=8",
+)
 SMALL = {
-    "backbone": {"width": 32, "depth": 1, "heads": 2, "decoder_width": 32, "decoder_depth": 4, "decoder_heads": 2},
+    "backbone": {
+        "width": 32,
+        "depth": 1,
+        "heads": 2,
+        "decoder_width": 32,
+        "decoder_depth": 4,
+        "decoder_heads": 2,
+    },
     "head": {"feature_width": 8, "point_width": 8, "layer_widths": [8, 8, 8, 8]},
 }
 
@@ -36,34 +63,73 @@ def _options(*assignments: str) -> list[str]:
 def photos(tmp_path_factory) -> list[str]:
     """Two views of a made-up scene as files."""
     folder = tmp_path_factory.mktemp("photos")
-    sample = build("dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8)[0]
+    sample = build(
+        "dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8
+    )[0]
     paths = [folder / f"{view}.png" for view in range(2)]
     for path, image in zip(paths, sample.context):
-        Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(path)
+        Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(
+            path
+        )
     return [str(path) for path in paths]
 
 
 @pytest.fixture(scope="module")
 def stages(tmp_path_factory) -> tuple[Path, Path]:
     """The folders `best` of both tiny stages, the second begun from and held to the first."""
-    pytest.importorskip("efficientnet_lite_pytorch", reason="the extra train is not installed")
+    pytest.importorskip(
+        "efficientnet_lite_pytorch", reason="the extra train is not installed"
+    )
     root = tmp_path_factory.mktemp("stages")
     first, second = root / "first", root / "second"
-    assert main(["train", "training/noposplat-tiny", "--out", str(first), *_options(*QUICK, *DATA)]) == 0
+    assert (
+        main(
+            [
+                "train",
+                "training/noposplat-tiny",
+                "--out",
+                str(first),
+                *_options(*QUICK, *DATA),
+            ]
+        )
+        == 0
+    )
     begun = (
         f"reconstructor.weights={first}/best",
         "reference.name=noposplat",
         f"reference.weights={first}/best",
-        "trainer.pretrained=[backbone.patch_embed, backbone.encoder, backbone.decoder, head.centres]",
+        "trainer.pretrained=[backbone.patch_embed, backbone.encoder, backbone.decoder, "
+        "head.centres]",
     )
-    assert main(["train", "training/edit3r-paper-tiny", "--out", str(second), *_options(*QUICK, *DATA, *begun)]) == 0
+    assert (
+        main(
+            [
+                "train",
+                "training/edit3r-paper-tiny",
+                "--out",
+                str(second),
+                *_options(*QUICK, *DATA, *begun),
+            ]
+        )
+        == 0
+    )
     return first / "best", second / "best"
 
 
 def test_the_tiny_recipes_lead_from_data_to_images(stages, photos, tmp_path):
     for name, best in zip(("first", "second"), stages):
         out = tmp_path / name
-        command = ["run", *photos, "--editor", "none", "--recon", "noposplat", "--out", str(out), "--quiet"]
+        command = [
+            "run",
+            *photos,
+            "--editor",
+            "none",
+            "--recon",
+            "noposplat",
+            "--out",
+            str(out),
+            "--quiet",
+        ]
         assert main([*command, *_options(f"reconstructor.weights={best}")]) == 0
         assert (out / "scene.ply").is_file()
 
@@ -71,17 +137,24 @@ def test_the_tiny_recipes_lead_from_data_to_images(stages, photos, tmp_path):
 def test_the_tiny_recipes_are_converted_to_what_computes_the_same(stages, tmp_path):
     ours = tmp_path / "ours"
     assert main(["convert", str(stages[1]), str(ours)]) == 0
-    views = build("dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8)[0]
+    views = build("dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8)[
+        0
+    ]
     images, lens = views.context[None], views.context_cameras.intrinsics
     trained, converted = (
-        build("reconstructor", "noposplat", weights=str(folder)).network(images, lens) for folder in (stages[1], ours)
+        build("reconstructor", "noposplat", weights=str(folder)).network(images, lens)
+        for folder in (stages[1], ours)
     )
-    assert torch.equal(trained.means, converted.means) and torch.equal(trained.harmonics, converted.harmonics)
+    assert torch.equal(trained.means, converted.means) and torch.equal(
+        trained.harmonics, converted.harmonics
+    )
 
 
 def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     second = stages[1].parent
-    lines = [json.loads(line) for line in (second / "log.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (second / "log.jsonl").read_text().splitlines()
+    ]
     assert {"mse", "perceptual", "center", "geometry"} <= set(lines[0])
     first = build("reconstructor", "noposplat", weights=str(stages[0])).network
     moved = build("reconstructor", "noposplat", weights=str(stages[1])).network
@@ -89,15 +162,30 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     assert 0 < max(gaps) < 0.01  # two small steps from there, not another random start
 
 
-def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path, request):
-    """The one that the documentation shows: `--plugin` for the training, its setting `weights` for the result."""
+def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(
+    photos, tmp_path, request
+):
+    """The one that the documentation shows: `--plugin` for the training, its setting `weights` for
+    the result.
+    """
     page = (Path(__file__).parents[3] / "docs/plugins/reconstructor.md").read_text()
     plugin = tmp_path / "learned.py"
-    plugin.write_text(re.search(r'```python title="learned.py"\n(.*?)```', page, re.DOTALL).group(1))
-    request.addfinalizer(lambda: sys.modules.pop("learned", None))  # other tests load a file of this name too
+    plugin.write_text(
+        re.search(r'```python title="learned.py"\n(.*?)```', page, re.DOTALL).group(1)
+    )
+    request.addfinalizer(
+        lambda: sys.modules.pop("learned", None)
+    )  # other tests load a file of this name too
     data = {"name": "procedural", "image_size": 32, "scenes": 2, "textures": 8}
     config = {
-        "trainer": {"name": "recolor", "steps": 1, "batch": 1, "unit": "baseline", "warmup": 1, "lr": 0.01},
+        "trainer": {
+            "name": "recolor",
+            "steps": 1,
+            "batch": 1,
+            "unit": "baseline",
+            "warmup": 1,
+            "lr": 0.01,
+        },
         "reconstructor": {"name": "learned", "size": 32},
         "rasterizer": "torch",
         "train_data": data,
@@ -105,22 +193,44 @@ def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path, 
     }
     (tmp_path / "learned.yaml").write_text(yaml.safe_dump(config))
     assert main(["train", str(tmp_path / "learned.yaml"), "--plugin", str(plugin)]) == 0
-    weights, options = str(tmp_path / "out/best"), ["--plugin", str(plugin), "--quiet", "--editor", "none"]
-    command = ["run", *photos, "--recon", "learned", *options, "--out", str(tmp_path / "scene")]
+    weights, options = (
+        str(tmp_path / "out/best"),
+        ["--plugin", str(plugin), "--quiet", "--editor", "none"],
+    )
+    command = [
+        "run",
+        *photos,
+        "--recon",
+        "learned",
+        *options,
+        "--out",
+        str(tmp_path / "scene"),
+    ]
     assert main([*command, *_options(f"reconstructor.weights={weights}")]) == 0
     registry = default_registry((str(plugin),))
-    start, trained = (registry.build("reconstructor", "learned", weights=given).network for given in (None, weights))
+    start, trained = (
+        registry.build("reconstructor", "learned", weights=given).network
+        for given in (None, weights)
+    )
     assert not torch.equal(start["head"].out.weight, trained["head"].out.weight)
 
 
-@pytest.mark.parametrize("name", ["noposplat", "edit3r-paper", "noposplat-tiny", "edit3r-paper-tiny"])
+@pytest.mark.parametrize(
+    "name", ["noposplat", "edit3r-paper", "noposplat-tiny", "edit3r-paper-tiny"]
+)
 def test_every_setting_of_a_recipe_is_known(name):
     registry = default_registry()
-    config = make_settings(TrainingConfig, read_yaml(find_config(f"training/{name}")), "training")
+    config = make_settings(
+        TrainingConfig, read_yaml(find_config(f"training/{name}")), "training"
+    )
 
     def check(kind: str, choice: PartChoice) -> None:
-        module, _, cls = registry.find(kind, choice.name).component.target.partition(":")
-        settings_class = getattr(getattr(importlib.import_module(module), cls), "Settings", Settings)
+        module, _, cls = registry.find(kind, choice.name).component.target.partition(
+            ":"
+        )
+        settings_class = getattr(
+            getattr(importlib.import_module(module), cls), "Settings", Settings
+        )
         settings = make_settings(settings_class, choice.settings, kind)
         for part in ("backbone", "head"):
             if kind == "reconstructor":
@@ -133,19 +243,47 @@ def test_every_setting_of_a_recipe_is_known(name):
         check("dataset", choice)
     check("rasterizer", config.rasterizer)
     for loss, given in config.losses.items():
-        check("loss", PartChoice(name=loss, settings={key: value for key, value in given.items() if key != "weight"}))
+        check(
+            "loss",
+            PartChoice(
+                name=loss,
+                settings={
+                    key: value for key, value in given.items() if key != "weight"
+                },
+            ),
+        )
 
 
 @pytest.mark.parametrize("name", ["noposplat", "edit3r-paper"])
 def test_a_full_recipe_trains_a_small_network(name, tmp_path):
     """As it is shipped but for sizes, data, device, and losses that need weights from elsewhere."""
     values = read_yaml(find_config(f"training/{name}"))
-    data = {"name": "procedural", "image_size": 32, "scenes": 2, "targets": 1, "textures": 8}
-    values["losses"] = {key: given for key, given in values["losses"].items() if key not in ("clip", "lpips")}
-    values |= {"train_data": data, "validation_data": data, "rasterizer": "torch", "out": str(tmp_path)}
+    data = {
+        "name": "procedural",
+        "image_size": 32,
+        "scenes": 2,
+        "targets": 1,
+        "textures": 8,
+    }
+    values["losses"] = {
+        key: given
+        for key, given in values["losses"].items()
+        if key not in ("clip", "lpips")
+    }
+    values |= {
+        "train_data": data,
+        "validation_data": data,
+        "rasterizer": "torch",
+        "out": str(tmp_path),
+    }
     network = {"weights": "random", **SMALL}
-    small = {"trainer": {"steps": 1, "batch": 1, "device": "cpu"}, "reconstructor": network}
-    values = merge(values, small | ({"reference": network} if "reference" in values else {}))
+    small = {
+        "trainer": {"steps": 1, "batch": 1, "device": "cpu"},
+        "reconstructor": network,
+    }
+    values = merge(
+        values, small | ({"reference": network} if "reference" in values else {})
+    )
     trainer, job = prepare(values, default_registry())
     best = trainer.train(job)
     assert (best / "weights.safetensors").is_file()
@@ -153,17 +291,34 @@ def test_a_full_recipe_trains_a_small_network(name, tmp_path):
     assert [rate for rate, _ in groups] == [1.0, 0.1]
     fresh = {id(p) for p in groups[0][1]}
     named = dict(job.reconstructor.network.named_parameters())
-    begins = {key.split(".")[0] + "." + key.split(".")[1] for key, p in named.items() if id(p) in fresh}
-    assert begins == {"backbone.intrinsics_embed", "head.attributes"}  # what MASt3R does not have
+    begins = {
+        key.split(".")[0] + "." + key.split(".")[1]
+        for key, p in named.items()
+        if id(p) in fresh
+    }
+    assert begins == {
+        "backbone.intrinsics_embed",
+        "head.attributes",
+    }  # what MASt3R does not have
 
 
 def test_half_precision_leaves_weights_and_losses_in_float32(tmp_path):
     values = read_yaml(find_config("training/edit3r-paper-tiny"))
-    values = merge(values, {"reconstructor": SMALL, "train_data": {"scenes": 1, "textures": 8}, "out": str(tmp_path)})
+    values = merge(
+        values,
+        {
+            "reconstructor": SMALL,
+            "train_data": {"scenes": 1, "textures": 8},
+            "out": str(tmp_path),
+        },
+    )
     values["losses"] = {"mse": {}, "center": {}}
     totals = {}
     for precision in ("float32", "bfloat16"):
-        given = merge(values, {"trainer": {"batch": 1, "precision": precision}, "rasterizer": "torch"})
+        given = merge(
+            values,
+            {"trainer": {"batch": 1, "precision": precision}, "rasterizer": "torch"},
+        )
         trainer, job = prepare(given, default_registry(), overwrite=True)
         recipe = RecolorRecipe(trainer.settings, job)
         recipe.network.train()

@@ -11,19 +11,19 @@ import safetensors.torch
 import torch
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
+from edit3r_training.checkpoint import LAST
+from edit3r_training.processes import Processes
 from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
+from edit3r_training.schedule import step_generator
 from edit3r_training.validation import held_out_batches, held_out_measures
 
+from edit3r.contract.interfaces import Dataset, MatchedGeometry, Matcher, TrainingJob
 from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.geometry.cameras import scale_poses
-from edit3r.interfaces import Dataset, MatchedGeometry, Matcher, TrainingJob
-from edit3r.registry import build
+from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting, warn
-from edit3r.testing import TrainerContract
-from edit3r.testing.training import tiny_job
-from edit3r.training.checkpoint import LAST
-from edit3r.training.processes import Processes
-from edit3r.training.schedule import step_generator
+from edit3r_testing import TrainerContract
+from edit3r_testing.training import tiny_job
 
 
 class TestRecolorTrainer(TrainerContract):
@@ -32,21 +32,45 @@ class TestRecolorTrainer(TrainerContract):
 
 
 def _trainer(**settings) -> RecolorTrainer:
-    settings = {"batch": 2, "warmup": 2, "log_every": 1, "validate_every": 2, "render_every": 2, **settings}
+    settings = {
+        "batch": 2,
+        "warmup": 2,
+        "log_every": 1,
+        "validate_every": 2,
+        "render_every": 2,
+        **settings,
+    }
     return RecolorTrainer(RecolorTrainer.Settings(**settings))
 
 
 def _job(out, **changes) -> TrainingJob:
     torch.manual_seed(0)
-    reconstructor = build("reconstructor", "edit3r", weights="untrained", network_size=32)
-    data = build("dataset", "procedural", image_size=32, scenes=4, targets=1, keep=True, textures=8)
-    losses = {"mse": (1.0, build("loss", "mse")), "geometry": (0.1, build("loss", "geometry", samples=32))}
-    job = TrainingJob(reconstructor, build("rasterizer", "torch"), data, data, losses, out)
+    reconstructor = build(
+        "reconstructor", "edit3r", weights="untrained", network_size=32
+    )
+    data = build(
+        "dataset",
+        "procedural",
+        image_size=32,
+        scenes=4,
+        targets=1,
+        keep=True,
+        textures=8,
+    )
+    losses = {
+        "mse": (1.0, build("loss", "mse")),
+        "geometry": (0.1, build("loss", "geometry", samples=32)),
+    }
+    job = TrainingJob(
+        reconstructor, build("rasterizer", "torch"), data, data, losses, out
+    )
     return replace(job, **changes)
 
 
 class _TrueMatcher(Matcher):
-    """Gives the true geometry of one sample, in a unit a third as long, and counts how often it is asked."""
+    """Gives the true geometry of one sample, in a unit a third as long, and counts how often it is
+    asked.
+    """
 
     def __init__(self, sample, places: bool = True) -> None:
         self.sample, self.places, self.asked = sample, places, 0
@@ -58,11 +82,15 @@ class _TrueMatcher(Matcher):
             raise MatchingError("nothing matches.")
         cameras, depths = self.sample.context_cameras, self.sample.context_depths[None]
         c2w = scale_poses(cameras.c2w, torch.full((1, 1), 3.0))
-        return MatchedGeometry(c2w, 3 * depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool))
+        return MatchedGeometry(
+            c2w, 3 * depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool)
+        )
 
 
 @pytest.mark.parametrize("places", [True, False])
-def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_unit(tmp_path, places):
+def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_unit(
+    tmp_path, places
+):
     job = _job(tmp_path)
     sample = job.train_data[0]
     matcher = job.reconstructor.matcher = _TrueMatcher(sample, places)
@@ -74,14 +102,19 @@ def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_u
         exact = torch.allclose(batch.geometry.depths, batch.depths, rtol=1e-5)
         assert exact == places  # what cannot be placed is simulated
     if places:
-        assert torch.allclose(first.depths, 3 * sample.context_depths.expand_as(first.depths))
+        assert torch.allclose(
+            first.depths, 3 * sample.context_depths.expand_as(first.depths)
+        )
         assert torch.allclose(first.context_cameras.c2w, first.geometry.c2w)
     RecolorRecipe(_trainer(batch=2).settings, job)._batch(0, Processes())
     assert matcher.asked == 1  # not asked for: simulated
 
 
 def _weights(job) -> dict:
-    return {name: tensor.clone() for name, tensor in job.reconstructor.network.state_dict().items()}
+    return {
+        name: tensor.clone()
+        for name, tensor in job.reconstructor.network.state_dict().items()
+    }
 
 
 class _StopAt:
@@ -103,13 +136,19 @@ class _StopAt:
 
 
 @pytest.mark.parametrize(("number", "done"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
-def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(tmp_path, number, done):
+def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
+    tmp_path, number, done
+):
     """Ctrl-C leaves the second step at once; SIGTERM ends it first."""
     straight = _job(tmp_path / "straight")
     _trainer(steps=4).train(straight)
     stopped = _job(tmp_path / "stopped")
-    data = _StopAt(stopped.train_data, at=4, number=number)  # the first is looked at before the first step
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in jobs of the background
+    data = _StopAt(
+        stopped.train_data, at=4, number=number
+    )  # the first is looked at before the first step
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # ignored in jobs of the background
     with pytest.raises(KeyboardInterrupt) if number == signal.SIGINT else nullcontext():
         _trainer(steps=4).train(replace(stopped, train_data=data))
     signal.signal(signal.SIGINT, before)
@@ -119,7 +158,10 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(tmp_path, numb
     expected = _weights(straight)
     for name, tensor in _weights(resumed).items():
         assert torch.equal(tensor, expected[name]), name
-    best = [safetensors.torch.load_file(tmp_path / run / "best/weights.safetensors") for run in ("straight", "stopped")]
+    best = [
+        safetensors.torch.load_file(tmp_path / run / "best/weights.safetensors")
+        for run in ("straight", "stopped")
+    ]
     assert all(torch.equal(best[0][name], best[1][name]) for name in best[0])
 
 
@@ -133,8 +175,12 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
     before = _weights(job)
     report = Report()
     with collecting(report):
-        _trainer(steps=1, render_every=1).train(replace(job, losses={"broken": (1.0, Broken())}))
-    assert all(torch.equal(tensor, before[name]) for name, tensor in _weights(job).items())
+        _trainer(steps=1, render_every=1).train(
+            replace(job, losses={"broken": (1.0, Broken())})
+        )
+    assert all(
+        torch.equal(tensor, before[name]) for name, tensor in _weights(job).items()
+    )
     assert any("skipped" in warning for warning in report.warnings)
     line = json.loads((tmp_path / "log.jsonl").read_text().splitlines()[0])
     assert line["skipped"] == 1
@@ -153,19 +199,35 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     report = Report()
     with collecting(report):
         _trainer(steps=2).train(job)
-    assert all(torch.equal(tensor, before[name]) for name, tensor in _weights(job).items())
+    assert all(
+        torch.equal(tensor, before[name]) for name, tensor in _weights(job).items()
+    )
     assert any("too little in common" in warning for warning in report.warnings)
-    assert [json.loads(line)["skipped"] for line in (tmp_path / "log.jsonl").read_text().splitlines()] == [1, 2]
+    assert [
+        json.loads(line)["skipped"]
+        for line in (tmp_path / "log.jsonl").read_text().splitlines()
+    ] == [1, 2]
 
 
 class _Spy:
-    """Stands between a recipe and its reconstructor, rasterizer and loss, and keeps what each is given last."""
+    """Stands between a recipe and its reconstructor, rasterizer and loss, and keeps what each is
+    given last.
+    """
 
     takes_geometry = False
 
     def __init__(self, job: TrainingJob, **settings) -> None:
-        self.reconstructor, self.rasterizer, self.network = job.reconstructor, job.rasterizer, job.reconstructor.network
-        job = replace(job, reconstructor=self, rasterizer=self, losses={"spy": (1.0, self.compare)})
+        self.reconstructor, self.rasterizer, self.network = (
+            job.reconstructor,
+            job.rasterizer,
+            job.reconstructor.network,
+        )
+        job = replace(
+            job,
+            reconstructor=self,
+            rasterizer=self,
+            losses={"spy": (1.0, self.compare)},
+        )
         settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
         self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
 
@@ -186,7 +248,14 @@ class _Spy:
         self.recipe.loss(number, Processes())
 
 
-ONLY_REFERENCE = {"reference": 1, "disagreeing": 0, "agreeing": 0, "unedited": 0, "mask_jitter": 0, "whole_picture": 1}
+ONLY_REFERENCE = {
+    "reference": 1,
+    "disagreeing": 0,
+    "agreeing": 0,
+    "unedited": 0,
+    "mask_jitter": 0,
+    "whole_picture": 1,
+}
 
 
 def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
@@ -194,11 +263,19 @@ def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
     spy = _Spy(job, regimes=ONLY_REFERENCE, drop_first=0)
     spy.step()
     targets = [job.train_data[index].target[0] for index in range(len(job.train_data))]
-    assert min((spy.wished[0, 2] - target).abs().mean() for target in targets) > 0.02  # novel views show it too
+    assert (
+        min((spy.wished[0, 2] - target).abs().mean() for target in targets) > 0.02
+    )  # novel views show it too
     assert spy.wished.shape[1] == 3  # two context views and a target view
-    assert torch.equal(spy.wished[:, 0], spy.edited[:, 0])  # the reference is right as it is
-    assert torch.equal(spy.edited[:, 1], spy.source[:, 1])  # the other view is given unedited
-    assert (spy.wished[:, 1] - spy.source[:, 1]).abs().mean() > 0.02  # and must show the edit
+    assert torch.equal(
+        spy.wished[:, 0], spy.edited[:, 0]
+    )  # the reference is right as it is
+    assert torch.equal(
+        spy.edited[:, 1], spy.source[:, 1]
+    )  # the other view is given unedited
+    assert (
+        spy.wished[:, 1] - spy.source[:, 1]
+    ).abs().mean() > 0.02  # and must show the edit
 
 
 def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path):
@@ -211,7 +288,10 @@ def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path
 
 
 def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
-    spy, dropped = _Spy(tiny_job(tmp_path)), 0  # by default half of the time, as in the paper
+    spy, dropped = (
+        _Spy(tiny_job(tmp_path)),
+        0,
+    )  # by default half of the time, as in the paper
     for number in range(40):
         spy.step(number)
         dropped += spy.shown == {1}
@@ -229,7 +309,10 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
 
     job = tiny_job(tmp_path)
     inner = job.reconstructor
-    with pytest.raises(PluginError, match=r"step 1 does not depend on the network's weights.*torch.no_grad"):
+    with pytest.raises(
+        PluginError,
+        match=r"step 1 does not depend on the network's weights.*torch.no_grad",
+    ):
         _trainer(steps=1).train(replace(job, reconstructor=Frozen()))
 
 
@@ -243,14 +326,18 @@ def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
             raise SystemExit
 
     with pytest.raises(SystemExit):
-        _trainer(steps=2, render_every=1).train(_job(tmp_path, losses={"killed": (1.0, Killed())}))
+        _trainer(steps=2, render_every=1).train(
+            _job(tmp_path, losses={"killed": (1.0, Killed())})
+        )
     assert not (tmp_path / LAST).exists()
 
 
 def test_training_lowers_the_error_it_is_given(tmp_path):
     job = _job(tmp_path)
     _trainer(steps=9, render_every=0, validate_every=3, lr=3e-3, average=0).train(job)
-    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
+    ]
     scores = [line["score"] for line in lines if line["kind"] == "validation"]
     assert min(scores[1:]) < scores[0]
 
@@ -259,7 +346,10 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     best = _trainer(steps=2).train(_job(tmp_path))
     assert (best / "weights.safetensors").is_file()
     assert (tmp_path / "sheets" / "0000002.png").is_file()
-    kinds = [json.loads(line)["kind"] for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    kinds = [
+        json.loads(line)["kind"]
+        for line in (tmp_path / "log.jsonl").read_text().splitlines()
+    ]
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
 
 
@@ -286,7 +376,9 @@ def test_data_is_told_how_far_the_training_is(tmp_path, workers):
     recipe.begin()
     for batch in range(7):
         recipe.loss(batch, Processes())
-    assert data.asked - {7 / 8} == {batch / 8 for batch in range(7)}  # a worker may be one ahead
+    assert data.asked - {7 / 8} == {
+        batch / 8 for batch in range(7)
+    }  # a worker may be one ahead
 
 
 def test_workers_load_ahead_and_change_nothing(tmp_path):
@@ -308,7 +400,10 @@ def test_workers_load_ahead_and_change_nothing(tmp_path):
     for workers in (0, 2):
         job = tiny_job(tmp_path / str(workers))
         data, report = Noted(job.train_data), Report()
-        recipe = RecolorRecipe(RecolorTrainer.Settings(batch=2, workers=workers), replace(job, train_data=data))
+        recipe = RecolorRecipe(
+            RecolorTrainer.Settings(batch=2, workers=workers),
+            replace(job, train_data=data),
+        )
         recipe.begin()
         data.threads.clear()
         with collecting(report):
@@ -321,10 +416,15 @@ def test_workers_load_ahead_and_change_nothing(tmp_path):
 def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
     job = tiny_job(tmp_path)
     given = [job.train_data[index] for index in range(2)]
-    shares, numbers = RegimeShares(unedited=1), [step_generator(0, 0, slot) for slot in range(2)]
+    shares, numbers = (
+        RegimeShares(unedited=1),
+        [step_generator(0, 0, slot) for slot in range(2)],
+    )
     batch = make_batch(given, shares, numbers, unit="baseline")
     assert batch.geometry is None  # nobody matched anything
-    assert torch.allclose(batch.context_cameras.c2w[:, -1, :3, 3].norm(dim=-1), torch.ones(2))
+    assert torch.allclose(
+        batch.context_cameras.c2w[:, -1, :3, 3].norm(dim=-1), torch.ones(2)
+    )
     for item, sample in enumerate(given):
         unit = sample.context_cameras.c2w[0, -1, :3, 3].norm()
         assert torch.allclose(batch.depths[item] * unit, sample.context_depths)
@@ -335,11 +435,18 @@ def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
 def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
     job = tiny_job(tmp_path)
     _trainer(steps=2, score="renderings", regimes=ONLY_REFERENCE).train(job)
-    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
+    ]
     (measured,) = [line for line in lines if line["kind"] == "validation"]
     assert measured["score"] == measured["novel"] > 0 and "uptake" in measured
-    _trainer(steps=2, regimes=ONLY_REFERENCE).train(replace(job, out=tmp_path / "pixels"))
-    lines = [json.loads(line) for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()]
+    _trainer(steps=2, regimes=ONLY_REFERENCE).train(
+        replace(job, out=tmp_path / "pixels")
+    )
+    lines = [
+        json.loads(line)
+        for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()
+    ]
     assert all("novel" not in line for line in lines)
 
 
@@ -361,7 +468,9 @@ def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_pa
         return held_out_measures(drawn, Processes(), batches, True, None)["score"]
 
     unedited = torch.stack([sample.target for sample in job.validation_data])
-    assert score(batch.target) == 0 and score(batch.target + 0.1) == pytest.approx(0.01, rel=1e-3)
+    assert score(batch.target) == 0 and score(batch.target + 0.1) == pytest.approx(
+        0.01, rel=1e-3
+    )
     assert score(unedited) > 1e-3
 
 
@@ -375,12 +484,20 @@ def test_a_score_of_renderings_without_novel_views_is_a_sentence(tmp_path):
 
         def __getitem__(self, index: int):
             sample = self.data[index]
-            fields = {"target": sample.target[:0], "target_masks": sample.target_masks[:, :0]}
-            return replace(sample, **fields, target_cameras=sample.target_cameras.select([]))
+            fields = {
+                "target": sample.target[:0],
+                "target_masks": sample.target_masks[:, :0],
+            }
+            return replace(
+                sample, **fields, target_cameras=sample.target_cameras.select([])
+            )
 
     job = tiny_job(tmp_path)
     job = replace(job, validation_data=ContextAlone(job.validation_data))
-    with pytest.raises(SettingsError, match=r"trainer\.score: renderings need held-out scenes with novel views"):
+    with pytest.raises(
+        SettingsError,
+        match=r"trainer\.score: renderings need held-out scenes with novel views",
+    ):
         _trainer(steps=1, score="renderings").train(job)
 
 
@@ -397,9 +514,16 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
 
         def __call__(self, views, source=None, request=None):
             answer = inner(views, source)
-            return replace(answer, gaussians=answer.gaussians.select(torch.arange(0, answer.gaussians.count, 2)))
+            return replace(
+                answer,
+                gaussians=answer.gaussians.select(
+                    torch.arange(0, answer.gaussians.count, 2)
+                ),
+            )
 
     job = replace(job, reconstructor=Half(), validation_data=None)
     before = inner.network.weight.detach().clone()
-    _trainer(steps=1, colour=0, depth=0, opacity=0, render_every=1, drop_first=0).train(job)
+    _trainer(steps=1, colour=0, depth=0, opacity=0, render_every=1, drop_first=0).train(
+        job
+    )
     assert not torch.equal(inner.network.weight, before)

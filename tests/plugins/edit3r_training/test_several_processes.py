@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from edit3r_training.checkpoint import LAST
 
-from edit3r.testing.training import tiny_job
-from edit3r.training.checkpoint import LAST
+from edit3r_testing.training import tiny_job
 
 SCRIPT = Path(__file__).with_name("two_processes.py")
 STEPS, trainer = (runpy.run_path(str(SCRIPT))[name] for name in ("STEPS", "trainer"))
@@ -24,15 +24,28 @@ def run(tmp_path_factory) -> Path:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "--master-addr=127.0.0.1"]
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--nproc-per-node=2",
+        "--master-addr=127.0.0.1",
+    ]
     command += [f"--master-port={port}", str(SCRIPT), str(out)]
-    done = subprocess.run(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    done = subprocess.run(
+        command,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return out
 
 
 def _lines(folder: Path) -> list[dict]:
-    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return [
+        json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()
+    ]
 
 
 def _weights(folder: Path, name: str) -> list[dict]:
@@ -41,14 +54,21 @@ def _weights(folder: Path, name: str) -> list[dict]:
 
 def test_two_processes_with_half_batches_give_one_process_s_weights(run, tmp_path):
     alone = tiny_job(tmp_path)
-    start = {name: tensor.clone() for name, tensor in alone.reconstructor.network.state_dict().items()}
+    start = {
+        name: tensor.clone()
+        for name, tensor in alone.reconstructor.network.state_dict().items()
+    }
     trainer(batch=2).train(alone)
     for mine in _weights(run / "straight", "weights"):
         for name, expected in alone.reconstructor.network.state_dict().items():
             assert torch.allclose(mine[name], expected, atol=1e-5), name
             assert not torch.allclose(start[name], expected, atol=1e-3), name
-    together, single = (line for folder in (run / "straight", tmp_path) for line in [_lines(folder)])
-    for one, other in zip(together, single, strict=True):  # metrics are those of the whole batch
+    together, single = (
+        line for folder in (run / "straight", tmp_path) for line in [_lines(folder)]
+    )
+    for one, other in zip(
+        together, single, strict=True
+    ):  # metrics are those of the whole batch
         assert one["kind"] == other["kind"] and one["step"] == other["step"]
         names = ("loss", "norm") if one["kind"] == "train" else ("colour", "depth")
         assert all(abs(one[name] - other[name]) < 1e-4 for name in names), (one, other)
@@ -62,14 +82,26 @@ def test_one_process_writes(run):
     assert torch.load(straight / LAST, weights_only=True)["step"] == STEPS
 
 
-def test_a_signal_to_one_process_stops_all_and_resuming_gives_the_straight_run_s_weights(run):
+def test_a_signal_to_one_process_stops_all_and_resuming_gives_the_straight_run_s_weights(
+    run,
+):
     half = _weights(run / "stopped", "half")
-    straight, resumed = _weights(run / "straight", "weights"), _weights(run / "stopped", "weights")
+    straight, resumed = (
+        _weights(run / "straight", "weights"),
+        _weights(run / "stopped", "weights"),
+    )
     for name, expected in straight[0].items():
-        assert torch.equal(half[0][name], half[1][name]) and not torch.equal(half[0][name], expected)
-        assert torch.equal(resumed[0][name], expected) and torch.equal(resumed[1][name], expected)
+        assert torch.equal(half[0][name], half[1][name]) and not torch.equal(
+            half[0][name], expected
+        )
+        assert torch.equal(resumed[0][name], expected) and torch.equal(
+            resumed[1][name], expected
+        )
 
 
 def test_nothing_of_the_group_outlives_the_training(run):
     """Its threads would run into the end of Python, which aborts the process now and then."""
-    assert [(run / f"group-{rank}.txt").read_text() for rank in (0, 1)] == ["gone", "gone"]
+    assert [(run / f"group-{rank}.txt").read_text() for rank in (0, 1)] == [
+        "gone",
+        "gone",
+    ]

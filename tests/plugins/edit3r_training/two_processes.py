@@ -1,4 +1,6 @@
-"""What each process of `test_several_processes` does; started by torchrun with a folder for the results."""
+"""What each process of `test_several_processes` does; started by torchrun with a folder for the
+results.
+"""
 
 import os
 import signal
@@ -9,20 +11,35 @@ from pathlib import Path
 
 import torch
 import torch.distributed as dist
+from edit3r_training.processes import joined_processes
 from edit3r_training.recolor_trainer import RecolorTrainer
 
-from edit3r.interfaces import Dataset, TrainingJob
-from edit3r.testing.training import tiny_job
-from edit3r.training.processes import joined_processes
+from edit3r.contract.interfaces import Dataset, TrainingJob
+from edit3r_testing.training import tiny_job
 
 STEPS = 4
-SHARED = {"steps": STEPS, "warmup": 2, "log_every": 1, "validate_every": 2, "checkpoint_every": 100, "lr": 0.01}
-REGIMES = {"reference": 1, "disagreeing": 0, "agreeing": 0, "unedited": 0, "whole_picture": 1}
+SHARED = {
+    "steps": STEPS,
+    "warmup": 2,
+    "log_every": 1,
+    "validate_every": 2,
+    "checkpoint_every": 100,
+    "lr": 0.01,
+}
+REGIMES = {
+    "reference": 1,
+    "disagreeing": 0,
+    "agreeing": 0,
+    "unedited": 0,
+    "whole_picture": 1,
+}
 
 
 def trainer(batch: int) -> RecolorTrainer:
     """Every scene is edited as a whole, so that each term is a mean over scenes."""
-    return RecolorTrainer(RecolorTrainer.Settings(batch=batch, regimes=REGIMES, **SHARED))
+    return RecolorTrainer(
+        RecolorTrainer.Settings(batch=batch, regimes=REGIMES, **SHARED)
+    )
 
 
 class StopsItself:
@@ -55,7 +72,9 @@ def main(out: Path) -> None:
         straight, stopped = tiny_job(out / "straight"), tiny_job(out / "stopped")
         if rank == 1:  # must not matter: the first process's weights count
             torch.nn.init.zeros_(straight.reconstructor.network.weight)
-            stopped = replace(stopped, train_data=StopsItself(stopped.train_data, at=2))  # only this one is asked
+            stopped = replace(
+                stopped, train_data=StopsItself(stopped.train_data, at=2)
+            )  # only this one is asked
         train(straight, "weights", rank)
         train(stopped, "half", rank)
         dist.barrier()

@@ -1,10 +1,12 @@
-"""A benchmark of one generated scene at 48 pixels, and a reconstructor quick enough to run it many times."""
+"""A benchmark of one generated scene at 48 pixels, and a reconstructor quick enough to run it many
+times.
+"""
 
 import pytest
 from edit3r_measure.bench_build import GeneratedSettings, build_generated
 from edit3r_measure.bench_manifest import write_bench_manifest
 
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 CARDS = '''
 """Local plugin: every view a flat card of Gaussians at a fixed depth, at the known poses. Quick, and wrong."""
@@ -16,8 +18,8 @@ from edit3r.config import Settings
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import unproject
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.interfaces import Reconstructor
-from edit3r.types import Cameras, Gaussians, Reconstruction
+from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 
 EDIT3R_API = 1
 

@@ -1,4 +1,6 @@
-"""`edit3r bench`: a small slice of the offline benchmark from end to end, and wrong use in one sentence."""
+"""`edit3r bench`: a small slice of the offline benchmark from end to end, and wrong use in one
+sentence.
+"""
 
 import json
 
@@ -10,7 +12,19 @@ from edit3r.cli.main import main
 def test_a_slice_of_the_offline_benchmark_runs_end_to_end(tmp_path, capsys):
     bench, out = str(tmp_path / "bench.json"), str(tmp_path / "out")
     assert main(["bench", "build", "--procedural", "1", "--out", bench, "--quiet"]) == 0
-    run = ["bench", "run", bench, "--out", out, "--config", "bench/offline", "--only", "edit3r", "--edits", "2"]
+    run = [
+        "bench",
+        "run",
+        bench,
+        "--out",
+        out,
+        "--config",
+        "bench/offline",
+        "--only",
+        "edit3r",
+        "--edits",
+        "2",
+    ]
     assert main([*run, "--no-effnet"]) == 0
     assert "[2/2] edit3r" in capsys.readouterr().err
     assert main(["bench", "report", out]) == 0
@@ -32,8 +46,32 @@ def test_a_command_of_commands_lists_them(capsys):
     [
         (["run", "none.json", "--out", "x"], "no such benchmark manifest"),
         (["run", "none.json", "--out", "x", "--workers", "0"], "--workers"),
-        (["run", "none.json", "--out", "x", "--config", "bench/offline", "--recon", "classical"], "leave out"),
-        (["run", "none.json", "--out", "x", "--config", "bench/offline", "--only", "best"], "no such method"),
+        (
+            [
+                "run",
+                "none.json",
+                "--out",
+                "x",
+                "--config",
+                "bench/offline",
+                "--recon",
+                "classical",
+            ],
+            "leave out",
+        ),
+        (
+            [
+                "run",
+                "none.json",
+                "--out",
+                "x",
+                "--config",
+                "bench/offline",
+                "--only",
+                "best",
+            ],
+            "no such method",
+        ),
         (["build"], "FOLDER"),
         (["report", "nowhere"], "bench-run.json"),
     ],

@@ -16,18 +16,27 @@ from edit3r_measure.bench_manifest import (
 )
 
 from edit3r.errors import InputError, SettingsError
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 
 def test_a_generated_scene_has_five_visible_edits_of_the_four_types(manifest, small):
-    assert Counter(item.type for item in manifest.items) == {"Add": 1, "Remove": 1, "Modify": 2, "Global": 1}
+    assert Counter(item.type for item in manifest.items) == {
+        "Add": 1,
+        "Remove": 1,
+        "Modify": 2,
+        "Global": 1,
+    }
     assert {item.type for item in manifest.items} == set(EDIT_TYPES)
     for item in manifest.items:
-        assert is_visible(load_sample(item.sample, default_registry()), item.type == "Global", small)
+        assert is_visible(
+            load_sample(item.sample, default_registry()), item.type == "Global", small
+        )
 
 
 def test_the_two_modifications_differ(manifest):
-    first, second = (item.sample.sha256 for item in manifest.items if item.type == "Modify")
+    first, second = (
+        item.sample.sha256 for item in manifest.items if item.type == "Modify"
+    )
     assert first != second
 
 
@@ -63,7 +72,10 @@ def test_an_item_holds_the_truth_and_where_it_differs(manifest, manifest_file):
 
 def test_a_global_edit_has_no_mask(manifest, manifest_file):
     record = next(item for item in manifest.items if item.type == "Global")
-    assert load_item(manifest, record, manifest_file.parent, default_registry()).masks is None
+    assert (
+        load_item(manifest, record, manifest_file.parent, default_registry()).masks
+        is None
+    )
 
 
 def test_change_masks_reach_a_little_further_than_the_change():
@@ -76,7 +88,9 @@ def test_change_masks_reach_a_little_further_than_the_change():
 
 def test_another_picture_than_the_manifests_is_noticed(manifest, manifest_file):
     record = manifest.items[0]
-    changed = record.model_copy(update={"sample": record.sample.model_copy(update={"sha256": "0" * 64})})
+    changed = record.model_copy(
+        update={"sample": record.sample.model_copy(update={"sha256": "0" * 64})}
+    )
     with pytest.raises(InputError, match="not the manifest's"):
         load_item(manifest, changed, manifest_file.parent, default_registry())
 
@@ -86,13 +100,23 @@ def test_another_picture_than_the_manifests_is_noticed(manifest, manifest_file):
     [
         (lambda c: c.update(version=2), InputError, "reads version 1"),
         (lambda c: c.update(format="other"), InputError, "not a benchmark manifest"),
-        (lambda c: c["items"].append(c["items"][0]), InputError, "two items are called"),
-        (lambda c: c["items"][0].update(scene="nowhere"), InputError, "not in the manifest"),
+        (
+            lambda c: c["items"].append(c["items"][0]),
+            InputError,
+            "two items are called",
+        ),
+        (
+            lambda c: c["items"][0].update(scene="nowhere"),
+            InputError,
+            "not in the manifest",
+        ),
         (lambda c: c["items"][0].update(type="Rotate"), SettingsError, "items.0.type"),
         (lambda c: c["items"][0].update(promt="x"), SettingsError, "promt"),
     ],
 )
-def test_a_broken_manifest_is_one_sentence(manifest_file, tmp_path, change, error, words):
+def test_a_broken_manifest_is_one_sentence(
+    manifest_file, tmp_path, change, error, words
+):
     content = json.loads(manifest_file.read_text())
     change(content)
     path = tmp_path / "bench.json"
@@ -122,7 +146,9 @@ def test_a_manifest_is_written_whole_or_not_at_all(manifest, tmp_path):
 )
 def test_items_that_lead_elsewhere_are_refused(manifest, tmp_path, change, expected):
     wrong = manifest.items[0].model_copy(update=change)
-    content = manifest.model_copy(update={"items": (wrong, *manifest.items[1:])}).model_dump(mode="json")
+    content = manifest.model_copy(
+        update={"items": (wrong, *manifest.items[1:])}
+    ).model_dump(mode="json")
     (tmp_path / "m.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=expected):
         read_bench_manifest(tmp_path / "m.json")

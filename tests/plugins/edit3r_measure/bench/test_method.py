@@ -8,7 +8,7 @@ from edit3r_measure.oracle import ORACLE, OracleSettings
 
 from edit3r.config import make_settings, read_yaml
 from edit3r.errors import SettingsError
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 SHIPPED = sorted((Path(__file__).parents[4] / "configs" / "bench").glob("*.yaml"))
 
@@ -28,16 +28,29 @@ def test_shipped_methods_name_components_and_settings_that_exist(path):
 
 def test_the_label_is_editor_and_reconstructor_unless_given():
     assert Method().label == "oracle+edit3r"
-    assert Method(editor="none", reconstructor={"name": "classical", "opacity": 0.5}).label == "none+classical"
+    assert (
+        Method(editor="none", reconstructor={"name": "classical", "opacity": 0.5}).label
+        == "none+classical"
+    )
     with pytest.raises(ValueError, match="must be letters"):
         Method(label="a/b")
 
 
 def test_settings_are_laid_over_a_method_by_its_label():
-    values = {"methods": [{"label": "a", "reconstructor": {"name": "edit3r", "opacity": 0.5}}, {"label": "b"}]}
-    changes = {"a": {"reconstructor": {"fuse_edits": False}, "poses": False, "editor": "none"}}
+    values = {
+        "methods": [
+            {"label": "a", "reconstructor": {"name": "edit3r", "opacity": 0.5}},
+            {"label": "b"},
+        ]
+    }
+    changes = {
+        "a": {"reconstructor": {"fuse_edits": False}, "poses": False, "editor": "none"}
+    }
     a, b = read_methods(values, changes)
-    assert a.reconstructor.settings == {"opacity": 0.5, "fuse_edits": False} and a.reconstructor.name == "edit3r"
+    assert (
+        a.reconstructor.settings == {"opacity": 0.5, "fuse_edits": False}
+        and a.reconstructor.name == "edit3r"
+    )
     assert a.editor.name == "none" and not a.poses and b == Method(label="b")
 
 

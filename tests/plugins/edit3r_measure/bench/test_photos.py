@@ -23,13 +23,13 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.errors import InputError, SettingsError
-from edit3r.registry import default_registry
+from edit3r.plugins.registry import default_registry
 
 DETECTOR = '''
 """Local plugin: finds a cup in the middle of every picture, and nothing else."""
 
 from edit3r import Component, hookimpl
-from edit3r.interfaces import Detection, Detector
+from edit3r.contract.interfaces import Detection, Detector
 
 EDIT3R_API = 1
 
@@ -74,7 +74,22 @@ def detector(tmp_path_factory):
 def build(folder, *more):
     """Run the command; the manifest's path."""
     out = folder.parent / "bench.json"
-    assert main(["bench", "build", str(folder), "--out", str(out), "--size", "64", "--quiet", *more]) == 0
+    assert (
+        main(
+            [
+                "bench",
+                "build",
+                str(folder),
+                "--out",
+                str(out),
+                "--size",
+                "64",
+                "--quiet",
+                *more,
+            ]
+        )
+        == 0
+    )
     return out
 
 
@@ -84,8 +99,14 @@ def build(folder, *more):
 def test_scenes_are_folders_with_photos_and_without_poses_inputs_are_spread(folder):
     scenes = find_photo_folders(folder, views=2)
     assert [scene.id for scene in scenes] == ["garden", "kitchen"]
-    assert scenes[0].inputs == (0, 2) and scenes[0].held_back == () and scenes[0].cameras == ""
-    assert [scene.id for scene in find_photo_folders(folder / "garden", views=3)] == ["garden"]
+    assert (
+        scenes[0].inputs == (0, 2)
+        and scenes[0].held_back == ()
+        and scenes[0].cameras == ""
+    )
+    assert [scene.id for scene in find_photo_folders(folder / "garden", views=3)] == [
+        "garden"
+    ]
 
 
 @pytest.fixture
@@ -95,10 +116,22 @@ def posed(folder):
     for index, angle in enumerate((0, 6, 12)):
         turn = np.deg2rad(angle)
         c2w = np.eye(4)
-        c2w[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+        c2w[:3, :3] = [
+            [np.cos(turn), 0, np.sin(turn)],
+            [0, 1, 0],
+            [-np.sin(turn), 0, np.cos(turn)],
+        ]
         c2w[0, 3] = -np.sin(turn)
         k = [[60, 0, 32], [0, 60, 24], [0, 0, 1]]
-        poses.append({"file": f"{index}.png", "width": 64, "height": 48, "K": k, "c2w": c2w.tolist()})
+        poses.append(
+            {
+                "file": f"{index}.png",
+                "width": 64,
+                "height": 48,
+                "K": k,
+                "c2w": c2w.tolist(),
+            }
+        )
     (folder / "garden" / "cameras.json").write_text(json.dumps(poses))
     return folder
 
@@ -137,13 +170,17 @@ def test_a_folder_without_scenes_is_one_sentence(tmp_path):
 )
 def test_near_duplicates_are_told_from_other_edits(first, second, alike):
     for prompts in ((first, second), (second, first)):
-        kept = without_near_duplicates([ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts])
+        kept = without_near_duplicates(
+            [ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts]
+        )
         assert [edit.prompt for edit in kept] == list(prompts[:1] if alike else prompts)
 
 
 def test_the_first_of_two_alike_stays():
     prompts = ["Paint it red", "make it snow", "paint it red!"]
-    kept = without_near_duplicates([ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts])
+    kept = without_near_duplicates(
+        [ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts]
+    )
     assert [edit.prompt for edit in kept] == ["Paint it red", "make it snow"]
 
 
@@ -151,7 +188,11 @@ def test_templates_name_the_objects_and_cover_all_types():
     found = edits_from_templates(["cup", "bowl"], seed=0)
     assert {edit.type for edit in found} == {"Add", "Remove", "Modify", "Global"}
     assert all(edit.object in edit.prompt for edit in found)
-    assert edits_from_templates(["cup"], 0) == edits_from_templates(["cup"], 0) != edits_from_templates(["cup"], 1)
+    assert (
+        edits_from_templates(["cup"], 0)
+        == edits_from_templates(["cup"], 0)
+        != edits_from_templates(["cup"], 1)
+    )
 
 
 class FakeModel(BaseHTTPRequestHandler):
@@ -161,10 +202,23 @@ class FakeModel(BaseHTTPRequestHandler):
     requests: list = []  # noqa: RUF012
 
     def do_POST(self):
-        self.requests.append((self.path, json.loads(self.rfile.read(int(self.headers["Content-Length"])))))
+        self.requests.append(
+            (
+                self.path,
+                json.loads(self.rfile.read(int(self.headers["Content-Length"]))),
+            )
+        )
         message = {"role": "assistant", "content": self.answer}
         choice = {"index": 0, "finish_reason": "stop", "message": message}
-        body = json.dumps({"id": "1", "object": "chat.completion", "created": 0, "model": "m", "choices": [choice]})
+        body = json.dumps(
+            {
+                "id": "1",
+                "object": "chat.completion",
+                "created": 0,
+                "model": "m",
+                "choices": [choice],
+            }
+        )
         self.send_response(200)
         self.send_header("Content-Type", "application/json")
         self.end_headers()
@@ -177,7 +231,14 @@ class FakeModel(BaseHTTPRequestHandler):
 @pytest.fixture
 def server(monkeypatch):
     pytest.importorskip("openai")
-    for name in ("http_proxy", "HTTP_PROXY", "https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"):
+    for name in (
+        "http_proxy",
+        "HTTP_PROXY",
+        "https_proxy",
+        "HTTPS_PROXY",
+        "all_proxy",
+        "ALL_PROXY",
+    ):
         monkeypatch.delenv(name, raising=False)
     served = HTTPServer(("127.0.0.1", 0), FakeModel)
     FakeModel.requests.clear()
@@ -189,8 +250,17 @@ def server(monkeypatch):
 
 def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, server):
     proposals = [
-        {"type": "modify", "prompt": "turn the  cup into gold", "object": "cup", "description": "a golden cup"},
-        {"type": "Remove", "prompt": "remove the elephant", "object": "elephant"},  # not in the photos
+        {
+            "type": "modify",
+            "prompt": "turn the  cup into gold",
+            "object": "cup",
+            "description": "a golden cup",
+        },
+        {
+            "type": "Remove",
+            "prompt": "remove the elephant",
+            "object": "elephant",
+        },  # not in the photos
         {"type": "Rotate", "prompt": "rotate the cup", "object": "cup"},
         "paint it",
     ]
@@ -198,30 +268,68 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
     build(folder, *detector, *server)
     edits = read_vetting(folder.parent / "bench.vetting.yaml")["garden"]
     asked = [edit for edit in edits if edit.source == "tiny"]
-    assert [(e.type, e.prompt, e.description) for e in asked] == [("Modify", "turn the cup into gold", "a golden cup")]
+    assert [(e.type, e.prompt, e.description) for e in asked] == [
+        ("Modify", "turn the cup into gold", "a golden cup")
+    ]
     path, request = FakeModel.requests[0]
     text, *pictures = request["messages"][1]["content"]
     assert path == "/v1/chat/completions" and "cup" in text["text"]
-    shown = [Image.open(io.BytesIO(base64.b64decode(p["image_url"]["url"].partition(",")[2]))) for p in pictures]
-    photos = [Image.open(folder / "garden" / f"{index}.png").convert("RGB") for index in range(3)]
+    shown = [
+        Image.open(
+            io.BytesIO(base64.b64decode(p["image_url"]["url"].partition(",")[2]))
+        )
+        for p in pictures
+    ]
+    photos = [
+        Image.open(folder / "garden" / f"{index}.png").convert("RGB")
+        for index in range(3)
+    ]
     assert [image.size for image in shown] == [photo.size for photo in photos]
     for mine, photo in zip(shown, photos):  # noise, of which JPEG keeps the coarse part
-        coarse = [np.asarray(image.resize((8, 6), Image.Resampling.BOX), int) for image in (mine, photo)]
+        coarse = [
+            np.asarray(image.resize((8, 6), Image.Resampling.BOX), int)
+            for image in (mine, photo)
+        ]
         assert np.abs(coarse[0] - coarse[1]).max() < 12
 
 
 def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, capsys):
     FakeModel.answer = "I would rather not."
-    assert main(["bench", "build", str(folder), "--out", str(folder.parent / "b.json"), *server, "--quiet"]) == 1
+    assert (
+        main(
+            [
+                "bench",
+                "build",
+                str(folder),
+                "--out",
+                str(folder.parent / "b.json"),
+                *server,
+                "--quiet",
+            ]
+        )
+        == 1
+    )
     assert "no usable edit in its answer" in capsys.readouterr().err
 
 
-def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(folder, tmp_path):
+def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(
+    folder, tmp_path
+):
     seen = tmp_path / "seen.txt"
     plugin = tmp_path / "counting.py"
     look = f"        open({str(seen)!r}, 'a').write(f'{{text}} {{float(image.mean()):.7f}}\\n')\n"
-    plugin.write_text(DETECTOR.replace("        height, width", look + "        height, width", 1))
-    options = ["--detector", "middle", "--plugin", str(plugin), "--labels", "cup", "--no-vetting"]
+    plugin.write_text(
+        DETECTOR.replace("        height, width", look + "        height, width", 1)
+    )
+    options = [
+        "--detector",
+        "middle",
+        "--plugin",
+        str(plugin),
+        "--labels",
+        "cup",
+        "--no-vetting",
+    ]
     manifest = read_bench_manifest(build(folder, *options))
     assert len(set(seen.read_text().split("\n"))) - 1 == 6  # three photos of two scenes
     local = next(item for item in manifest.items if item.type == "Modify")
@@ -231,7 +339,21 @@ def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(folde
 def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
     out = folder.parent / "bench.json"
     assert (
-        main(["bench", "build", str(folder), "--out", str(out), "--size", "64", "--labels", "cup", "--no-vetting"]) == 0
+        main(
+            [
+                "bench",
+                "build",
+                str(folder),
+                "--out",
+                str(out),
+                "--size",
+                "64",
+                "--labels",
+                "cup",
+                "--no-vetting",
+            ]
+        )
+        == 0
     )
     said = capsys.readouterr().out
     for words in (
@@ -240,11 +362,20 @@ def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
         "templates",
         "10 edits are kept by no person",
     ):
-        assert f"not as the paper: {words}" in said.replace("edits come from ", "").replace(
-            "objects are named by hand, ", ""
+        assert f"not as the paper: {words}" in said.replace(
+            "edits come from ", ""
+        ).replace("objects are named by hand, ", "")
+    assert (
+        len(
+            read_bench_manifest(
+                build(folder, "--labels", "cup", "--no-vetting", "--scenes", "1")
+            ).scenes
         )
-    assert len(read_bench_manifest(build(folder, "--labels", "cup", "--no-vetting", "--scenes", "1")).scenes) == 1
-    assert main(["bench", "build", str(folder), "--out", str(out), "--scenes", "20"]) == 2
+        == 1
+    )
+    assert (
+        main(["bench", "build", str(folder), "--out", str(out), "--scenes", "20"]) == 2
+    )
     assert "holds 2 scenes, --scenes asks for 20" in capsys.readouterr().err
 
 
@@ -253,16 +384,26 @@ def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
 
 def edits(*verdicts):
     kinds = ("Add", "Remove", "Modify", "Global")
-    return [ProposedEdit(verdict=v, type=kinds[n % 4], prompt=f"edit {n}") for n, v in enumerate(verdicts)]
+    return [
+        ProposedEdit(verdict=v, type=kinds[n % 4], prompt=f"edit {n}")
+        for n, v in enumerate(verdicts)
+    ]
 
 
 def test_kept_edits_stay_and_undecided_ones_fill_up_to_five_type_by_type():
     chosen = choose_edits("s", edits("keep", "", "drop", "", "keep", "", "", ""))
-    assert [edit.prompt for edit in chosen] == ["edit 0", "edit 4", "edit 1", "edit 6", "edit 3"]
+    assert [edit.prompt for edit in chosen] == [
+        "edit 0",
+        "edit 4",
+        "edit 1",
+        "edit 6",
+        "edit 3",
+    ]
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "words"), [(["keep"] * 6, "6 edits are kept"), (["", "drop"] * 3, "only 3 edits")]
+    ("verdicts", "words"),
+    [(["keep"] * 6, "6 edits are kept"), (["", "drop"] * 3, "only 3 edits")],
 )
 def test_other_than_five_is_refused(verdicts, words):
     with pytest.raises(InputError, match=words):
@@ -271,7 +412,9 @@ def test_other_than_five_is_refused(verdicts, words):
 
 def test_the_vetting_file_reads_back_and_names_what_is_wrong_in_it(tmp_path):
     path = tmp_path / "v.yaml"
-    edit = ProposedEdit(type="Add", prompt="add a dog, “please”", object="dog", source="template")
+    edit = ProposedEdit(
+        type="Add", prompt="add a dog, “please”", object="dog", source="template"
+    )
     write_vetting(path, {"s": [edit]})
     assert read_vetting(path)["s"] == [edit]
     path.write_text(path.read_text().replace("verdict: ''", "verdict: maybe"))
@@ -313,30 +456,57 @@ def test_a_photo_that_changed_since_is_noticed(folder, detector):
     out = build(folder, *detector, "--no-vetting")
     manifest = read_bench_manifest(out)
     Image.new("RGB", (64, 48)).save(folder / "garden" / "0.png")
-    with pytest.raises(InputError, match="not the picture that the manifest was built with"):
+    with pytest.raises(
+        InputError, match="not the picture that the manifest was built with"
+    ):
         load_item(manifest, manifest.items[0], out.parent, default_registry())
 
 
 def vetted(folder, *prompts):
-    edits = [{"verdict": "keep", "type": "Modify", "prompt": prompt} for prompt in prompts]
-    edits += [{"verdict": "keep", "type": "Global", "prompt": f"make it {how}"} for how in ("warmer", "darker")]
+    edits = [
+        {"verdict": "keep", "type": "Modify", "prompt": prompt} for prompt in prompts
+    ]
+    edits += [
+        {"verdict": "keep", "type": "Global", "prompt": f"make it {how}"}
+        for how in ("warmer", "darker")
+    ]
     scenes = {scene: edits for scene in ("kitchen", "garden")}
     (folder.parent / "b.vetting.yaml").write_text(yaml.safe_dump({"scenes": scenes}))
-    return ["bench", "build", str(folder), "--truth", "recolor", "--size", "64", "--quiet", "--out"]
+    return [
+        "bench",
+        "build",
+        str(folder),
+        "--truth",
+        "recolor",
+        "--size",
+        "64",
+        "--quiet",
+        "--out",
+    ]
 
 
 def test_what_an_editor_makes_of_all_photos_is_the_truth(folder):
-    command = vetted(folder, "make it black and white", "paint everything red", "paint everything blue")
+    command = vetted(
+        folder,
+        "make it black and white",
+        "paint everything red",
+        "paint everything blue",
+    )
     assert main([*command, str(folder.parent / "b.json")]) == 0
     manifest = read_bench_manifest(folder.parent / "b.json")
     grey, red, _, warm, _ = (
-        load_item(manifest, item, folder.parent, default_registry()) for item in manifest.items[:5]
+        load_item(manifest, item, folder.parent, default_registry())
+        for item in manifest.items[:5]
     )
-    assert grey.truth.shape == grey.photos.images[0].shape and len(grey.record.truth) == 2
+    assert (
+        grey.truth.shape == grey.photos.images[0].shape and len(grey.record.truth) == 2
+    )
     assert (grey.truth[:, 0] - grey.truth[:, 2]).abs().max() < 2 / 255
     assert red.masks.mean() > 0.9 and warm.masks is None
     (folder.parent / red.record.truth[0].file).write_bytes(b"changed")
-    with pytest.raises(InputError, match="not the picture that the manifest was built with"):
+    with pytest.raises(
+        InputError, match="not the picture that the manifest was built with"
+    ):
         load_item(manifest, red.record, folder.parent, default_registry())
 
 
@@ -344,7 +514,12 @@ def test_an_edit_that_leaves_a_photo_as_it_was_is_no_truth(folder, capsys):
     for scene in ("kitchen", "garden"):  # what is grey already does not become greyer
         grey = Image.open(folder / scene / "2.png").convert("L").convert("RGB")
         grey.save(folder / scene / "2.png")
-    command = vetted(folder, "make it black and white", "paint everything red", "paint everything blue")
+    command = vetted(
+        folder,
+        "make it black and white",
+        "paint everything red",
+        "paint everything blue",
+    )
     assert main([*command, str(folder.parent / "b.json")]) == 2
     assert "left 2.png as it was; drop it" in capsys.readouterr().err
     assert not (folder.parent / "b.json").exists()

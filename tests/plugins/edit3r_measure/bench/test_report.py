@@ -16,18 +16,37 @@ def runs(manifest_file, cards, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs")
     methods = [
         Method(label="cards", reconstructor={"name": "cards"}),
-        Method(label="nothing done", editor={"name": "none"}, reconstructor={"name": "cards"}, truth=True),
+        Method(
+            label="nothing done",
+            editor={"name": "none"},
+            reconstructor={"name": "cards"},
+            truth=True,
+        ),
         Method(label="fails", reconstructor={"name": "cards", "fails": True}),
     ]
     for position, method in enumerate(methods):
         folder = out / method.label
         metrics = MetricSettings(effnet=False)
-        run_bench(BenchRun(manifest_file, method, folder, metrics, edits=2, plugins=(cards,), position=position))
+        run_bench(
+            BenchRun(
+                manifest_file,
+                method,
+                folder,
+                metrics,
+                edits=2,
+                plugins=(cards,),
+                position=position,
+            )
+        )
     return out
 
 
 def test_methods_are_columns_in_the_order_they_were_given(runs):
-    assert [column.label for column in read_columns([runs])] == ["cards", "nothing done", "fails"]
+    assert [column.label for column in read_columns([runs])] == [
+        "cards",
+        "nothing done",
+        "fails",
+    ]
 
 
 def test_doing_nothing_cannot_win_and_failing_is_counted(runs):
@@ -44,10 +63,19 @@ def test_a_difference_is_edit_by_edit(runs):
     assert mean_of(cards, "psnr", minus=cards).mean == 0
 
 
-def test_only_edits_that_all_methods_tried_are_compared(runs, manifest_file, cards, tmp_path):
+def test_only_edits_that_all_methods_tried_are_compared(
+    runs, manifest_file, cards, tmp_path
+):
     method = Method(label="one", reconstructor={"name": "cards"})
     run_bench(
-        BenchRun(manifest_file, method, tmp_path / "one", MetricSettings(effnet=False), edits=1, plugins=(cards,))
+        BenchRun(
+            manifest_file,
+            method,
+            tmp_path / "one",
+            MetricSettings(effnet=False),
+            edits=1,
+            plugins=(cards,),
+        )
     )
     columns = read_columns([runs, tmp_path / "one"])
     assert all(len(column.results) == 1 for column in columns)
@@ -57,15 +85,26 @@ def test_the_report_is_tables_numbers_and_one_page(runs, tmp_path):
     columns = read_columns([runs])
     write_report(columns, tmp_path / "report")
     text = (tmp_path / "report" / "report.md").read_text()
-    assert "|  | cards | nothing done | fails |" in text and "the cards fell over" in text
-    content = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert content["methods"]["cards"]["metrics"]["psnr"]["mean"] == mean_of(columns[0], "psnr").mean
-    assert content["timing"]["cards"]["warm_edits"] == 1 and content["timing"]["fails"]["warm"] is None
-    page = (tmp_path / "report" / "index.html").read_text()
-    assert page.count("data:image/webp") >= 2 * 6 and "failed: the cards fell over." in page
-    assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
-        "http://creativecommons.org", ""
+    assert (
+        "|  | cards | nothing done | fails |" in text and "the cards fell over" in text
     )
+    content = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert (
+        content["methods"]["cards"]["metrics"]["psnr"]["mean"]
+        == mean_of(columns[0], "psnr").mean
+    )
+    assert (
+        content["timing"]["cards"]["warm_edits"] == 1
+        and content["timing"]["fails"]["warm"] is None
+    )
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert (
+        page.count("data:image/webp") >= 2 * 6
+        and "failed: the cards fell over." in page
+    )
+    assert "http://" not in page.replace("http://www.w3.org", "").replace(
+        "http://purl.org", ""
+    ).replace("http://creativecommons.org", "")
 
 
 def test_the_same_results_give_the_same_report(runs, tmp_path):
@@ -93,5 +132,12 @@ def test_the_page_shows_the_reports_markdown(tmp_path):
     text = "# A & B\n\n- one\n- **two** <i>\n\n| a | b |\n| --- | --: |\n| `x` | 1 |\n\nplain"
     write_page(tmp_path / "index.html", text, [], 20)
     shown = (tmp_path / "index.html").read_text()
-    assert "<h1>A &amp; B</h1>" in shown and "<li><strong>two</strong> &lt;i&gt;</li>" in shown
-    assert "<th>a</th>" in shown and "<td><code>x</code></td>" in shown and "<p>plain</p>" in shown
+    assert (
+        "<h1>A &amp; B</h1>" in shown
+        and "<li><strong>two</strong> &lt;i&gt;</li>" in shown
+    )
+    assert (
+        "<th>a</th>" in shown
+        and "<td><code>x</code></td>" in shown
+        and "<p>plain</p>" in shown
+    )

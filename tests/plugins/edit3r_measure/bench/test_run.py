@@ -1,4 +1,6 @@
-"""Killed at any moment and resumed, or spread over processes: the same report as the straight run."""
+"""Killed at any moment and resumed, or spread over processes: the same report as the straight
+run.
+"""
 
 import json
 import os
@@ -28,7 +30,14 @@ def run(manifest_file, cards, tmp_path):
 
 def make_run(manifest_file, cards, out, **settings):
     method = Method(label="cards", reconstructor={"name": "cards", **settings})
-    return BenchRun(manifest_file, method, out, MetricSettings(effnet=False), edits=3, plugins=(cards,))
+    return BenchRun(
+        manifest_file,
+        method,
+        out,
+        MetricSettings(effnet=False),
+        edits=3,
+        plugins=(cards,),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +51,25 @@ def straight(manifest_file, cards, tmp_path_factory):
 def test_a_run_measures_every_edit_and_leaves_pictures(straight, run):
     seen = []
     results = run_bench(run, on_done=seen.append)
-    assert [progress.done for progress in seen] == [1, 2, 3] and seen[-1].seconds_left == 0
+    assert [progress.done for progress in seen] == [1, 2, 3] and seen[
+        -1
+    ].seconds_left == 0
     for name, result in results.items():
-        assert {"psnr", "ssim", "edit-uptake", "consistency-warped", "edit-strength"} <= set(result.metrics)
+        assert {
+            "psnr",
+            "ssim",
+            "edit-uptake",
+            "consistency-warped",
+            "edit-strength",
+        } <= set(result.metrics)
         files = {path.name for path in (run.out / "pictures" / name).iterdir()}
         assert files == {"photos.png", "edited.png", "shown.png", "truth.png"}
     assert summary_of(read_columns([run.out])) == straight
-    assert [result.timing["cold"] for result in results.values()] == [True, False, False]
+    assert [result.timing["cold"] for result in results.values()] == [
+        True,
+        False,
+        False,
+    ]
 
 
 def test_a_finished_run_does_nothing_again(straight, run):
@@ -69,8 +90,12 @@ def test_two_ray_workers_give_the_same_results(straight, run):
     assert summary_of(read_columns([run.out])) == straight
 
 
-@pytest.mark.parametrize(("stage", "items"), [("load_item", 1), ("measure", 3), ("save_strips", 2)])
-def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(straight, run, monkeypatch, stage, items):
+@pytest.mark.parametrize(
+    ("stage", "items"), [("load_item", 1), ("measure", 3), ("save_strips", 2)]
+)
+def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(
+    straight, run, monkeypatch, stage, items
+):
     real, calls = getattr(bench_item, stage), []
 
     def stops(*arguments):
@@ -88,7 +113,17 @@ def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(straight, 
 
 
 def test_killed_and_resumed_gives_the_same_report(straight, run, cards):
-    command = ["bench", "run", str(run.manifest_file), "--recon", "cards", "--plugin", cards, "--out", str(run.out)]
+    command = [
+        "bench",
+        "run",
+        str(run.manifest_file),
+        "--recon",
+        "cards",
+        "--plugin",
+        cards,
+        "--out",
+        str(run.out),
+    ]
     command += ["--set", "label=cards", "--no-effnet", "--edits", "3", "--quiet"]
     process = subprocess.Popen([sys.executable, "-m", "edit3r.cli.main", *command])
     try:
@@ -115,7 +150,10 @@ def wait_for(condition, seconds=300):
 def test_a_failure_is_a_result_with_its_sentence(manifest_file, cards, tmp_path):
     results = run_bench(make_run(manifest_file, cards, tmp_path / "out", fails=True))
     assert all(result.failure == "the cards fell over." for result in results.values())
-    assert all(result.metrics["edit-uptake"] == 0 and result.metrics["psnr"] < 15 for result in results.values())
+    assert all(
+        result.metrics["edit-uptake"] == 0 and result.metrics["psnr"] < 15
+        for result in results.values()
+    )
 
 
 def test_a_folder_of_another_method_is_refused(manifest_file, cards, run):
@@ -141,20 +179,35 @@ def test_what_a_kill_left_half_written_is_no_obstacle(straight, run):
 def test_the_run_says_what_it_is_of(straight, run, manifest):
     run_bench(run)
     run = json.loads((run.out / "bench-run.json").read_text())
-    assert run["manifest_sha256"] == manifest.sha256 and run["method"]["reconstructor"]["name"] == "cards"
+    assert (
+        run["manifest_sha256"] == manifest.sha256
+        and run["method"]["reconstructor"]["name"] == "cards"
+    )
     assert "torch" in run["versions"]
 
 
-def test_the_manifest_makes_the_same_report_in_another_place_and_process(straight, run, cards, tmp_path):
-    """Another folder, another interpreter without this one's environment, the project imported from another path."""
+def test_the_manifest_makes_the_same_report_in_another_place_and_process(
+    straight, run, cards, tmp_path
+):
+    """Another folder, another interpreter without this one's environment, the project imported from
+    another path.
+    """
     elsewhere = tmp_path / "elsewhere"
     (elsewhere / "code").mkdir(parents=True)
     for name in ("edit3r", "plugins"):
-        (elsewhere / "code" / name).symlink_to(ROOT / name)  # links, so that kept kernels of numba are found
+        (elsewhere / "code" / name).symlink_to(
+            ROOT / name
+        )  # links, so that kept kernels of numba are found
     shutil.copy(run.manifest_file, elsewhere / "copied.json")
     shutil.copy(cards, elsewhere / "plugin.py")
-    kept = {name: os.environ[name] for name in ("PATH", "HOME", "VIRTUAL_ENV") if name in os.environ}
-    paths = os.pathsep.join([str(elsewhere / "code"), str(elsewhere / "code" / "plugins")])
+    kept = {
+        name: os.environ[name]
+        for name in ("PATH", "HOME", "VIRTUAL_ENV")
+        if name in os.environ
+    }
+    paths = os.pathsep.join(
+        [str(elsewhere / "code"), str(elsewhere / "code" / "plugins")]
+    )
     command = [
         "bench",
         "run",
@@ -168,9 +221,7 @@ def test_the_manifest_makes_the_same_report_in_another_place_and_process(straigh
         "--no-effnet",
     ]
     command += ["--edits", "3", "--set", "label=cards", "--quiet"]
-    script = (
-        "import edit3r, sys; from edit3r.cli.main import main; print(edit3r.__file__); sys.exit(main(sys.argv[1:]))"
-    )
+    script = "import edit3r, sys; from edit3r.cli.main import main; print(edit3r.__file__); sys.exit(main(sys.argv[1:]))"
     process = subprocess.run(
         [sys.executable, "-c", script, *command],
         cwd=elsewhere,

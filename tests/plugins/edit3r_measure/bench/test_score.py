@@ -16,7 +16,10 @@ GOOD = {
 
 def score_with(failure="", **changes):
     """The score of a good edit with other values of some metrics."""
-    return score({**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}}, failure)
+    return score(
+        {**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}},
+        failure,
+    )
 
 
 def test_the_score_of_a_hand_made_edit():
@@ -25,13 +28,31 @@ def test_the_score_of_a_hand_made_edit():
 
 
 def test_doing_nothing_perfectly_scores_nothing():
-    nothing = {"edit_uptake_2d": 0.0, "edit_strength_2d": 0.0, "change_outside": 0, "consistency_warped": 0}
+    nothing = {
+        "edit_uptake_2d": 0.0,
+        "edit_strength_2d": 0.0,
+        "change_outside": 0,
+        "consistency_warped": 0,
+    }
     assert score_with(**nothing) == 0
-    assert score_with(edit_uptake=0.0, change_outside=0, consistency_warped=0, consistency_held_back=0) == 0
+    assert (
+        score_with(
+            edit_uptake=0.0,
+            change_outside=0,
+            consistency_warped=0,
+            consistency_held_back=0,
+        )
+        == 0
+    )
 
 
 def test_next_to_nothing_loses_to_an_honest_edit():
-    timid = score_with(edit_uptake_2d=1, edit_strength_2d=FULL_STRENGTH / 20, change_outside=0, consistency_warped=0)
+    timid = score_with(
+        edit_uptake_2d=1,
+        edit_strength_2d=FULL_STRENGTH / 20,
+        change_outside=0,
+        consistency_warped=0,
+    )
     assert timid < 0.1 < score_with()
 
 

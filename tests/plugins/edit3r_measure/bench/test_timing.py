@@ -14,4 +14,8 @@ def test_stages_are_counted_where_they_belong_and_others_not_at_all():
     ]
     timing = timing_of(stages, cold=True)
     assert (timing["editor"], timing["network"], timing["rendering"]) == (1, 3, 5)
-    assert (timing["editor_cpu"], timing["network_cpu"], timing["rendering_cpu"]) == (2, 4, 6) and timing["cold"]
+    assert (timing["editor_cpu"], timing["network_cpu"], timing["rendering_cpu"]) == (
+        2,
+        4,
+        6,
+    ) and timing["cold"]

@@ -1,0 +1,82 @@
+"""Layers of networks, and sums, whose answers do not depend on the number of threads."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+__all__ = ["Conv2d", "GroupNorm", "bilinear", "one_thread"]
+
+SMALL = 1 << 16  # values; ATen has 20480
+
+
+class GroupNorm(nn.GroupNorm):
+    """Group normalisation that gives the same bits for any number of threads.
+
+    Over tensors in channels-last order torch adds up in another order for each number of threads;
+    over contiguous ones it does not. The answer keeps the order of the input.
+    """
+
+    def forward(
+        self, x: Float[Tensor, "batch channel *shape"]
+    ) -> Float[Tensor, "batch channel *shape"]:
+        normalised = super().forward(x.contiguous())
+        last = (
+            x.dim() == 4
+            and not x.is_contiguous()
+            and x.is_contiguous(memory_format=torch.channels_last)
+        )
+        return (
+            normalised.contiguous(memory_format=torch.channels_last)
+            if last
+            else normalised
+        )
+
+
+class Conv2d(nn.Conv2d):
+    """A convolution that gives the same bits for any number of threads.
+
+    torch leaves what it finds small to a library that adds up in another order for each number of
+    threads (ATen's `use_mkldnn`): a 1x1 kernel where there is one thread, which a dilation (of no
+    effect on one pixel) prevents, and a single small image, which is therefore computed twice, as
+    two.
+    """
+
+    def _conv_forward(
+        self,
+        x: Float[Tensor, "batch channel height width"],
+        weight: Tensor,
+        bias: Tensor | None,
+    ) -> Float[Tensor, "batch channel2 height2 width2"]:
+        dilation = (2, 2) if self.kernel_size == (1, 1) else self.dilation
+        single = len(x) == 1 and x.numel() <= SMALL
+        twice = torch.cat((x, x)) if single else x
+        return F.conv2d(
+            twice, weight, bias, self.stride, self.padding, dilation, self.groups
+        )[: len(x)]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread of torch inside, also as a decorator: sums by index otherwise differ
+    from run to run.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@one_thread()
+def bilinear(
+    x: Float[Tensor, "batch channel height width"], size: tuple[int, int]
+) -> Float[Tensor, "batch channel height2 width2"]:
+    """Resize between pixel centres; torch's own rounds otherwise where its threads share a
+    picture.
+    """
+    return F.interpolate(x, size, mode="bilinear", align_corners=False)

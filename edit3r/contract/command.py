@@ -1,0 +1,36 @@
+"""The interface of a command, apart from the other interfaces so that `edit3r --help` loads no
+torch.
+"""
+
+import argparse
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+from edit3r.config import Settings
+
+
+def scene_file(text: str) -> Path:
+    """Argument type of a saved scene: its file as it is, or the `scene.ply` of the run folder that
+    is named.
+    """
+    path = Path(text)
+    return path / "scene.ply" if path.is_dir() else path
+
+
+class Command(ABC):
+    """One command of the program, `edit3r NAME`; its component's summary is its line in `edit3r
+    --help`.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    @abstractmethod
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the command's arguments. Heavy modules are imported in `main`, not here."""
+
+    @abstractmethod
+    def main(self, args: argparse.Namespace) -> int | None:
+        """Do the work and return the exit code; None means 0. What the user can mend is raised from
+        `edit3r.errors`.
+        """

@@ -1,0 +1,108 @@
+"""What a plugin says about each thing it offers, readable without importing the thing itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edit3r.contract.weights import NAME, Weights
+
+KINDS = (
+    "editor",
+    "segmenter",
+    "detector",
+    "reconstructor",
+    "backbone",
+    "head",
+    "matcher",
+    "rasterizer",
+    "loss",
+    "dataset",
+    "trainer",
+    "refiner",
+    "command",
+)
+"""Every kind of component; each has one hook in `edit3r.contract.hookspecs`, named by `hook_name`.
+"""
+
+
+def hook_name(kind: str) -> str:
+    """The hook through which a plugin offers components of `kind`."""
+    return f"register_{kind}es" if kind.endswith("s") else f"register_{kind}s"
+
+
+@dataclass(frozen=True)
+class Component:
+    """One component on offer: its name, where its class lives, and what a user should know before
+    building it.
+    """
+
+    name: str  # kebab-case, unique within its kind
+    target: str  # "module:Class"; imported only when the component is built
+    summary: str  # one line for `edit3r list-plugins`
+    requires: tuple[str, ...] = ()  # importable module names that must be installed
+    # pip extra that brings them: pip install "edit3r[extra]", or a package name of the plugin's
+    # own; one that begins with a dash is all that follows `pip install`
+    extra: str = ""
+    parts: tuple[str, ...] = ()  # kinds built first and passed to the class by keyword
+    licence: str = "Apache-2.0"  # of the code, and of weights it brings along
+    needs_gpu: bool = False
+    needs_network: bool = False
+    supports_seed: bool = True  # False: the same seed may give another result
+    min_views: int = 1
+    max_views: int | None = None  # None: any number
+    citation: str = ""
+    weights: tuple[
+        Weights, ...
+    ] = ()  # what it can load; `edit3r weights get NAME` fetches them
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
+            raise ValueError(
+                f"component name {self.name!r} must be lower-case letters, digits and dashes"
+            )
+        who = f"component {self.name!r}"
+        if (
+            not isinstance(self.target, str)
+            or self.target.count(":") != 1
+            or not all(self.target.split(":"))
+        ):
+            raise ValueError(f"{who}: target {self.target!r} must read 'module:Class'")
+        for field in ("summary", "extra", "licence", "citation"):
+            if not isinstance(getattr(self, field), str):
+                raise ValueError(
+                    f"{who}: {field} must be text, got {getattr(self, field)!r}"
+                )
+        for field in ("requires", "parts"):
+            object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
+        if not isinstance(self.weights, tuple) or not all(
+            isinstance(item, Weights) for item in self.weights
+        ):
+            raise ValueError(
+                f"{who}: weights must be a tuple of edit3r.contract.weights.Weights, got "
+                f"{self.weights!r}"
+            )
+        unknown = [part for part in self.parts if part not in KINDS]
+        if unknown:
+            raise ValueError(
+                f"{who}: unknown part kind {unknown[0]!r}; kinds are {', '.join(KINDS)}"
+            )
+        limits = (self.min_views, 1 if self.max_views is None else self.max_views)
+        if not all(isinstance(limit, int) and limit >= 1 for limit in limits):
+            raise ValueError(
+                f"{who}: min_views and max_views must be 1 or more, got {self.min_views}, "
+                f"{self.max_views}"
+            )
+
+
+def _texts(who: str, field: str, value: object) -> tuple[str, ...]:
+    """A tuple of texts from any sequence of them; a lone text is refused, it would be read letter
+    by letter.
+    """
+    if (
+        isinstance(value, str)
+        or not isinstance(value, Sequence)
+        or not all(isinstance(item, str) for item in value)
+    ):
+        raise ValueError(
+            f'{who}: {field} must be a tuple of names such as ("name",), got {value!r}'
+        )
+    return tuple(value)

@@ -1,0 +1,368 @@
+"""The data that passes between stages, and the conventions, written once.
+
+| thing        | convention                                                                                   |
+|--------------|----------------------------------------------------------------------------------------------|
+| images       | float32 sRGB in [0, 1], `[B, V, 3, H, W]`                                                    |
+| intrinsics   | normalised 3x3: fx, cx in image widths, fy, cy in image heights; pixel centres at +0.5       |
+| poses        | camera-to-world 4x4 `c2w`, OpenCV axes (x right, y down, z forward)                          |
+| Gaussians    | linear scales (standard deviations), wxyz quaternions, opacities in [0, 1], 3DGS harmonics   |
+| world        | the frame of view 0's camera                                                                 |
+
+B scenes, V input views, C cameras, G Gaussians, K = (degree + 1)^2 harmonics per colour. Files and
+foreign libraries are converted at the door (`edit3r.io`); everything inside trusts this page. All
+classes are frozen; change one with `dataclasses.replace`.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+MAX_DEGREE = 4
+Moved = TypeVar("Moved", bound="_Tensors")
+
+
+@dataclass(frozen=True, repr=False)
+class _Tensors:
+    """Shared by the classes below: move all tensors at once."""
+
+    def to(self: Moved, *args, **kwargs) -> Moved:
+        """`Tensor.to` on every floating-point field, and on integer fields as far as the device
+        goes.
+        """
+        changes = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                moved = value.to(*args, **kwargs)
+                changes[field.name] = (
+                    moved if value.is_floating_point() else value.to(moved.device)
+                )
+            elif isinstance(value, _Tensors):
+                changes[field.name] = value.to(*args, **kwargs)
+        return replace(self, **changes)
+
+    def __repr__(self) -> str:
+        """Name and fields; of tensors the shape alone."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        shown = (
+            f"{k}={list(v.shape) if isinstance(v, Tensor) else repr(v)}"
+            for k, v in values.items()
+        )
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+@dataclass(frozen=True, repr=False)
+class Views(_Tensors):
+    """Input pictures of B scenes with their intrinsics; poses only where somebody knows them."""
+
+    images: Float[Tensor, "batch view 3 height width"]  # sRGB in [0, 1]
+    intrinsics: Float[Tensor, "batch view 3 3"]  # normalised
+    names: tuple[
+        str, ...
+    ] = ()  # one per view, for messages and file names; () when unnamed
+    c2w: Float[Tensor, "batch view 4 4"] | None = (
+        None  # known poses in any common frame; None: not known
+    )
+    assumed: tuple[
+        bool, ...
+    ] = ()  # per view: nobody knows its intrinsics, they may be estimated; (): all are known
+
+    def __post_init__(self) -> None:
+        _check("Views.images", self.images, (None, None, 3, None, None))
+        batch, views = self.images.shape[:2]
+        _check("Views.intrinsics", self.intrinsics, (batch, views, 3, 3))
+        if self.names and len(self.names) != views:
+            raise ValueError(
+                f"Views.names: expected {views} names, got {len(self.names)}"
+            )
+        if self.c2w is not None:
+            _check("Views.c2w", self.c2w, (batch, views, 4, 4))
+        if self.assumed and len(self.assumed) != views:
+            raise ValueError(
+                f"Views.assumed: expected {views} flags, got {len(self.assumed)}"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of views V."""
+        return self.images.shape[1]
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """(height, width) [pixels]."""
+        return self.images.shape[3], self.images.shape[4]
+
+    def at(self, size: tuple[int, int]) -> "Views":
+        """The views with images of another (height, width) [pixels]."""
+        if size == self.image_size:
+            return self
+        small = interpolate(
+            self.images.flatten(0, 1), size, mode="bilinear", antialias=True
+        )
+        return replace(self, images=small.unflatten(0, self.images.shape[:2]))
+
+    def scene(self, index: int) -> "Views":
+        """One scene of the batch, as a batch of one."""
+        one = slice(index, index + 1)
+        c2w = None if self.c2w is None else self.c2w[one]
+        return replace(
+            self, images=self.images[one], intrinsics=self.intrinsics[one], c2w=c2w
+        )
+
+    def select(self, indices: Iterable[int]) -> "Views":
+        """The views at `indices`, in that order."""
+        index = list(indices)
+        names = tuple(self.names[i] for i in index) if self.names else ()
+        c2w = None if self.c2w is None else self.c2w[:, index]
+        assumed = tuple(self.assumed[i] for i in index) if self.assumed else ()
+        return Views(
+            self.images[:, index], self.intrinsics[:, index], names, c2w, assumed
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class EditRequest(_Tensors):
+    """What an editor is asked to do with a set of views."""
+
+    prompt: str
+    seed: int = 0  # one for all views, so that every view gets the same edit
+    masks: Float[Tensor, "batch view height width"] | None = (
+        None  # in [0, 1]; 1: may change; None: everywhere
+    )
+    guess: bool = (
+        False  # True: the user allows a guess at what is meant, where nobody can tell
+    )
+    # share of the views' sides at which Gaussians are made, one a pixel, in (0, 1]
+    grid: float = 1.0
+    before: "Gaussians | None" = (
+        None  # the scene before this edit, same cameras, for refiners that ask for it
+    )
+
+    def __post_init__(self) -> None:
+        if self.masks is not None:
+            _check("EditRequest.masks", self.masks, (None, None, None, None))
+
+    def grid_of(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(height, width) of the grid of Gaussians over images of `size`."""
+        return max(1, round(self.grid * size[0])), max(1, round(self.grid * size[1]))
+
+    def of_scene(self, index: int) -> "EditRequest":
+        """The same request for one scene of the batch."""
+        return (
+            self
+            if self.masks is None
+            else replace(self, masks=self.masks[index : index + 1])
+        )
+
+    def of_views(self, indices: Iterable[int]) -> "EditRequest":
+        """The same request for the views at `indices` only."""
+        return (
+            self
+            if self.masks is None
+            else replace(self, masks=self.masks[:, list(indices)])
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Cameras(_Tensors):
+    """Posed pinhole cameras that share a picture size."""
+
+    c2w: Float[Tensor, "batch camera 4 4"]  # camera to world, OpenCV axes
+    intrinsics: Float[Tensor, "batch camera 3 3"]  # normalised
+    image_size: tuple[int, int]  # (height, width) [pixels]
+
+    def __post_init__(self) -> None:
+        _check("Cameras.c2w", self.c2w, (None, None, 4, 4))
+        _check("Cameras.intrinsics", self.intrinsics, (*self.c2w.shape[:2], 3, 3))
+        height, width = self.image_size
+        if height < 1 or width < 1:
+            raise ValueError(
+                f"Cameras.image_size: expected at least (1, 1), got {tuple(self.image_size)}"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of cameras C."""
+        return self.c2w.shape[1]
+
+    def select(self, indices: Iterable[int]) -> "Cameras":
+        """The cameras at `indices`, in that order."""
+        index = list(indices)
+        return Cameras(self.c2w[:, index], self.intrinsics[:, index], self.image_size)
+
+    def at(self, size: tuple[int, int]) -> "Cameras":
+        """The cameras with images of another (height, width) [pixels]."""
+        return replace(self, image_size=tuple(size))
+
+
+@dataclass(frozen=True, repr=False)
+class Features(_Tensors):
+    """What a backbone hands to a head: token maps of several depths on one patch grid.
+
+    `grid` is (rows, columns) of patches; `levels[l]` is `[B, V, rows * columns, C_l]`, row-major,
+    `C_l` being the backbone's `feature_widths[l]`.
+    """
+
+    levels: tuple[Float[Tensor, "batch view token channel"], ...]
+    grid: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        tokens = self.grid[0] * self.grid[1]
+        for index, level in enumerate(self.levels):
+            _check(f"Features.levels[{index}]", level, (None, None, tokens, None))
+
+    def to(self, *args, **kwargs) -> "Features":
+        return Features(
+            tuple(level.to(*args, **kwargs) for level in self.levels), self.grid
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Gaussians(_Tensors):
+    """3D Gaussians of B scenes in the frame of view 0 (OpenCV axes)."""
+
+    means: Float[Tensor, "batch gaussian 3"]  # centres [scene units]
+    scales: Float[
+        Tensor, "batch gaussian 3"
+    ]  # standard deviations along the axes [scene units], > 0
+    quats: Float[
+        Tensor, "batch gaussian 4"
+    ]  # wxyz, axes to world; any norm, consumers normalise
+    opacities: Float[Tensor, "batch gaussian"]  # in [0, 1]
+    harmonics: Float[
+        Tensor, "batch gaussian coefficient 3"
+    ]  # 3DGS basis; colour = max(0, SH(direction) + 0.5)
+    view_index: Int[Tensor, "gaussian"] | None = (
+        None  # input view each came from, -1 none; default: all -1
+    )
+
+    def __post_init__(self) -> None:
+        _check("Gaussians.means", self.means, (None, None, 3))
+        batch, count = self.means.shape[:2]
+        _check("Gaussians.scales", self.scales, (batch, count, 3))
+        _check("Gaussians.quats", self.quats, (batch, count, 4))
+        _check("Gaussians.opacities", self.opacities, (batch, count))
+        _check("Gaussians.harmonics", self.harmonics, (batch, count, None, 3))
+        allowed = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]
+        if self.harmonics.shape[2] not in allowed:
+            raise ValueError(
+                f"Gaussians.harmonics: expected K in {allowed}, got {self.harmonics.shape[2]}"
+            )
+        if self.view_index is None:
+            index = torch.full(
+                (count,), -1, dtype=torch.int64, device=self.means.device
+            )
+            object.__setattr__(self, "view_index", index)
+        _check("Gaussians.view_index", self.view_index, (count,))
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians G per scene."""
+        return self.means.shape[1]
+
+    @property
+    def degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 4."""
+        return round(self.harmonics.shape[2] ** 0.5) - 1
+
+    def select(self, index: Tensor) -> "Gaussians":
+        """The Gaussians at a boolean or integer (from 0) `index` along G, the same for every scene
+        of the batch.
+        """
+        index = index.to(self.means.device)
+        if index.dtype == torch.bool:
+            index = index.nonzero()[:, 0]
+        # A third of the time of indexing with [:, index].
+        own = {
+            f.name: getattr(self, f.name).index_select(1, index)
+            for f in fields(Gaussians)[:-1]
+        }
+        return Gaussians(**own, view_index=self.view_index.index_select(0, index))
+
+    def from_view(self, view: int) -> "Gaussians":
+        """Only those that came from input view `view`."""
+        return self.select(self.view_index == view)
+
+    def without_view(self, view: int) -> "Gaussians":
+        """All but those that came from input view `view`."""
+        return self.select(self.view_index != view)
+
+    @staticmethod
+    def cat(parts: "Iterable[Gaussians]") -> "Gaussians":
+        """Join along G; all parts share batch size and harmonics degree."""
+        parts = list(parts)
+        joined = {
+            f.name: torch.cat([getattr(p, f.name) for p in parts], dim=1)
+            for f in fields(Gaussians)[:-1]
+        }
+        return Gaussians(**joined, view_index=torch.cat([p.view_index for p in parts]))
+
+    @staticmethod
+    def stack(scenes: "Iterable[Gaussians]") -> "Gaussians":
+        """Join scenes as one batch; one with fewer Gaussians repeats its last, transparent. Views
+        are forgotten.
+        """
+        scenes = list(scenes)
+        place = torch.arange(
+            max(scene.count for scene in scenes), device=scenes[0].means.device
+        )
+        filled = [scene.select(place.clamp(max=scene.count - 1)) for scene in scenes]
+        shown = [
+            replace(f, opacities=f.opacities * (place < scene.count))
+            for f, scene in zip(filled, scenes)
+        ]
+        return Gaussians(
+            **{
+                f.name: torch.cat([getattr(s, f.name) for s in shown])
+                for f in fields(Gaussians)[:-1]
+            }
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Reconstruction(_Tensors):
+    """A reconstructor's answer."""
+
+    gaussians: Gaussians
+    cameras: Cameras | None = (
+        None  # the input views' predicted poses in the Gaussians' frame; None: not predicted
+    )
+    placed: Bool[Tensor, "batch view"] | None = (
+        None  # False: could not be placed; None: all were
+    )
+    measured: Float[Tensor, "batch view"] | None = (
+        None  # share of pixels whose depth was measured; None: unknown
+    )
+    fusion: Float[Tensor, "batch view 3 height width"] | None = None
+    """What was added to the views' colours [sRGB] so that their edits agree, at a size of its own;
+    None: nothing.
+    """
+
+
+@dataclass(frozen=True, repr=False)
+class Rendering(_Tensors):
+    """A rasterizer's answer for C cameras."""
+
+    images: Float[
+        Tensor, "batch camera 3 height width"
+    ]  # sRGB, >= 0, not clipped above 1
+    alphas: Float[Tensor, "batch camera 1 height width"]  # in [0, 1]
+    depths: Float[
+        Tensor, "batch camera 1 height width"
+    ]  # expected camera z; 0 where nothing is hit
+
+
+def _check(name: str, tensor: Tensor, shape: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless `tensor` has `shape` (None: any size, also 0)."""
+    given = tuple(tensor.shape)
+    fits = len(given) == len(shape) and all(
+        want in (None, have) for have, want in zip(given, shape)
+    )
+    if not fits:
+        expected = ", ".join("*" if size is None else str(size) for size in shape)
+        raise ValueError(f"{name}: expected shape [{expected}], got {list(given)}")

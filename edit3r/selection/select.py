@@ -1,0 +1,363 @@
+"""What a user chose on the photos, by clicks, boxes, brushes, masks or words, and the masks that
+come of it.
+
+Marks on one view are enough: the mask found there is carried to the other views by the scene's own
+geometry where it is at hand, else by what the pictures show. The command line, the app and
+`edit3r.run` share this.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import (
+    Marks,
+    MatchedGeometry,
+    Matcher,
+    Segmenter,
+    Tracks,
+)
+from edit3r.contract.types import Views
+from edit3r.errors import InputError, MatchingError
+from edit3r.geometry.cameras import project, unproject
+from edit3r.geometry.warping import warp
+from edit3r.pipeline.checks import component_name
+from edit3r.reporting import note, warn
+
+Box = tuple[float, float, float, float]
+SAME_SURFACE = (
+    0.08  # relative difference in depth within which two views show the same surface
+)
+# of an object's pixels that must lie in another view for geometry to say where it is there
+MIN_SHARE = 0.2
+FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
+MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
+ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
+    down.
+    """
+
+    positive: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on the object: view, x, y
+    negative: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on what is not the object
+    boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
+    added: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # brush in [0, 1], by view
+    removed: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # eraser, likewise
+    masks: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # finished masks, by view
+    words: str = (
+        ""  # what is meant, such as "the bike"; looked up where nothing is marked
+    )
+    guess: bool = (
+        False  # True: words that cannot be looked up mean what stands out most
+    )
+
+    @property
+    def views(self) -> tuple[int, ...]:
+        """Views that carry any mark, in the order in which they say where the object is."""
+        clicked = [place[0] for place in (*self.positive, *self.negative)]
+        return tuple(
+            dict.fromkeys(
+                (*self.masks, *self.boxes, *self.added, *clicked, *self.removed)
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The answer of `select_masks`."""
+
+    masks: Float[
+        Tensor, "view 1 height width"
+    ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
+    how: tuple[
+        str, ...
+    ]  # per view: "given", "marked", "words", "guess", "geometry", "pictures" or "not found"
+    warnings: tuple[
+        str, ...
+    ] = ()  # sentences for the user, also sent to `edit3r.reporting`
+
+
+def select_masks(
+    images: Float[Tensor, "view 3 height width"],
+    selection: Selection,
+    segmenter: Segmenter,
+    geometry: MatchedGeometry | None = None,
+    intrinsics: Float[Tensor, "1 view 3 3"] | None = None,
+) -> Selected:
+    """Find the chosen object on every view.
+
+    `geometry` (batch 1) and `intrinsics` are those of the same views; without them masks are
+    carried by pictures alone. Raises InputError for marks outside the photos, and for words that
+    `segmenter` cannot look up unless `selection.guess` allows a guess.
+    """
+    _check(selection, len(images))
+    work = _Work(images, selection, segmenter, geometry, intrinsics)
+    if not (
+        selection.positive or selection.boxes or selection.masks or selection.added
+    ):
+        work.look_up(selection.views[0] if selection.views else 0)
+    for view in selection.views:
+        work.mark(view)
+    for view in range(len(images)):
+        if view not in work.masks:
+            work.carry(view)
+    how = tuple(work.how[view] for view in range(len(images)))
+    note(
+        "selection",
+        {
+            "points": selection.positive,
+            "not": selection.negative,
+            "boxes": selection.boxes,
+            "how": how,
+        },
+    )
+    for text in work.warnings:
+        warn(text)
+    return Selected(
+        torch.stack([work.masks[view] for view in range(len(images))])[:, None],
+        how,
+        tuple(work.warnings),
+    )
+
+
+def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
+    """What `matcher` reads from the photos; None without one, for a single photo, and, said so,
+    where it fails.
+    """
+    try:
+        return None if matcher is None or views.count < 2 else matcher.match(views)
+    except MatchingError as error:
+        warn(f"masks are carried by what the photos show, not by geometry: {error}")
+        return None
+
+
+def _check(selection: Selection, count: int) -> None:
+    """Marks lie on views that exist, and within them."""
+    for view, x, y in (*selection.positive, *selection.negative):
+        if not (0 <= x <= 1 and 0 <= y <= 1):
+            raise InputError(
+                f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); expected 0 to 1 of "
+                "its sides."
+            )
+    for view, (x, y, width, height) in selection.boxes.items():
+        if (
+            min(x, y) < 0
+            or min(width, height) <= 0
+            or max(x + width, y + height) > 1.001
+        ):
+            raise InputError(
+                f"the box on photo {view + 1} must lie within the photo and have a size above 0."
+            )
+    outside = [view for view in selection.views if not 0 <= view < count]
+    if outside:
+        raise InputError(
+            f"photo {outside[0] + 1} is marked, but there are {count} photos."
+        )
+
+
+class _Work:
+    """One call of `select_masks`: masks found so far, and where each comes from."""
+
+    def __init__(
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        selection: Selection,
+        segmenter: Segmenter,
+        geometry: MatchedGeometry | None,
+        intrinsics: Float[Tensor, "1 view 3 3"] | None,
+    ) -> None:
+        self.images, self.selection, self.segmenter = images, selection, segmenter
+        self.geometry = geometry
+        self.intrinsics = (
+            intrinsics
+            if geometry is None or geometry.intrinsics is None
+            else geometry.intrinsics
+        )
+        self.masks: dict[int, Tensor] = {}
+        self.how: dict[int, str] = {}
+        self.tracks: dict[
+            tuple[int, int], Tracks
+        ] = {}  # by view of the mask and direction
+        self.warnings: list[str] = []
+
+    def look_up(self, view: int) -> None:
+        """The mask of what the words name, or of what stands out where a guess is allowed."""
+        words, name = self.selection.words, component_name(self.segmenter)
+        found = self.segmenter.segment_text(self.images[view], words) if words else None
+        if found:
+            self._keep(
+                view,
+                torch.stack([proposal.soft_mask for proposal in found]).amax(0),
+                "words",
+            )
+            return
+        if not self.selection.guess:
+            if not words:
+                raise InputError(f"nothing says which object is meant; {ASK}.")
+            why = (
+                "was not found on the photo"
+                if found is not None
+                else f"is not a word that segmenter {name!r} knows"
+            )
+            raise InputError(
+                f"{words!r} {why}; {ASK}, add --guess to take what stands out most, or use a "
+                "segmenter that reads "
+                "words (edit3r list-plugins --kind segmenter)."
+            )
+        proposals = self.segmenter.propose(self.images[view])
+        if not proposals:
+            raise InputError(f"nothing stands out on photo {view + 1}; {ASK}.")
+        self._keep(view, proposals[0].soft_mask, "guess")
+        self.warnings.append(
+            f"what stands out most on photo {view + 1} is taken, which is a guess; to be sure, "
+            f"{ASK}."
+        )
+
+    def mark(self, view: int) -> None:
+        """The mask of a view that carries marks; what other views showed so far is where it is
+        expected.
+        """
+        chosen = self.selection
+        if view in chosen.masks:
+            self._keep(view, chosen.masks[view], "given")
+        else:
+            if view not in self.masks and self.masks:
+                told = len(self.warnings)
+                self.carry(view)
+                del self.warnings[
+                    told:
+                ]  # that it was not found here is what the marks are for
+            prior = self.masks.get(view)
+            expected = (
+                prior is not None
+                and view not in chosen.boxes
+                and bool((prior > 0.5).any())
+            )
+            marks = Marks(
+                positive=_places(chosen.positive, view),
+                negative=_places(chosen.negative, view),
+                box=chosen.boxes.get(view),
+                prior=prior if expected else None,
+            )
+            if marks.positive or marks.box is not None or (marks.negative and expected):
+                self._keep(
+                    view,
+                    self.segmenter.segment_marks(self.images[view], marks).soft_mask,
+                    "marked",
+                )
+            elif view in chosen.added or expected:  # what is painted is taken exactly
+                self._keep(
+                    view,
+                    torch.zeros_like(self.images[view, 0]) if prior is None else prior,
+                    "marked",
+                )
+            else:
+                raise InputError(
+                    f"photo {view + 1} is only told what is not the object; {ASK} on it."
+                )
+        if view in chosen.added:
+            self.masks[view] = torch.maximum(
+                self.masks[view], chosen.added[view].to(self.masks[view])
+            )
+        if view in chosen.removed:
+            self.masks[view] = self.masks[view] * (
+                1 - chosen.removed[view].to(self.masks[view])
+            )
+
+    def carry(self, view: int) -> None:
+        """The mask of a view without marks, from the nearest view that has one of its own."""
+        own = [
+            other
+            for other, how in self.how.items()
+            if how not in ("geometry", "pictures", "not found")
+        ]
+        source = min(own, key=lambda other: abs(other - view))
+        if not (self.masks[source] > 0.5).any():  # an empty mask is carried as it is
+            self._keep(view, self.masks[source], "pictures")
+            return
+        prior = self._by_geometry(source, view)
+        if prior is not None:
+            found = self.segmenter.segment_marks(
+                self.images[view], Marks(prior=prior)
+            ).soft_mask
+            self._keep(view, found, "geometry")
+            return
+        logits = self._followed(source, view)
+        there = bool((logits > 0).any())
+        self._keep(view, logits.sigmoid() * there, "pictures" if there else "not found")
+        if not there:
+            self.warnings.append(
+                f"the object was not found again on photo {view + 1}, which stays as it is; "
+                "click on it there."
+            )
+
+    def _followed(self, source: int, view: int) -> Float[Tensor, "height width"]:
+        """Logits of the object of `source`, followed through all views on the way to `view`."""
+        step = 1 if view > source else -1
+        if (source, step) not in self.tracks:
+            way = list(range(source, len(self.images) if step > 0 else -1, step))
+            self.tracks[source, step] = self.segmenter.track(
+                self.images[way], self.masks[source][None]
+            )
+        tracks, place = self.tracks[source, step], abs(view - source)
+        return (
+            tracks.logits[place, 0]
+            if bool(tracks.present[place, 0])
+            else tracks.logits[place, 0].clamp(max=-1e-3)
+        )
+
+    def _by_geometry(self, source: int, view: int) -> Tensor | None:
+        """The mask of `source` as seen from `view`; None where geometry cannot tell, or does not
+        show the object.
+        """
+        geometry = self.geometry
+        if (
+            geometry is None
+            or self.intrinsics is None
+            or not geometry.registered[0, [source, view]].all()
+        ):
+            return None
+        points = unproject(
+            geometry.depths[0, view], self.intrinsics[0, view], geometry.c2w[0, view]
+        )
+        places, z = project(
+            points.flatten(0, 1), self.intrinsics[0, source], geometry.c2w[0, source]
+        )
+        grid, z = places.view(*points.shape[:2], 2), z.view(points.shape[:2])
+        seen = warp(
+            geometry.depths[0, source, None], grid, mode="nearest", padding="zeros"
+        )[0]
+        same = (z > 0) & ((z / seen.clamp(min=1e-9) - 1).abs() < SAME_SURFACE)
+        moved = warp(self.masks[source][None], grid, padding="zeros")[0] * same
+        least = max(
+            MIN_SHARE * float((self.masks[source] > 0.5).sum()),
+            MIN_AREA * moved.numel(),
+        )
+        return moved if float((moved > 0.5).sum()) >= least else None
+
+    def _keep(self, view: int, mask: Tensor, how: str) -> None:
+        mask = mask.to(self.images).clamp(0, 1)
+        self.masks[view], self.how[view] = torch.where(mask < FAINT, 0, mask), how
+
+
+def _places(
+    points: tuple[tuple[int, float, float], ...], view: int
+) -> tuple[tuple[float, float], ...]:
+    """x and y of the points on one view."""
+    return tuple((x, y) for on, x, y in points if on == view)

@@ -1,1 +1,0 @@
-"""What every training shares: the loop, its schedule, checkpoints and several processes."""

@@ -1,0 +1,153 @@
+"""Checkpoints that bring training back exactly: weights, averaged weights, optimiser, random
+states, step.
+
+They hold tensors and plain values only and are read as such, so that no code of a stranger's file
+can run.
+"""
+
+import json
+import random
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from edit3r.errors import InputError
+from edit3r.io.weight_files import whole_file
+
+LAST = "last.pt"
+_PARTS = {
+    "network",
+    "optimizer",
+    "average",
+    "step",
+    "skipped",
+    "best",
+    "config",
+    "random",
+}
+
+
+@dataclass
+class TrainingState:
+    """All that changes while training; the learning rate and the data order follow from `step`."""
+
+    network: nn.Module
+    optimizer: torch.optim.Optimizer
+    average: dict[str, Tensor]  # exponential moving average of the weights
+    step: int = 0  # steps done
+    skipped: int = 0  # steps whose loss or gradient was not finite
+    best: float = float("inf")  # lowest validation score so far
+    validated: int = 0  # the step of the last validation
+    config: dict[str, Any] = field(default_factory=dict)
+
+    def save(self, path: Path) -> None:
+        """Write under a temporary name and move into place when whole; raises RunError when the
+        disk is full.
+        """
+        content = {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "average": self.average,
+            "step": self.step,
+            "skipped": self.skipped,
+            "best": self.best,
+            "validated": self.validated,
+            "config": json.dumps(self.config, default=str),
+            "random": _random_states(),
+        }
+        what, then = (
+            f"the checkpoint of step {self.step}",
+            " and continue with --resume from the one before",
+        )
+        with whole_file(path, what, then) as partial:
+            torch.save(content, partial)
+
+    def load(self, path: Path) -> None:
+        """Continue from a checkpoint of the same network and optimiser; raises InputError for any
+        other file.
+        """
+        content = _read(path)
+        try:
+            self.network.load_state_dict(content["network"])
+            self.optimizer.load_state_dict(content["optimizer"])
+            self.average = {
+                name: content["average"][name].to(old.device)
+                for name, old in self.average.items()
+            }
+            self.step, self.skipped = int(content["step"]), int(content["skipped"])
+            self.best, self.validated = (
+                float(content["best"]),
+                int(content.get("validated", content["step"])),
+            )
+            _restore_random_states(content["random"])
+        except (
+            Exception
+        ) as error:  # damaged numbers make whoever gets them raise what they like
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
+            raise InputError(
+                f"{path}: made for another network or optimiser ({reason}); resume with the "
+                "configuration that it was "
+                "trained with, or start again with --overwrite instead of --resume."
+            ) from None
+
+    def update_average(self, decay: float) -> None:
+        """One step of the moving average, warmed up so that early steps do not linger."""
+        decay = min(decay, (1 + self.step) / (10 + self.step))
+        for name, tensor in self.network.state_dict().items():
+            if tensor.is_floating_point():
+                self.average[name].lerp_(tensor.detach(), 1 - decay)
+            else:
+                self.average[name].copy_(tensor)
+
+
+def copied_weights(network: nn.Module) -> dict[str, Tensor]:
+    """A detached copy of all weights."""
+    return {
+        name: tensor.detach().clone() for name, tensor in network.state_dict().items()
+    }
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The content of a checkpoint, read without running any code that the file may hold."""
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no checkpoint to resume from; start without --resume."
+        )
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (
+        Exception
+    ) as error:  # a damaged file raises whatever the reader stumbles over
+        content, reason = None, type(error).__name__
+    else:
+        reason = "other content"
+    if not isinstance(content, dict) or not _PARTS.issubset(content):
+        raise InputError(
+            f"{path}: not a whole checkpoint of this version of `edit3r train` ({reason}), and "
+            "nothing but such a file "
+            "is read; put it back from a copy, or start again with --overwrite instead of --resume."
+        )
+    return content
+
+
+def _random_states() -> dict[str, Any]:
+    """The states of all generators as tensors and plain values."""
+    kind, keys, *rest = np.random.get_state()
+    numpy_state = (kind, torch.from_numpy(keys.astype(np.int64)), *rest)
+    return {
+        "python": random.getstate(),
+        "numpy": numpy_state,
+        "torch": torch.get_rng_state(),
+    }
+
+
+def _restore_random_states(states: dict[str, Any]) -> None:
+    """Undo `_random_states`."""
+    kind, keys, *rest = states["numpy"]
+    random.setstate(states["python"])
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
+    torch.set_rng_state(states["torch"])

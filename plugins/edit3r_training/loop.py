@@ -1,0 +1,494 @@
+"""The training loop that every trainer shares: a trainer brings a recipe, the loop does the rest.
+
+The rest is: the learning-rate schedule, gradient clipping, averaged weights, steps that are not
+finite, several processes, the log, checkpoints, resuming, stopping at a signal, validation, and the
+best weights. Data and random numbers of a step are functions of the seed and the step, so a resumed
+run gives exactly the weights of a straight one.
+"""
+
+import json
+import signal
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor, nn
+
+from edit3r import reporting
+from edit3r.config import Settings
+from edit3r.contract.interfaces import TrainingJob
+from edit3r.errors import MatchingError, PluginError, RunError, SettingsError
+from edit3r.io.weight_files import WEIGHTS, save_weights
+from edit3r_training.checkpoint import LAST, TrainingState, copied_weights
+from edit3r_training.processes import Processes, joined_processes, own_device
+from edit3r_training.schedule import warmup_cosine
+
+
+class LoopSettings(Settings):
+    """The settings of the loop; a trainer's settings derive from these and may give other
+    defaults.
+    """
+
+    steps: int = Field(1000, ge=1, description="optimiser steps")
+    lr: float = Field(1e-3, gt=0, le=1, description="highest learning rate")
+    warmup: int = Field(100, ge=1, description="steps of linear warm-up")
+    floor: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="learning rate at the last step, as a share of the highest",
+    )
+    pretrained: tuple[str, ...] = Field(
+        (),
+        description="beginnings of the names of weights that learn more slowly, such as "
+        "backbone.encoder",
+    )
+    pretrained_rate: float = Field(
+        0.1, gt=0, le=1, description="their share of the highest learning rate"
+    )
+    accumulate: int = Field(
+        1,
+        ge=1,
+        description="batches a step, one after the other; their gradients are averaged",
+    )
+    weight_decay: float = Field(0.02, ge=0, le=1, description="AdamW's")
+    clip: float = Field(1.0, gt=0, description="largest gradient norm")
+    average: float = Field(
+        0.999,
+        ge=0,
+        lt=1,
+        description="decay of the averaged weights that are evaluated and kept",
+    )
+    seed: int = Field(0, ge=0, description="of data order and all random choices")
+    validate_every: int = Field(
+        500, ge=1, description="steps between evaluations on held-out scenes"
+    )
+    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
+    log_every: int = Field(20, ge=1, description="steps between log lines")
+    device: str = Field(
+        "cpu",
+        description="where network and batches live; cuda: every process its own GPU",
+    )
+    threads: int = Field(0, ge=0, description="CPU threads; 0 leaves torch's choice")
+
+
+@dataclass(frozen=True)
+class StepLoss:
+    """The loss of one step and the terms that the log shows."""
+
+    total: Float[Tensor, ""]  # what the gradient is taken of
+    terms: Mapping[str, Tensor]  # scalars by name
+
+
+class Recipe(ABC):
+    """What one training has of its own: a network, a loss and a validation."""
+
+    betas: ClassVar[tuple[float, float]] = (0.9, 0.95)  # AdamW's
+
+    def __init__(self, network: nn.Module) -> None:
+        self.network = network  # trained in place
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is, and where its data must go."""
+        return next(self.network.parameters()).device
+
+    def begin(self) -> None:  # noqa: B027 - optional
+        """Prepare for the first step; the network has its start weights, the same on all
+        processes.
+        """
+
+    @abstractmethod
+    def loss(self, step: int, processes: Processes) -> StepLoss:
+        """The loss of this process's share of a batch; `step` counts batches from 0, `accumulate`
+        of them a step.
+
+        Raises MatchingError when nothing can be learnt from the data; the step is then skipped.
+        """
+
+    @abstractmethod
+    def validate(self, step: int, processes: Processes) -> dict[str, float]:
+        """Measure the network on held-out scenes; the same values on all processes, empty when
+        nothing was measured.
+
+        `score` (lower is better) decides about the best weights. The network has its averaged
+        weights meanwhile.
+        """
+
+    def save_best(self, folder: Path, weights: Mapping[str, Tensor]) -> None:
+        """Write the best weights so far to `folder`."""
+        save_weights(folder / WEIGHTS, weights)
+
+
+def train(recipe: Recipe, settings: LoopSettings, job: TrainingJob) -> Path:
+    """Train to the last step or until asked to stop; returns the folder of the best weights.
+
+    After Ctrl-C the last whole step is saved and KeyboardInterrupt raised. One process leaves its
+    step at once for that; several, who wait for each other in every step, and SIGTERM end the step
+    first.
+    """
+    if settings.threads:
+        torch.set_num_threads(settings.threads)
+    device = own_device(settings.device)
+    with (
+        joined_processes(device) as processes,
+        StopRequest(at_once=processes.count == 1) as stop,
+    ):
+        recipe.network.to(device)
+        _Loop(recipe, settings, job, processes, stop).run()
+    return job.out / "best"
+
+
+class _Loop:
+    """One training: its state, its log and its steps."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        settings: LoopSettings,
+        job: TrainingJob,
+        processes: Processes,
+        stop: "StopRequest",
+    ) -> None:
+        self.recipe, self.settings, self.job, self.processes, self.stop = (
+            recipe,
+            settings,
+            job,
+            processes,
+            stop,
+        )
+        self.state = self._start()
+        self.journal = Journal(job.out, self.state.step) if processes.writes else None
+
+    def _start(self) -> TrainingState:
+        """The first state, or that of the last checkpoint."""
+        network, last = self.recipe.network, self.job.out / LAST
+        torch.manual_seed(self.settings.seed)
+        network.train()
+        self.processes.share_weights(network)
+        self.recipe.begin()  # before a resumed run's weights are read
+        groups = parameter_groups(network, self.settings)
+        self.rates = [rate for rate, _ in groups]
+        optimizer = torch.optim.AdamW(
+            [{"params": parameters} for _, parameters in groups],
+            lr=self.settings.lr,
+            betas=self.recipe.betas,
+            weight_decay=self.settings.weight_decay,
+        )
+        state = TrainingState(
+            network,
+            optimizer,
+            copied_weights(network),
+            config=dict(self.job.config or {}),
+        )
+        if self.job.resume:
+            state.load(last)
+        elif self.processes.writes:
+            last.unlink(
+                missing_ok=True
+            )  # another training's, which --resume must not take for this one's
+            self.recipe.save_best(
+                self.job.out / "best", state.average
+            )  # so that there always is one
+        return state
+
+    def run(self) -> None:
+        """All steps that are left, with their validations and checkpoints."""
+        try:
+            self._run()
+            if (
+                self.processes.any(self.stop.asked)
+                and self.state.step < self.settings.steps
+            ):
+                self._tell_stopped()
+        except KeyboardInterrupt:
+            self._save()
+            self._tell_stopped()
+            raise
+        if self.stop.interrupted:
+            raise KeyboardInterrupt
+
+    def _tell_stopped(self) -> None:
+        reporting.warn(
+            f"training stopped at step {self.state.step}; continue with --resume."
+        )
+
+    def _run(self) -> None:
+        chosen, state, stopped = self.settings, self.state, False
+        if state.validated < state.step and (
+            state.step % chosen.validate_every == 0 or state.step == chosen.steps
+        ):
+            self._validate()  # what an interrupt kept from being done
+        while state.step < chosen.steps and not stopped:
+            self._step()
+            last, stopped = (
+                state.step == chosen.steps,
+                self.processes.any(self.stop.asked),
+            )
+            if last or state.step % chosen.validate_every == 0:
+                self._validate()
+            if last or stopped or state.step % chosen.checkpoint_every == 0:
+                self._save()
+            reporting.progress("training", state.step, chosen.steps)
+
+    def _save(self) -> None:
+        if self.processes.writes:
+            with self.stop.held():
+                self.state.save(self.job.out / LAST)
+
+    def _step(self) -> None:
+        """One optimiser step; one that is not finite is counted and left out."""
+        chosen, state = self.settings, self.state
+        parameters = list(state.network.parameters())
+        for group, rate in zip(state.optimizer.param_groups, self.rates):
+            floor = min(
+                1.0, chosen.floor / rate
+            )  # one lowest learning rate for all groups
+            group["lr"] = (
+                chosen.lr
+                * rate
+                * warmup_cosine(state.step, chosen.steps, chosen.warmup, floor)
+            )
+        state.optimizer.zero_grad(set_to_none=True)
+        loss = self._backward()
+        total = self.processes.average_gradients(parameters, loss.total)
+        norm = torch.nn.utils.clip_grad_norm_(parameters, chosen.clip)
+        learnt = any(parameter.grad is not None for parameter in parameters)
+        with self.stop.held():  # a step is done whole or not at all
+            state.step += 1
+            if learnt and torch.isfinite(total) and torch.isfinite(norm):
+                state.optimizer.step()
+                state.update_average(chosen.average)
+            else:
+                state.skipped += 1
+                reporting.warn(
+                    f"step {state.step} was skipped: its loss or gradient is not finite, or "
+                    "nothing could be matched."
+                )
+        if state.step % chosen.log_every == 0:
+            self._log(total, loss.terms, norm)
+
+    def _backward(self) -> StepLoss:
+        """The mean loss of the step's batches, gradients computed."""
+        count = self.settings.accumulate
+        losses = [
+            self._backward_of(self.state.step * count + part) for part in range(count)
+        ]
+        terms: dict[str, Tensor] = {}
+        for loss in losses:
+            terms |= {
+                name: terms.get(name, 0) + term.detach() / count
+                for name, term in loss.terms.items()
+            }
+        return StepLoss(sum(loss.total.detach() / count for loss in losses), terms)
+
+    def _backward_of(self, batch: int) -> StepLoss:
+        """One batch's loss, gradients added; zero and no gradients for photos that cannot be
+        matched.
+        """
+        try:
+            loss = self.recipe.loss(batch, self.processes)
+        except MatchingError as error:
+            reporting.warn(f"scenes left out of training: {error}")
+            return StepLoss(torch.zeros((), device=self.recipe.device), {})
+        if not loss.total.requires_grad:
+            raise PluginError(
+                f"training: the loss of step {self.state.step + 1} does not depend on the "
+                "network's weights; give a "
+                "term a weight, and let the reconstructor compute with gradients (no "
+                "torch.no_grad)."
+            )
+        (loss.total / self.settings.accumulate).backward()
+        return loss
+
+    def _log(
+        self,
+        total: Float[Tensor, ""],
+        terms: Mapping[str, Tensor],
+        norm: Float[Tensor, ""],
+    ) -> None:
+        values = self.processes.means(
+            [{name: float(term.detach()) for name, term in terms.items()}]
+        )
+        if self.journal is not None:
+            line = {
+                "loss": float(total.detach()),
+                **values,
+                "norm": float(norm),
+                "skipped": self.state.skipped,
+            }
+            self.journal.write(self.state.step, line)
+
+    def _validate(self) -> None:
+        """Measure the averaged weights on held-out scenes and keep the best; without such scenes,
+        keep the last.
+        """
+        state, improved, score = self.state, True, float("inf")
+        if self.job.validation_data is not None:
+            with torch.no_grad(), _averaged_weights(state, self.stop):
+                values = self.recipe.validate(state.step, self.processes)
+            score = values.get("score", score)
+            improved = score < state.best
+            if values and self.journal is not None:
+                self.journal.write(state.step, values, kind="validation")
+        with self.stop.held():
+            if improved and self.processes.writes:
+                self.recipe.save_best(self.job.out / "best", state.average)
+            state.best = min(state.best, score)
+            state.validated = state.step
+
+
+def parameter_groups(
+    network: nn.Module, settings: LoopSettings
+) -> list[tuple[float, list[nn.Parameter]]]:
+    """Return (share of the learning rate, weights) of what learns at full rate, then of what was
+    trained before.
+
+    Raises SettingsError for a beginning in `settings.pretrained` that no weight's name has.
+    """
+    named = {
+        name: value for name, value in network.named_parameters() if value.requires_grad
+    }
+    for beginning in settings.pretrained:
+        if not any(name.startswith(beginning) for name in named):
+            parts = ", ".join(
+                sorted({name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named})[
+                    :12
+                ]
+            )
+            raise SettingsError(
+                f"trainer.pretrained: no weight's name begins with {beginning!r}; there are "
+                f"{parts}."
+            )
+    slow = {name for name in named if name.startswith(settings.pretrained)}
+    full = [value for name, value in named.items() if name not in slow]
+    groups = [
+        (1.0, full),
+        (settings.pretrained_rate, [named[name] for name in named if name in slow]),
+    ]
+    return [(rate, values) for rate, values in groups if values]
+
+
+@contextmanager
+def _averaged_weights(state: TrainingState, stop: "StopRequest") -> Iterator[None]:
+    """The network carries its averaged weights inside, for evaluation."""
+    own = copied_weights(state.network)
+    try:
+        state.network.load_state_dict(state.average)
+        state.network.eval()
+        yield
+    finally:
+        with stop.held():
+            state.network.load_state_dict(own)
+            state.network.train()
+
+
+class StopRequest(ExitStack):
+    """Context manager; `asked` turns True at SIGINT or SIGTERM. A second signal acts as it would
+    have before.
+
+    With `at_once`, SIGINT raises KeyboardInterrupt too, but not inside `held()`.
+    """
+
+    asked = False  # by any signal
+    interrupted = False  # by SIGINT
+
+    def __init__(self, at_once: bool = False) -> None:
+        super().__init__()
+        self.at_once = at_once
+
+    def __enter__(self) -> "StopRequest":
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self.callback(signal.signal, number, signal.signal(number, self._ask))
+        return self
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """What must be done whole: SIGINT raises after it."""
+        before, self.at_once = self.at_once, False
+        try:
+            yield
+        finally:
+            self.at_once = before
+        if before and self.interrupted:
+            self.at_once = False  # once is enough
+            raise KeyboardInterrupt
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        self.interrupted |= number == signal.SIGINT
+        self.close()  # the handlers that were there before
+        if self.interrupted and self.at_once:
+            self.at_once = False
+            raise KeyboardInterrupt
+
+
+class Journal:
+    """The log: one JSON object a line in `log.jsonl`, and TensorBoard when it is installed.
+
+    On resuming, lines beyond the resumed step are taken out.
+    """
+
+    def __init__(self, folder: Path, step: int = 0) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.path = folder / "log.jsonl"
+        self._start = time.time()
+        self._forget_after(step)
+        self._board = _tensorboard(folder)
+
+    def write(
+        self, step: int, values: Mapping[str, float], kind: str = "train"
+    ) -> None:
+        """Record `values` of a step; `kind` is 'train' or 'validation'."""
+        line = {
+            "kind": kind,
+            "step": step,
+            "seconds": round(time.time() - self._start, 2),
+        }
+        line |= {name: round(float(value), 6) for name, value in values.items()}
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"{self.path}: the log could not be written ({error}); free some disk space."
+            ) from error
+        if self._board is not None:
+            for name, value in values.items():
+                self._board.add_scalar(f"{kind}/{name}", value, step)
+
+    def _forget_after(self, step: int) -> None:
+        if self.path.is_file():
+            lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines(
+                keepends=True
+            )
+            kept = [
+                line for line in lines if line.endswith("\n") and _step_of(line) <= step
+            ]
+            self.path.write_text("".join(kept), encoding="utf-8")
+
+
+def _step_of(line: str) -> float:
+    """The step of a line of the log; infinite for what is no such line, so that it is taken out."""
+    try:
+        return float(json.loads(line)["step"])
+    except (ValueError, KeyError, TypeError):
+        return float("inf")
+
+
+def _tensorboard(folder: Path):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:  # an extra; the JSON lines hold the same numbers
+        return None
+    return SummaryWriter(str(folder / "tensorboard"))

@@ -1,0 +1,116 @@
+import pytest
+import torch
+
+import edit3r
+from edit3r.contract.types import Cameras, EditRequest, Features, Gaussians, Views
+
+
+def gaussians(view_index=None, count=6, coefficients=4, batch=2):
+    generator = torch.Generator().manual_seed(0)
+    return Gaussians(
+        means=torch.randn(batch, count, 3, generator=generator),
+        scales=torch.rand(batch, count, 3, generator=generator),
+        quats=torch.randn(batch, count, 4, generator=generator),
+        opacities=torch.rand(batch, count, generator=generator),
+        harmonics=torch.randn(batch, count, coefficients, 3, generator=generator),
+        view_index=view_index,
+    )
+
+
+def test_public_names_are_the_core_types():
+    assert edit3r.Views is Views and edit3r.Gaussians is Gaussians
+    assert set(edit3r.__all__) >= {
+        "build",
+        "components",
+        "load_views",
+        "run",
+        "save_ply",
+        "load_ply",
+        "hookimpl",
+    }
+
+
+def test_a_wrong_shape_is_an_error_that_names_field_expected_and_given():
+    with pytest.raises(
+        ValueError,
+        match=r"Views.intrinsics: expected shape \[1, 2, 3, 3\], got \[1, 3, 3, 3\]",
+    ):
+        Views(torch.zeros(1, 2, 3, 4, 5), torch.zeros(1, 3, 3, 3))
+    with pytest.raises(ValueError, match=r"Cameras\.image_size"):
+        Cameras(torch.zeros(1, 1, 4, 4), torch.zeros(1, 1, 3, 3), (0, 4))
+    with pytest.raises(ValueError, match="harmonics: expected K in"):
+        gaussians(coefficients=5)
+    with pytest.raises(ValueError, match=r"Features\.levels"):
+        Features((torch.zeros(1, 2, 5, 8),), grid=(2, 3))
+    with pytest.raises(ValueError, match=r"EditRequest\.masks"):
+        EditRequest("x", masks=torch.zeros(2, 4, 4))
+
+
+def test_from_view_and_without_view_split_the_gaussians():
+    scene = gaussians(torch.tensor([0, 0, 1, 1, -1, 1]))
+    assert scene.from_view(1).count == 3 and scene.without_view(1).count == 3
+    assert torch.equal(scene.from_view(0).means, scene.means[:, :2])
+    joined = Gaussians.cat([scene.from_view(1), scene.without_view(1)])
+    assert torch.equal(joined.means.sort(1).values, scene.means.sort(1).values)
+    assert joined.view_index.tolist() == [1, 1, 1, 0, 0, -1]
+
+
+def test_without_view_index_no_gaussian_belongs_to_a_view():
+    scene = gaussians()
+    assert scene.from_view(0).count == 0 and scene.without_view(0).count == scene.count
+    assert scene.degree == 1
+
+
+def test_an_empty_scene_is_allowed():
+    assert gaussians(count=0).count == 0
+
+
+def test_to_changes_float_fields_and_keeps_indices_whole():
+    scene = gaussians(torch.arange(6)).to(torch.float64)
+    assert scene.means.dtype == torch.float64 and scene.view_index.dtype == torch.int64
+    features = Features((torch.zeros(1, 2, 6, 8),), grid=(2, 3)).to(torch.float64)
+    assert features.levels[0].dtype == torch.float64
+
+
+def test_views_select_keeps_names_with_their_pictures():
+    views = Views(
+        torch.arange(3.0).view(1, 3, 1, 1, 1).expand(1, 3, 3, 2, 2),
+        torch.zeros(1, 3, 3, 3),
+        ("a", "b", "c"),
+    )
+    chosen = views.select([2, 0])
+    assert chosen.names == ("c", "a") and chosen.images[0, :, 0, 0, 0].tolist() == [
+        2,
+        0,
+    ]
+    assert chosen.c2w is None
+
+
+def test_views_select_keeps_poses_with_their_pictures():
+    poses = torch.arange(3.0).view(1, 3, 1, 1) * torch.eye(4)
+    views = Views(torch.zeros(1, 3, 3, 2, 2), torch.zeros(1, 3, 3, 3), c2w=poses)
+    assert torch.equal(views.select([2, 0]).c2w, poses[:, [2, 0]])
+    with pytest.raises(
+        ValueError,
+        match=r"Views.c2w: expected shape \[1, 3, 4, 4\], got \[1, 2, 4, 4\]",
+    ):
+        Views(views.images, views.intrinsics, c2w=poses[:, :2])
+
+
+def test_views_and_cameras_of_another_size_show_the_same_and_a_grid_is_a_share_of_both_sides():
+    ramp = torch.linspace(0, 1, 30).expand(1, 2, 3, 20, 30)
+    views = Views(ramp, torch.eye(3).expand(1, 2, 3, 3))
+    size = EditRequest("", grid=0.5).grid_of(views.image_size)
+    assert size == (10, 15) and EditRequest("").grid_of((20, 30)) == (20, 30)
+    assert views.at((20, 30)) is views and views.at(size).image_size == size
+    assert torch.allclose(
+        views.at(size).images[..., 1:-1],
+        torch.linspace(0.5, 28.5, 15)[1:-1] / 29,
+        atol=1e-3,
+    )
+    cameras = Cameras(torch.eye(4).expand(1, 2, 4, 4), views.intrinsics, (20, 30)).at(
+        size
+    )
+    assert cameras.image_size == size and torch.equal(
+        cameras.intrinsics, views.intrinsics
+    )

@@ -1,0 +1,155 @@
+"""What a user marks becomes masks on every view."""
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry, Proposal, Segmenter, Tracks
+from edit3r.errors import InputError
+from edit3r.selection.select import Selection, select_masks
+from edit3r_testing.scenes import photograph
+
+IMAGES = torch.rand(3, 3, 24, 32)
+
+
+def square(row, column, size=6):
+    mask = torch.zeros(24, 32)
+    mask[row : row + size, column : column + size] = 1
+    return mask
+
+
+class Squares(Segmenter):
+    """A square where one points; a prior, less the squares of negative points; knows the word
+    'box'.
+    """
+
+    def __init__(self, lost=False):
+        self.lost = lost
+
+    def segment(self, image, points=(), box=None):
+        x, y = points[0] if points else box[:2]
+        return self._proposal(square(int(y * 24), int(x * 32)))
+
+    def segment_marks(self, image, marks):
+        mask = (
+            marks.prior
+            if marks.prior is not None
+            else self.segment(image, marks.positive, marks.box).soft_mask
+        )
+        for x, y in marks.negative:
+            mask = mask * (1 - square(int(y * 24), int(x * 32)))
+        return self._proposal(mask)
+
+    def propose(self, image):
+        return (self._proposal(square(1, 1)),)
+
+    def segment_text(self, image, text):
+        return (self._proposal(square(2, 2)),) if text == "box" else None
+
+    def track(self, images, masks):
+        logits = torch.stack(
+            [masks.roll(3 * view, -1) * 8 - 4 for view in range(len(images))]
+        )
+        present = torch.tensor(
+            [[view == 0 or not self.lost] for view in range(len(images))]
+        )
+        return Tracks(logits, present)
+
+    def _proposal(self, mask):
+        return Proposal(mask, float(mask.mean()), 1.0, 1.0, (0, 0, 1, 1))
+
+
+def inside(selected, view):
+    return selected.masks[view, 0] > 0.5
+
+
+def test_a_click_on_one_view_marks_all_views():
+    selected = select_masks(IMAGES, Selection(positive=((0, 0.25, 0.5),)), Squares())
+    assert selected.masks.shape == (3, 1, 24, 32)
+    assert selected.how == ("marked", "pictures", "pictures")
+    assert (inside(selected, 0) == square(12, 8).bool()).all()
+    assert (inside(selected, 1) == square(12, 11).bool()).all()
+
+
+def test_a_mask_of_any_one_photo_is_carried_to_the_rest():
+    selected = select_masks(IMAGES, Selection(masks={1: square(4, 4)}), Squares())
+    assert selected.how == ("pictures", "given", "pictures")
+    assert (selected.masks[1, 0] == square(4, 4)).all()
+    assert (inside(selected, 0) == square(4, 7).bool()).all()
+
+
+def test_a_correction_on_another_photo_keeps_what_was_carried_there():
+    marks = Selection(positive=((0, 0.25, 0.5),), negative=((1, 0.5, 0.5),))
+    selected = select_masks(IMAGES, marks, Squares())
+    assert selected.how == ("marked", "marked", "pictures")
+    expected = square(12, 11) * (1 - square(12, 16))
+    assert (inside(selected, 1) == expected.bool()).all()
+
+
+def test_brush_and_eraser_have_the_last_word():
+    stroke, wiped = square(0, 20, 3), square(12, 8, 2)
+    selected = select_masks(
+        IMAGES,
+        Selection(positive=((0, 0.25, 0.5),), added={0: stroke}, removed={0: wiped}),
+        Squares(),
+    )
+    assert (selected.masks[0, 0][stroke > 0] == 1).all()
+    assert (selected.masks[0, 0][wiped > 0] == 0).all()
+
+
+def test_unknown_words_are_an_error_unless_a_guess_is_allowed():
+    assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
+    with pytest.raises(InputError, match="--point"):
+        select_masks(IMAGES, Selection(words="the teapot"), Squares())
+    guessed = select_masks(IMAGES, Selection(words="the teapot", guess=True), Squares())
+    assert guessed.how[0] == "guess" and "guess" in guessed.warnings[0]
+
+
+def test_a_lost_object_is_told():
+    selected = select_masks(
+        IMAGES, Selection(positive=((0, 0.25, 0.5),)), Squares(lost=True)
+    )
+    assert selected.how[1] == "not found" and not inside(selected, 1).any()
+    assert any("photo 2" in text for text in selected.warnings)
+
+
+def test_geometry_carries_before_pictures_do():
+    scene = photograph(2, (48, 64))
+    views = scene.views
+    geometry = MatchedGeometry(
+        scene.cameras.c2w,
+        scene.depths,
+        torch.ones_like(scene.depths),
+        torch.ones(1, 2, dtype=torch.bool),
+    )
+    truth = scene.objects[:, 0]
+    segmenter = Squares()
+    given = Selection(masks={0: truth[0, 0]})
+    selected = select_masks(
+        views.images[0], given, segmenter, geometry, views.intrinsics
+    )
+    assert selected.how == ("given", "geometry")
+    both = (inside(selected, 1) & (truth[0, 1] > 0.5)).sum() / (
+        inside(selected, 1) | (truth[0, 1] > 0.5)
+    ).sum()
+    assert both > 0.7
+
+
+@pytest.mark.parametrize(
+    "marks",
+    [
+        {},
+        {"positive": ((0, 1.2, 0.5),)},
+        {"positive": ((7, 0.2, 0.5),)},
+        {"boxes": {0: (0.5, 0.5, 0.8, 0.2)}},
+        {"negative": ((0, 0.2, 0.5),)},
+    ],
+)
+def test_marks_that_say_nothing_are_an_error(marks):
+    with pytest.raises(InputError):
+        select_masks(IMAGES, Selection(**marks), Squares())
+
+
+def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
+    marks = Selection(positive=((0, 0.25, 0.5), (1, 0.5, 0.25)))
+    selected = select_masks(IMAGES[:2], marks, Squares(lost=True))
+    assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings

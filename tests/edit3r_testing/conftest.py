@@ -1,0 +1,51 @@
+"""One working component of every kind, as `edit3r new-plugin` writes it, and a way to see what a
+contract says.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edit3r.cli.new_plugin import new_package
+from edit3r.contract.component import KINDS
+from edit3r.plugins.registry import Registry
+from edit3r_testing import Contract, ContractViolation
+
+
+@pytest.fixture(scope="session")
+def examples(tmp_path_factory) -> Registry:
+    """A registry with a generated plugin `worked-KIND` of every kind."""
+    from edit3r.plugins.registry import default_registry
+
+    parent = tmp_path_factory.mktemp("examples")
+    for kind in KINDS:
+        new_package(kind, f"worked-{kind}", parent)
+    return default_registry(tuple(str(folder(parent, kind)) for kind in KINDS))
+
+
+def folder(parent: Path, kind: str) -> Path:
+    return parent / f"edit3r-worked-{kind}" / f"edit3r_worked_{kind}"
+
+
+@pytest.fixture(scope="session")
+def complaint() -> Callable[..., str]:
+    """What `claim` of `contract` says about a component; fails when it has nothing to say."""
+
+    def complain(
+        contract: type[Contract],
+        build: Callable[[], Any],
+        claim: str,
+        **attributes: Any,
+    ) -> str:
+        bound = type(
+            "Bound", (contract,), {"build": lambda self: build(), **attributes}
+        )
+        with pytest.raises(ContractViolation) as violation:
+            getattr(bound(), claim)()
+        text = str(violation.value)
+        assert "\n" not in text, "a violation is one line"
+        return text
+
+    return complain

@@ -1,0 +1,84 @@
+"""The loss's contract finds every way of breaking it."""
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import Loss
+from edit3r_testing import LossContract
+
+
+class Formula(Loss):
+    def __init__(self, formula):
+        self.formula = formula
+
+    def __call__(self, inputs):
+        return self.formula(inputs)
+
+
+def in_place(inputs):
+    with torch.no_grad():
+        inputs.rendered.mul_(0.9)
+    return (inputs.rendered - inputs.target).square().mean()
+
+
+ZERO, POSITIVE, GRADIENT, ALONE = (
+    "test_zero_at_the_target",
+    "test_positive_away_from_the_target",
+    "test_gradients_are_finite",
+    "test_leaves_its_inputs_alone",
+)
+CASES = {
+    "an offset": (
+        lambda i: (i.rendered - i.target).square().mean() + 1,
+        ZERO,
+        "subtract its minimum",
+    ),
+    "one value per picture": (
+        lambda i: (i.rendered - i.target).square().mean((2, 3, 4)),
+        ZERO,
+        "return []",
+    ),
+    "a number": (
+        lambda i: (i.rendered - i.target).square().mean().item(),
+        ZERO,
+        "return a torch.Tensor",
+    ),
+    "NaN": (lambda i: (i.rendered - i.target).sum() / 0, ZERO, "NaN"),
+    "blind": (
+        lambda i: (i.rendered * 0).sum(),
+        POSITIVE,
+        "must grow with the difference",
+    ),
+    "the wrong sign": (
+        lambda i: -(i.rendered - i.target).square().mean(),
+        POSITIVE,
+        "must grow",
+    ),
+    "detached": (
+        lambda i: (i.rendered.detach() - i.target).square().mean(),
+        GRADIENT,
+        "carries no gradient",
+    ),
+    "a root at 0": (
+        lambda i: (i.rendered - i.target).norm(dim=2).pow(2).mean().sqrt(),
+        GRADIENT,
+        "use a smooth norm",
+    ),
+    "steps": (
+        lambda i: (i.rendered - i.target).round().square().mean(),
+        GRADIENT,
+        "it would teach nothing",
+    ),
+    "in place": (in_place, ALONE, "do not use in-place operations"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_loss_broken_by(case, complaint):
+    formula, claim, advice = CASES[case]
+    assert advice in complaint(LossContract, lambda: Formula(formula), claim)
+
+
+def test_every_claim_about_losses_can_fail():
+    own = {name for name in vars(LossContract) if name.startswith("test_")}
+    assert own == {claim for _, claim, _ in CASES.values()}

@@ -1,0 +1,174 @@
+import io
+import os
+import random
+
+import numpy as np
+import pytest
+import torch
+from edit3r_training.checkpoint import TrainingState, copied_weights
+from torch import nn
+
+from edit3r.errors import InputError, RunError
+from edit3r.io.weight_files import WEIGHTS, load_weights, save_weights
+
+
+def _state(width: int = 3) -> TrainingState:
+    torch.manual_seed(width)
+    network = nn.Linear(width, 2)
+    return TrainingState(
+        network, torch.optim.AdamW(network.parameters()), copied_weights(network)
+    )
+
+
+def _train(state: TrainingState, steps: int) -> None:
+    for _ in range(steps):
+        loss = (
+            state.network(torch.randn(4, state.network.in_features))
+            - random.random()
+            - np.random.rand()
+        ).square()
+        state.optimizer.zero_grad()
+        loss.mean().backward()
+        state.optimizer.step()
+        state.step += 1
+        state.update_average(0.9)
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path):
+    network = nn.Linear(2, 2)
+    spoiled = {
+        name: torch.full_like(value, float("nan"))
+        for name, value in network.state_dict().items()
+    }
+    save_weights(tmp_path / WEIGHTS, spoiled)
+    with pytest.raises(InputError, match="not finite"):
+        load_weights(network, tmp_path)
+    assert network.weight.isfinite().all()
+
+
+def test_loading_continues_as_if_never_stopped(tmp_path):
+    straight = _state()
+    _train(straight, 3)
+    straight.save(tmp_path / "last.pt")
+    _train(straight, 4)
+    resumed = _state(3)
+    resumed.load(tmp_path / "last.pt")
+    _train(resumed, 4)
+    assert resumed.step == 7
+    for name, tensor in straight.network.state_dict().items():
+        assert torch.equal(tensor, resumed.network.state_dict()[name])
+        assert torch.equal(straight.average[name], resumed.average[name])
+
+
+def test_average_follows_the_weights_slowly():
+    state = _state()
+    state.step = 10_000
+    with torch.no_grad():
+        state.network.weight.add_(1.0)
+    before = state.average["weight"].clone()
+    state.update_average(0.9)
+    assert torch.allclose(
+        state.average["weight"] - before, torch.full_like(before, 0.1), atol=1e-6
+    )
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path):
+    _state(3).save(tmp_path / "last.pt")
+    with pytest.raises(InputError, match="another network"):
+        _state(5).load(tmp_path / "last.pt")
+
+
+def test_resuming_without_a_checkpoint_says_what_to_do(tmp_path):
+    with pytest.raises(InputError, match="without --resume"):
+        _state().load(tmp_path / "last.pt")
+
+
+class _Planted:
+    """Creates a file when it is unpickled, as a stranger's checkpoint could do worse things."""
+
+    def __init__(self, trace) -> None:
+        self.trace = trace
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.trace),)
+
+
+def test_no_code_of_a_checkpoint_runs(tmp_path):
+    _state().save(tmp_path / "last.pt")
+    content = torch.load(tmp_path / "last.pt", weights_only=True)
+    torch.save(content | {"config": _Planted(tmp_path / "trace")}, tmp_path / "last.pt")
+    with pytest.raises(InputError, match="not a whole checkpoint"):
+        _state().load(tmp_path / "last.pt")
+    assert not (tmp_path / "trace").exists()
+
+
+def _torch_file(content) -> bytes:
+    file = io.BytesIO()
+    torch.save(content, file)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"hello",
+        _torch_file([1]),
+        _torch_file({"step": 3}),
+        _torch_file(torch.zeros(4)),
+        _torch_file([1])[:200],
+    ],
+    ids=["empty", "text", "list", "few keys", "tensor", "cut"],
+)
+def test_a_file_that_is_no_checkpoint_is_named_and_left(tmp_path, content):
+    (tmp_path / "last.pt").write_bytes(content)
+    with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
+        _state().load(tmp_path / "last.pt")
+
+
+@pytest.mark.parametrize(
+    "part", ["network", "optimizer", "average", "step", "best", "random"]
+)
+def test_a_checkpoint_with_a_part_of_another_kind_is_refused(tmp_path, part):
+    _state().save(tmp_path / "last.pt")
+    content = torch.load(tmp_path / "last.pt", weights_only=True)
+    torch.save(content | {part: [None]}, tmp_path / "last.pt")
+    with pytest.raises(InputError, match="another network or optimiser"):
+        _state().load(tmp_path / "last.pt")
+
+
+def test_a_failed_write_leaves_the_last_checkpoint_whole(tmp_path, monkeypatch):
+    state = _state()
+    state.save(tmp_path / "last.pt")
+    whole = (tmp_path / "last.pt").read_bytes()
+
+    def full(content, path):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", full)
+    with pytest.raises(RunError, match="No space left"):
+        state.save(tmp_path / "last.pt")
+    assert (tmp_path / "last.pt").read_bytes() == whole
+    assert [p.name for p in tmp_path.iterdir()] == ["last.pt"]
+
+
+def test_trained_weights_are_read_from_the_file_or_its_folder(tmp_path):
+    network = torch.nn.Linear(2, 3)
+    save_weights(tmp_path / "best" / WEIGHTS, network.state_dict())
+    for path in (tmp_path / "best", tmp_path / "best" / WEIGHTS):
+        other = torch.nn.Linear(2, 3)
+        load_weights(other, path)
+        assert torch.equal(other.weight, network.weight)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("none", "no such weights"), ("best", "not weights of this network")],
+)
+def test_weights_that_are_missing_or_another_network_s_are_an_input_error(
+    tmp_path, name, reason
+):
+    save_weights(tmp_path / "best" / WEIGHTS, torch.nn.Linear(2, 3).state_dict())
+    with pytest.raises(InputError, match=reason):
+        load_weights(torch.nn.Linear(2, 4), tmp_path / name)
