@@ -26,7 +26,8 @@ from edit3r_measure.report import markdown_table
 from edit3r_measure.scene_sources import Scene, SceneOptions, SceneSource, find_scenes
 
 import edit3r
-from edit3r.contract.types import EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.interfaces import RefineInputs
+from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.errors import MatchingError
 from edit3r.io.ply import save_ply
 from edit3r.plugins.registry import default_registry
@@ -133,7 +134,7 @@ class Measurement:
             step = edit3r.build("refiner", refiner, **settings)
             start = time.process_time()
             return step(
-                scene, cameras, views, EditRequest(""), rasterizer
+                scene, RefineInputs(cameras, views, rasterizer)
             ), time.process_time() - start
 
         refined(

@@ -28,7 +28,7 @@ _HOME = {
     "save_ply": "edit3r.io.ply",
     "load_ply": "edit3r.io.ply",
     "run": "edit3r.api",
-    "RunResult": "edit3r.pipeline.steps",
+    "RunResult": "edit3r.pipeline.run",
     "RunConfig": "edit3r.pipeline.config",
     "Selection": "edit3r.selection.select",
     "Cache": "edit3r.cache",
@@ -70,6 +70,6 @@ if TYPE_CHECKING:
     from edit3r.io.images import load_views
     from edit3r.io.ply import load_ply, save_ply
     from edit3r.pipeline.config import RunConfig
-    from edit3r.pipeline.steps import RunResult
+    from edit3r.pipeline.run import RunResult
     from edit3r.plugins.registry import build, components
     from edit3r.selection.select import Selection

@@ -1,86 +1,145 @@
-"""The easy call from Python: `edit3r.run(photos, "paint the bike red", editor="recolor",
-recon="edit3r")`.
+"""The easy call from Python.
+
+edit3r.run(["a.jpg", "b.jpg"], "paint the bike red", editor="recolor", recon="edit3r")
 """
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.cache import Cache
 from edit3r.config import PartChoice
-from edit3r.contract.types import Views
+from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor, Segmenter
+from edit3r.contract.types import Cameras, Views
 from edit3r.pipeline.config import PART_KEYS, make_run_config
-from edit3r.pipeline.steps import RunResult, lens_of
-from edit3r.pipeline.steps import run as run_pipeline
-from edit3r.plugins.registry import Registry, default_registry
-from edit3r.reporting import Report, collecting
+from edit3r.pipeline.earlier import EarlierRun, read_earlier_run
+from edit3r.pipeline.job import RunJob, inherited, with_cameras
+from edit3r.pipeline.run import RunResult
+from edit3r.pipeline.run import run as run_job
+from edit3r.plugins.registry import Registry
+from edit3r.reporting import Report
+from edit3r.selection.marks import MarkTexts
 from edit3r.selection.select import Selection
 
-if TYPE_CHECKING:
-    from edit3r.io.images import Photo
+Files = str | Path | Sequence[str | Path]
+Choice = str | Mapping[str, Any] | PartChoice
+"""A component by its name, or by its name and settings."""
 
 
 def run(
-    views: Views | str | Path | Sequence[str | Path],
-    prompt: str = "",
+    photos: Views | Files = (),
+    prompt: str | None = None,
     *,
-    recon: str | Mapping | PartChoice | Any | None = None,
-    masks: Float[Tensor, "batch view height width"] | Selection | None = None,
+    editor: Choice | Editor | None = None,
+    recon: Choice | Reconstructor | None = None,
+    rasterizer: Choice | Rasterizer | None = None,
+    segmenter: Choice | Segmenter | None = None,
+    refiners: Sequence[Choice] | None = None,
+    masks: Float[Tensor, "batch view height width"] | Selection | Files | None = None,
+    cameras: str | Path | Cameras | None = None,
+    refine_poses: bool = False,
+    earlier: RunResult | EarlierRun | str | Path | None = None,
+    seed: int | None = None,
+    guess: bool | None = None,
+    edit_views: Literal["all", "first"] | None = None,
+    size: int | None = None,
+    fov: float | None = None,
+    views: int | None = None,
+    device: str | None = None,
+    gaussians: int | Literal["all", "auto"] | None = None,
+    max_gaussians: int | None = None,
+    refine: int | None = None,
+    grid: float | None = None,
+    quality: Literal["fast", "balanced", "best"] | None = None,
+    frames: int | None = None,
+    outputs: Sequence[str] | None = None,
+    export: Sequence[str] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
     cache: Cache | None = None,
-    **settings: Any,
 ) -> RunResult:
-    """Edit photos as `prompt` says and reconstruct them in 3D; see `edit3r.pipeline.steps.run` for
-    what happens.
+    """Edit photos as `prompt` says and reconstruct them in 3D.
 
-    `views` are loaded views, or photo files, folders and videos. `recon` (the reconstructor), and
-    in `settings` `editor`, `segmenter` and `rasterizer`, are names, names with settings, or built
-    objects. All other `settings` are those of `RunConfig`, such as `seed=0`, `edit_views="first"`,
-    `gaussians="auto"` or `refine=10`. A `cache` that is passed to several runs keeps what they have
-    in common from being computed twice. What the run warns of comes as warnings of Python's too,
-    unless a `report` is passed to collect it.
+    Settings that are not given have the defaults of `edit3r run --help`, which tells them.
+
+    Args:
+        photos: Loaded views, or photo files, folders and videos. May be left out with `earlier`.
+        prompt: What to change, such as "paint the bike red".
+        editor, recon, rasterizer, segmenter, refiners: Names, names with settings, or (but for
+            refiners) built objects. `recon` is the reconstructor.
+        masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
+            (clicks, boxes, masks of some views) from which a segmenter finds them.
+        cameras: A camera file, or the cameras of all loaded views. Poses in it are used as they
+            are.
+        refine_poses: Refine the given poses by bundle adjustment.
+        earlier: Edit the scene of this earlier run again: its result, or its folder.
+        registry: Where components are looked up; default: all that is installed.
+        report: Collects stages, notes and warnings. Without one, warnings are Python's own too.
+        cache: Keeps what several runs have in common from being computed twice.
+
+    Raises:
+        InputError: For photos, masks or a folder that cannot be used.
+        SettingsError: For a setting that is unknown or out of range.
+        UnknownComponentError: For a name that no installed plugin offers.
+        PluginError: For a component that breaks its contract.
     """
-    from edit3r.io.images import load_photos
-
-    chosen = {**settings, **({} if recon is None else {"reconstructor": recon})}
-    components = {
-        key: chosen.pop(key) for key in PART_KEYS if _is_built(chosen.get(key))
+    given = {
+        "prompt": prompt,
+        "editor": editor,
+        "reconstructor": recon,
+        "rasterizer": rasterizer,
+        "segmenter": segmenter,
+        "refiners": refiners,
+        "seed": seed,
+        "guess": guess,
+        "edit_views": edit_views,
+        "size": size,
+        "fov": fov,
+        "views": views,
+        "device": device,
+        "gaussians": gaussians,
+        "max_gaussians": max_gaussians,
+        "refine": refine,
+        "grid": grid,
+        "quality": quality,
+        "frames": frames,
+        "outputs": outputs,
+        "export": export,
     }
-    named = {key: _plain(value) for key, value in chosen.items()}
-    records: tuple["Photo", ...] = ()
-    own = report or Report()
-    with collecting(own):
-        if not isinstance(views, Views):
-            asked = make_run_config(named)
-            read_lens = partial(lens_of, asked, registry or default_registry())
-            loaded = load_photos(
-                views,
-                fov=asked.fov,
-                size=asked.size,
-                most=asked.views,
-                read_lens=read_lens,
-            )
-            views, records = loaded.views, loaded.photos
-        config = make_run_config({"prompt": prompt, **named}, photos=views.count)
-        result = run_pipeline(
-            views,
-            config,
-            masks=masks,
-            components=components,
-            registry=registry,
-            report=own,
-            cache=cache,
-        )
-    for text in own.warnings if report is None else ():
-        warnings.warn(text, stacklevel=2)
-    return replace(result, records=records)
+    settings = {key: value for key, value in given.items() if value is not None}
+    built = {
+        key: settings.pop(key) for key in PART_KEYS if _is_built(settings.get(key))
+    }
+    if isinstance(earlier, RunResult) and not {"reconstructor", "quality"} & {
+        *settings,
+        *built,
+    }:
+        built["reconstructor"] = earlier.reconstructor
+    before = _earlier(earlier)
+    layers = [{key: _plain(value) for key, value in settings.items()}]
+    if before is not None:
+        layers.insert(0, inherited(before, layers))
+    photos = _photos(photos, cameras)
+    job = RunJob(
+        config=make_run_config(*layers),
+        photos=photos,
+        cameras=Path(cameras) if isinstance(cameras, str) else cameras,
+        refine_poses=refine_poses,
+        masks=_masks(masks),
+        earlier=None if photos else before,
+        cache=cache,
+        components=built,
+    )
+    own_report = report or Report()
+    result = run_job(job, registry, own_report)
+    if report is None:
+        for text in own_report.warnings:
+            warnings.warn(text, stacklevel=2)
+    return result
 
 
 def _is_built(choice: Any) -> bool:
@@ -89,8 +148,35 @@ def _is_built(choice: Any) -> bool:
 
 def _plain(value: Any) -> Any:
     """A PartChoice as the mapping that configuration files hold."""
+    if isinstance(value, PartChoice):
+        return {"name": value.name, **value.settings}
     return (
-        {"name": value.name, **value.settings}
-        if isinstance(value, PartChoice)
-        else value
+        [_plain(item) for item in value] if isinstance(value, list | tuple) else value
     )
+
+
+def _photos(
+    photos: Views | Files, cameras: str | Path | Cameras | None
+) -> Views | tuple[Path, ...]:
+    if isinstance(photos, Views):
+        return with_cameras(photos, cameras) if isinstance(cameras, Cameras) else photos
+    return _paths(photos)
+
+
+def _paths(files: Files) -> tuple[Path, ...]:
+    files = [files] if isinstance(files, str | Path) else files
+    return tuple(map(Path, files))
+
+
+def _masks(
+    masks: Tensor | Selection | Files | None,
+) -> Tensor | Selection | MarkTexts | None:
+    if masks is None or isinstance(masks, Tensor | Selection):
+        return masks
+    return MarkTexts(mask_files=tuple(map(str, _paths(masks))))
+
+
+def _earlier(earlier: RunResult | EarlierRun | str | Path | None) -> EarlierRun | None:
+    if isinstance(earlier, RunResult):
+        return earlier.as_earlier()
+    return read_earlier_run(earlier) if isinstance(earlier, str | Path) else earlier

@@ -9,7 +9,7 @@ set-up.
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,6 +72,14 @@ def collecting(report: Report) -> Iterator[Report]:
         yield report
     finally:
         _current.reset(token)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Time a stage of the current run; outside a run nothing is recorded."""
+    report = _current.get()
+    with nullcontext() if report is None else report.stage(name):
+        yield
 
 
 def note(key: str, value: Any) -> None:

@@ -18,7 +18,12 @@ from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.types import Gaussians
 from edit3r.plugins.check import check_offer
 from edit3r.plugins.load import Offer
-from edit3r.plugins.registry import Registry, default_registry, install_hint
+from edit3r.plugins.registry import (
+    Registry,
+    absent_device,
+    default_registry,
+    install_hint,
+)
 
 HEAVY = (
     "torch",
@@ -86,10 +91,9 @@ class Contract:
 
     @property
     def device(self) -> torch.device:
-        """Where the claims run: the GPU for a component that needs one."""
-        return torch.device(
-            "cuda" if self.offer and self.offer.component.needs_gpu else "cpu"
-        )
+        """Where the claims run: the CPU, or what a component needs instead."""
+        devices = self.offer.component.devices if self.offer else ()
+        return torch.device("cpu" if "cpu" in devices or not devices else devices[0])
 
     @property
     def tolerance(self) -> float:
@@ -202,8 +206,9 @@ class Contract:
             raise unittest.SkipTest(
                 f"needs {', '.join(missing)}; {install_hint(offer)}"
             )
-        if offer.component.needs_gpu and not torch.cuda.is_available():
-            raise unittest.SkipTest("needs a GPU, and none is here")
+        absent = absent_device(offer.component)
+        if absent:
+            raise unittest.SkipTest(f"needs {absent}, which this machine does not have")
 
     # ---- claims about every kind of component ----
 

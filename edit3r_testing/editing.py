@@ -24,6 +24,9 @@ class EditorContract(Contract):
     kind = "editor"
     subject: Editor
     prompt: str = "make it warmer"  # an instruction the editor can carry out
+    masked: bool = (
+        False  # True: the editor changes what is masked, and needs masks for it
+    )
     image_size: tuple[int, int] = (
         48,
         64,
@@ -50,7 +53,7 @@ class EditorContract(Contract):
     ) -> Views:
         """One edit; what it raises or returns that is no Views becomes a violation."""
         batch, count, _, height, width = views.images.shape
-        if masks is None and self.subject.needs_masks:
+        if masks is None and self.masked:
             masks = views.images.new_ones(batch, count, height, width)
         what = f"edit() of {batch} x {count} photos of {height}x{width}"
         edited = self.call(

@@ -7,7 +7,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Backbone, GaussianHead, MatchedGeometry
+from edit3r.contract.interfaces import (
+    Backbone,
+    GaussianHead,
+    GeometryBackbone,
+    GeometryHead,
+    MatchedGeometry,
+)
 from edit3r.contract.types import Features, Views
 from edit3r_testing.contract import Contract, require_valid_gaussians
 from edit3r_testing.scenes import photograph
@@ -222,7 +228,7 @@ def _geometry(
     part: Backbone | GaussianHead, views: Views
 ) -> tuple[MatchedGeometry, ...]:
     """What a part that takes geometry is given: the true one of the test photos."""
-    if not part.takes_geometry:
+    if not isinstance(part, GeometryBackbone | GeometryHead):
         return ()
     (batch, count), device = views.images.shape[:2], views.images.device
     truth = photograph(count, views.image_size, batch)

@@ -16,9 +16,10 @@ from edit3r.contract.interfaces import (
     MatchedGeometry,
     Matcher,
     Reconstructor,
+    RefineInputs,
     Refiner,
 )
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import Edit3rError, MatchingError
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.rotations import rotation_angle
@@ -161,7 +162,7 @@ class ReconstructorContract(Contract):
                 subject or self.subject,
                 views,
                 source,
-                EditRequest("make it warmer"),
+                views.image_size,
             )
         self.require_type("it returned", result, Reconstruction, "Reconstruction")
         return result
@@ -415,17 +416,9 @@ class RefinerContract(Contract):
         be brighter.
         """
         before = _on_surfaces(scene)
-        request = EditRequest("make it brighter", 3, masks, before)
         edited = replace(before, harmonics=before.harmonics + 0.2)
-        refined = self.call(
-            "refining",
-            self.subject,
-            edited,
-            scene.cameras,
-            scene.views,
-            request,
-            self._rasterizer,
-        )
+        inputs = self._inputs(scene, masks, before)
+        refined = self.call("refining", self.subject, edited, inputs)
         self.require_type("it returned", refined, Gaussians, "edit3r.Gaussians")
         return refined
 
@@ -461,7 +454,7 @@ class RefinerContract(Contract):
             3
         )  # a refiner that draws from the global generator would now draw something else
         second = self.refine(self._scene())
-        fix = "draw from a torch.Generator seeded by request.seed or the settings"
+        fix = "draw from a torch.Generator seeded by inputs.seed or the settings"
         require_same_gaussians(
             self, "the same input gave two results", second, first, fix, self.tolerance
         )
@@ -469,16 +462,7 @@ class RefinerContract(Contract):
     def test_leaves_its_inputs_alone(self) -> None:
         scene = self._scene()
         given, images = _on_surfaces(scene), scene.views.images.clone()
-        request = EditRequest("make it brighter", 3, None, given)
-        self.call(
-            "refining",
-            self.subject,
-            given,
-            scene.cameras,
-            scene.views,
-            request,
-            self._rasterizer,
-        )
+        self.call("refining", self.subject, given, self._inputs(scene, None, given))
         fix = "work on a copy, dataclasses.replace(gaussians, ...)"
         require_same_gaussians(
             self,
@@ -489,6 +473,16 @@ class RefinerContract(Contract):
             0.0,
         )
         self.require_equal("the photos changed", scene.views.images, images, fix)
+
+    def _inputs(
+        self,
+        scene: Photographed,
+        masks: Float[Tensor, "1 view height width"] | None,
+        before: Gaussians,
+    ) -> RefineInputs:
+        return RefineInputs(
+            scene.cameras, scene.views, self._rasterizer, masks, before, seed=3
+        )
 
     @property
     def _rasterizer(self):

@@ -20,7 +20,7 @@ from edit3r.contract.interfaces import (
     Trainer,
     TrainingJob,
 )
-from edit3r.contract.types import Cameras, EditRequest, Reconstruction, Views
+from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.geometry.cameras import pixels_to_gaussians
 from edit3r_testing.contract import GAUSSIAN_FIELDS, Contract
 from edit3r_testing.rasterizer import reference_rasterizer
@@ -335,7 +335,7 @@ class _PixelReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         batch, count, _, height, width = views.images.shape
         colours = self._network(views.images.flatten(0, 1)).unflatten(0, (batch, count))

@@ -41,6 +41,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
+    ("editor", "retouch"): {"masked": True},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("backbone", "matched-unet"): {"patches": (8, 12)},
 }

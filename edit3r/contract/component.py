@@ -44,7 +44,9 @@ class Component:
     extra: str = ""
     parts: tuple[str, ...] = ()  # kinds built first and passed to the class by keyword
     licence: str = "Apache-2.0"  # of the code, and of weights it brings along
-    needs_gpu: bool = False
+    devices: tuple[
+        str, ...
+    ] = ()  # types of torch device it runs on, as ("cuda",); (): any
     needs_network: bool = False
     supports_seed: bool = True  # False: the same seed may give another result
     min_views: int = 1
@@ -71,7 +73,7 @@ class Component:
                 raise ValueError(
                     f"{who}: {field} must be text, got {getattr(self, field)!r}"
                 )
-        for field in ("requires", "parts"):
+        for field in ("requires", "parts", "devices"):
             object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
         if not isinstance(self.weights, tuple) or not all(
             isinstance(item, Weights) for item in self.weights

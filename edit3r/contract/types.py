@@ -131,33 +131,19 @@ class EditRequest(_Tensors):
 
     prompt: str
     seed: int = 0  # one for all views, so that every view gets the same edit
-    masks: Float[Tensor, "batch view height width"] | None = (
-        None  # in [0, 1]; 1: may change; None: everywhere
-    )
-    guess: bool = (
-        False  # True: the user allows a guess at what is meant, where nobody can tell
-    )
-    # share of the views' sides at which Gaussians are made, one a pixel, in (0, 1]
-    grid: float = 1.0
-    before: "Gaussians | None" = (
-        None  # the scene before this edit, same cameras, for refiners that ask for it
-    )
+    # in [0, 1]; 1: may change; None: everywhere
+    masks: Float[Tensor, "batch view height width"] | None = None
+    guess: bool = False  # True: the user allows a guess at what is meant
 
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
 
-    def grid_of(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(height, width) of the grid of Gaussians over images of `size`."""
-        return max(1, round(self.grid * size[0])), max(1, round(self.grid * size[1]))
-
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""
-        return (
-            self
-            if self.masks is None
-            else replace(self, masks=self.masks[index : index + 1])
-        )
+        if self.masks is None:
+            return self
+        return replace(self, masks=self.masks[index : index + 1])
 
     def of_views(self, indices: Iterable[int]) -> "EditRequest":
         """The same request for the views at `indices` only."""

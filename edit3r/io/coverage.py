@@ -8,7 +8,8 @@ Krause and Golovin 2014, section 1).
 import atexit
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +36,21 @@ LEAST_MOTION = 0.01  # of features between frames that are kept [picture widths]
 
 frame_origins: dict[Path, str] = {}
 """For each frame that was taken from a video: the video and the frame's number."""
+
+
+_frame_folders: list[Path] = []
+"""Where frames of videos lie."""
+
+
+@contextmanager
+def frames_kept_for() -> Iterator[None]:
+    """Remove frames taken from videos inside the block when it ends, not when the process does."""
+    before = len(_frame_folders)
+    try:
+        yield
+    finally:
+        while len(_frame_folders) > before:
+            shutil.rmtree(_frame_folders.pop(), ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -81,6 +97,7 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
             "moved in them."
         )
     folder = Path(tempfile.mkdtemp(prefix="edit3r-video-"))
+    _frame_folders.append(folder)
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     taken = []
     for _, frame, number in (

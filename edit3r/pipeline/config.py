@@ -10,21 +10,20 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
 from edit3r.pipeline.quality import with_quality
+from edit3r.plugins.registry import Registry
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
 FORMATS = {
-    **{
-        "spz": ".spz",
-        "sog": ".sog",
-        "splat": ".splat",
-        "compressed-ply": ".compressed.ply",
-        "glb": ".glb",
-    },
+    "spz": ".spz",
+    "sog": ".sog",
+    "splat": ".splat",
+    "compressed-ply": ".compressed.ply",
+    "glb": ".glb",
     "ply": ".ply",
 }
 """Formats that a scene is exported in, and the suffix of each one's files."""
-MOST_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
@@ -36,7 +35,7 @@ class RunConfig(Settings):
 
     prompt: str = Field(
         "",
-        max_length=MOST_PROMPT,
+        max_length=MAX_PROMPT,
         description="what to change, such as 'paint the bike red'",
     )
     editor: PartChoice = Field(
@@ -113,7 +112,7 @@ class RunConfig(Settings):
     max_gaussians: int | None = Field(
         None,
         ge=1,
-        description="take the best measured settings with so few Gaussians, and never leave more",
+        description="never leave more Gaussians than this",
     )
     refine: int = Field(
         28,
@@ -133,32 +132,19 @@ class RunConfig(Settings):
         None,
         description="measured preset that lies under all other settings (see docs/tradeoff.md)",
     )
-    budget_ms: float | None = Field(
-        None,
-        gt=0,
-        description="take the best measured settings expected to need no more time [ms], editor "
-        "left out",
-    )
-    max_memory: float | None = Field(
-        None,
-        gt=0,
-        description="take the best measured settings expected to need no more memory [MiB]",
-    )
 
     @field_validator("outputs", "export", mode="before")
     @classmethod
     def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
         """Accept names in one text with commas, and refuse formats that nobody writes."""
-        value = (
-            [name.strip() for name in value.split(",") if name.strip()]
-            if isinstance(value, str)
-            else value
-        )
+        if isinstance(value, str):
+            value = [name.strip() for name in value.split(",") if name.strip()]
         if info.field_name == "outputs":
             return OUTPUTS if value == ["all"] else value
-        if not isinstance(value, list | tuple) or not all(
+        known = isinstance(value, list | tuple) and all(
             name in FORMATS for name in value
-        ):
+        )
+        if not known:
             raise ValueError(f"expected some of {','.join(FORMATS)}")
         return value
 
@@ -166,70 +152,115 @@ class RunConfig(Settings):
     @classmethod
     def _read_gaussians(cls, value: Any) -> Any:
         """Accept a number given as text, and refuse one below 1."""
-        value = (
-            int(value)
-            if isinstance(value, str) and value.lstrip("-").isdigit()
-            else value
-        )
-        if value not in ("all", "auto") and (
-            not isinstance(value, int) or isinstance(value, bool) or value < 1
-        ):
+        if isinstance(value, str) and value.lstrip("-").isdigit():
+            value = int(value)
+        is_count = isinstance(value, int) and not isinstance(value, bool) and value >= 1
+        if value not in ("all", "auto") and not is_count:
             raise ValueError("expected all, auto, or a number of at least 1")
         return value
 
     def all_refiners(self) -> tuple[PartChoice, ...]:
-        """The refiners of the run in order: what `gaussians` and `refine` stand for, then those
-        listed.
+        """The refiners in order: what `gaussians` and `refine` stand for, then those listed.
+
+        A refiner that is listed as well keeps its place in the list.
         """
-        shorthands = DEFAULTS["shorthands"]
-        wanted: dict[str, dict[str, Any]] = {}
-        if self.gaussians != "all" or self.max_gaussians is not None:
-            fewer = {"gaussians": self.gaussians, "max_gaussians": self.max_gaussians}
-            fewer |= shorthands["gaussians_before_refine"] if self.refine else {}
-            wanted[shorthands["gaussians"]] = {
-                k: v for k, v in fewer.items() if v is not None
-            }
-        if self.refine:
-            wanted[shorthands["refine"]] = {"steps": self.refine}
+        implied = self._implied_refiners()
         listed = [
             PartChoice(
                 name=choice.name,
-                settings={**wanted.pop(choice.name, {}), **choice.settings},
+                settings={**implied.pop(choice.name, {}), **choice.settings},
             )
             for choice in self.refiners
         ]
-        return (
-            *(
-                PartChoice(name=name, settings=settings)
-                for name, settings in wanted.items()
-            ),
-            *listed,
-        )
+        first = [
+            PartChoice(name=name, settings=values) for name, values in implied.items()
+        ]
+        return (*first, *listed)
+
+    def _implied_refiners(self) -> dict[str, dict[str, Any]]:
+        """Name and settings of the refiners that `gaussians` and `refine` stand for."""
+        names = DEFAULTS["shorthands"]
+        implied: dict[str, dict[str, Any]] = {}
+        if self.gaussians != "all" or self.max_gaussians is not None:
+            fewer: dict[str, Any] = {"gaussians": self.gaussians}
+            if self.max_gaussians is not None:
+                fewer["max_gaussians"] = self.max_gaussians
+            if self.refine:
+                fewer |= names["gaussians_before_refine"]
+            implied[names["gaussians"]] = fewer
+        if self.refine:
+            implied[names["refine"]] = {"steps": self.refine}
+        return implied
 
 
-def make_run_config(*layers: Mapping[str, Any], photos: int = 2) -> RunConfig:
-    """Merge layers, later over earlier, and validate; a component may be given by name alone in any
-    layer.
+class JobInputs(Settings):
+    """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
 
-    A wish (quality, budget_ms, max_gaussians, max_memory) brings the measured settings that fit it
-    for so many `photos`; they lie under all layers.
+    photos: tuple[str, ...] = Field(
+        (), description="photos, folders or videos of one scene"
+    )
+    earlier: str | None = Field(
+        None, description="edit the scene of an earlier run again (its --out folder)"
+    )
+    cameras: str | None = Field(
+        None, description="cameras.json or transforms.json with the photos' intrinsics"
+    )
+    refine_poses: bool = Field(
+        False, description="refine the given poses by bundle adjustment"
+    )
+    mask: tuple[str, ...] = Field(
+        (),
+        description="a mask for each photo, or for one, which is carried to the rest; white "
+        "is the object",
+    )
+    point: tuple[str, ...] = Field(
+        (),
+        description="a point on the object, on the first photo or photo N; repeatable",
+    )
+    not_point: tuple[str, ...] = Field(
+        (), description="a point on what is not the object; repeatable"
+    )
+    box: tuple[str, ...] = Field(
+        (), description="a box around the object, on the first photo or photo N"
+    )
+
+    @field_validator("photos", "mask", "point", "not_point", "box", mode="before")
+    @classmethod
+    def _one_is_a_list(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
+
+
+def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
+    """Merge layers, later over earlier, and validate.
+
+    A component may be given by name alone in any layer. The settings of a preset (`quality`) lie
+    under all layers.
     """
     merged: dict[str, Any] = {}
     for layer in layers:
         merged = merge(
             merged, {key: _named(key, value) for key, value in layer.items()}
         )
-    merged = with_quality(merged, photos)
-    defaults = {key: RunConfig.model_fields[key].default for key in PART_KEYS}
-    for key, default in defaults.items():
-        if (
-            isinstance(merged.get(key), dict)
-            and "name" not in merged[key]
-            and default is not None
-        ):
-            merged[key] = {"name": default.name, **merged[key]}
+    merged = with_quality(merged)
+    for key in PART_KEYS:
+        default = RunConfig.model_fields[key].default
+        given = merged.get(key)
+        if isinstance(given, dict) and "name" not in given and default is not None:
+            merged[key] = {"name": default.name, **given}
     return make_settings(RunConfig, merged, where="run")
 
 
 def _named(key: str, value: Any) -> Any:
     return {"name": value} if key in PART_KEYS and isinstance(value, str) else value
+
+
+def check_components(
+    config: RunConfig, registry: Registry, given: Mapping[str, Any] | None = None
+) -> None:
+    """Raise for unknown names and settings and for missing packages; `given` ones are built."""
+    for kind in PART_KEYS:
+        choice = getattr(config, kind)
+        if choice is not None and kind not in (given or {}):
+            registry.check(kind, choice)
+    for choice in config.all_refiners():
+        registry.check("refiner", choice)

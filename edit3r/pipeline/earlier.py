@@ -29,7 +29,8 @@ from edit3r.io.run_folder import RunFolder
 from edit3r.reporting import note
 
 Read = TypeVar("Read")
-NOTE = "views"  # the note in run.json that holds what the images do not: intrinsics and known poses
+NOTE = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
+CACHE = "cache"  # folder of the run's cache inside its results
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,6 @@ class EarlierRun:
     records: tuple[Photo, ...]  # how the photos became views
     reconstructor: dict[str, Any]  # name and settings, as a configuration holds them
     frames: int  # of its camera path
-
-    def to(self, device: torch.device | str) -> "EarlierRun":
-        """The same run with its tensors on `device`."""
-        moved = {
-            name: getattr(self, name).to(device)
-            for name in ("photos", "edited", "scene")
-        }
-        return EarlierRun(**{**vars(self), **moved})
 
 
 def note_views(views: Views) -> None:

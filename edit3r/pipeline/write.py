@@ -5,7 +5,6 @@
 import base64
 import html
 import io
-import math
 import os
 import tempfile
 from collections import deque
@@ -38,17 +37,15 @@ from edit3r.io.sheet import draw_sheet
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.pipeline.checks import component_name
-from edit3r.pipeline.config import RunConfig
-from edit3r.pipeline.earlier import note_views
+from edit3r.pipeline.earlier import CACHE, note_views
 from edit3r.pipeline.rendering import path_around, render_one
 from edit3r.pipeline.verdict import WORST_PSNR
 from edit3r.reporting import collecting, note, track, warn
 
 if TYPE_CHECKING:
-    from edit3r.pipeline.steps import RunResult
+    from edit3r.pipeline.run import RunResult
 
 VIDEO_FPS = 18
-CACHE = "cache"  # folder of the run's cache inside its results
 
 
 def write(root: Path, result: "RunResult") -> None:
@@ -75,7 +72,7 @@ def write(root: Path, result: "RunResult") -> None:
         with report.stage("write files"):
             others.result()
             note_views(result.photos)
-            note("edits", list(result.prompts))
+            note("edits", list(result.scene.prompts))
     write_manifest(folder.manifest, _manifest(result))
 
 
@@ -163,7 +160,7 @@ def _write_scene(folder: RunFolder, result: "RunResult") -> None:
                 f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers "
                 "refuse more."
             )
-        prompt = " ".join(result.request.prompt.split())
+        prompt = " ".join(result.config.prompt.split())
         save_ply(
             folder.scene,
             result.gaussians,
@@ -200,11 +197,14 @@ def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"]
 
 
 def _sheet(result: "RunResult") -> Image.Image:
-    subtitle = f"editor {component_name(result.editor)}, reconstructor {component_name(result.reconstructor)}; "
-    subtitle += f"verdict: {result.verdict.label}"
-    if result.left_out is not None:
-        subtitle += f"; left out: {', '.join(result.left_out.names)}"
-    title = result.request.prompt or "no prompt"
+    subtitle = (
+        f"editor {component_name(result.editor)}, "
+        f"reconstructor {component_name(result.reconstructor)}; "
+        f"verdict: {result.verdict.label}"
+    )
+    if result.scene.left_out is not None:
+        subtitle += f"; left out: {', '.join(result.scene.left_out.names)}"
+    title = result.config.prompt or "no prompt"
     columns = dict(zip(("photo", "2D edit", "3D result"), _pictures(result)))
     return draw_sheet(
         columns, names=result.photos.names, title=title, subtitle=subtitle
@@ -218,39 +218,27 @@ def _manifest(result: "RunResult") -> RunManifest:
         "reconstructor": result.reconstructor,
         "rasterizer": result.rasterizer,
     }
-    weights = [
-        WeightsRecord(**value)
-        for key, value in report.notes.items()
-        if key.startswith("weights.")
-    ]
-    settings: dict[str, Any] = {
-        "run": config.model_dump(),
-        **{k: getattr(c, "settings", None) for k, c in components.items()},
+    settings = {
+        kind: getattr(one, "settings", None) for kind, one in components.items()
     }
-    used = set(result.photos.names)
+    plugins = [record for one in components.values() for record in plugin_records(one)]
+    weights = {k: v for k, v in report.notes.items() if k.startswith("weights.")}
+    notes = {k: v for k, v in report.notes.items() if k not in weights}
     return RunManifest(
         prompt=config.prompt,
         seed=config.seed,
         device=config.device,
-        settings=settings,
-        plugins=[
-            record
-            for component in components.values()
-            for record in plugin_records(component)
-        ],
-        inputs=[photo for photo in result.records if photo.name in used],
-        masks=result.mask_files,
-        weights=weights,
+        settings={"run": config.model_dump(), **settings},
+        plugins=plugins,
+        inputs=result.scene.records,
+        masks=result.scene.mask_files,
+        weights=[WeightsRecord(**facts) for facts in weights.values()],
         verdict=result.verdict,
         gaussians=result.gaussians.count,
         harmonics_degree=result.gaussians.degree,
         stages=report.stages,
         warnings=report.warnings,
-        notes={
-            key: value
-            for key, value in report.notes.items()
-            if not key.startswith("weights.")
-        },
+        notes=notes,
     )
 
 
@@ -259,73 +247,16 @@ def plugin_records(component: Any) -> list[PluginRecord]:
     offer = getattr(component, "offer", None)
     if offer is None:  # an object the caller made by hand
         return []
-    own = offer.component
-    record = PluginRecord(
-        offer.kind,
-        own.name,
-        offer.plugin,
-        offer.version,
-        own.licence,
-        own.needs_network,
-    )
-    return [
-        record,
-        *(r for part in component.parts.values() for r in plugin_records(part)),
+    records = [
+        PluginRecord(
+            kind=offer.kind,
+            name=offer.component.name,
+            plugin=offer.plugin,
+            version=offer.version,
+            licence=offer.component.licence,
+            needs_network=offer.component.needs_network,
+        )
     ]
-
-
-def summary(out: Path, result: "RunResult") -> str:
-    """Where to look first, for the end of a run on the command line."""
-    folder = RunFolder(out)
-    seconds = sum(stage.seconds for stage in result.report.stages)
-    height, width = result.cameras.image_size
-    quality = result.report.notes.get("quality")
-    named = (
-        "default"
-        if quality is None
-        else quality["preset"] or f"measured ({quality['chosen']})"
-    )
-    size = f"{width}x{height}"
-    if (
-        quality is not None
-        and result.config.size < RunConfig.model_fields["size"].default
-    ):
-        size = f"photos reduced to {size}"
-    made = f"{named} settings, {size}: {result.gaussians.count:,} Gaussians from "
-    made += f"{result.photos.count} photos in {seconds:.1f} s"
-    places = {
-        "look first   {}": folder.before_after,
-        "walk around  {} (opens in a browser, no network needed)": folder.viewer,
-        "scene        {}": folder.scene,
-        "how it was   {}": folder.manifest,
-    }
-    lines = [
-        f"{result.verdict.label}: {result.verdict.reason}",
-        f"{made}; {_field_of_view(result)}",
-    ]
-    return "\n".join(
-        [
-            *lines,
-            *(
-                f"  {text.format(place)}"
-                for text, place in places.items()
-                if place.exists()
-            ),
-        ]
-    )
-
-
-def _field_of_view(result: "RunResult") -> str:
-    """The horizontal field of view that view 0 was used with, and who said so."""
-    degrees = math.degrees(
-        2 * math.atan(0.5 / float(result.cameras.intrinsics[0, 0, 0, 0]))
-    )
-    known = not any(result.photos.assumed)
-    source = (
-        "known"
-        if known
-        else "read from the photos"
-        if "matcher.fov" in result.report.notes
-        else "assumed"
-    )
-    return f"field of view {degrees:.0f} degrees ({source})"
+    for part in component.parts.values():
+        records += plugin_records(part)
+    return records

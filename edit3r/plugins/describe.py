@@ -94,7 +94,7 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
     lines = (
         ("licence", component.licence),
         ("views", f"{component.min_views} {most}"),
-        ("needs a GPU", yes_or_no[component.needs_gpu]),
+        ("runs on", " or ".join(component.devices) or "any device"),
         ("needs the network", yes_or_no[component.needs_network]),
         ("same seed, same result", yes_or_no[component.supports_seed]),
         ("requires", ", ".join(component.requires)),

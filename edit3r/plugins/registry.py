@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.contract.component import KINDS
+from edit3r.contract.component import KINDS, Component
 from edit3r.errors import (
     Edit3rError,
     MissingDependencyError,
@@ -110,6 +110,12 @@ class Registry:
         out.
         """
         missing = self.missing(offer)
+        absent = absent_device(offer.component) if missing else ""
+        if absent:
+            raise MissingDependencyError(
+                f"{offer.kind} {offer.component.name!r} runs on {absent}, and this machine has no "
+                f"such device; choose another (edit3r list-plugins --kind {offer.kind})."
+            )
         if missing:
             raise MissingDependencyError(
                 f"{offer.kind} {offer.component.name!r} needs {', '.join(missing)}; "
@@ -263,6 +269,19 @@ def _with_default_names(
         if isinstance(default, PartChoice):
             result[part] = merge({"name": default.name, **default.settings}, given)
     return result
+
+
+def absent_device(component: Component) -> str:
+    """The types of device that a component needs, where this machine has none of them; else ""."""
+    import torch
+
+    here = {"cpu"}
+    if torch.cuda.is_available():
+        here.add("cuda")
+    if torch.backends.mps.is_available():
+        here.add("mps")
+    needed = component.devices
+    return " or ".join(needed) if needed and not here & set(needed) else ""
 
 
 def install_hint(offer: Offer) -> str:

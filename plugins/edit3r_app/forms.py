@@ -158,7 +158,7 @@ def offered(registry: Registry, kind: str) -> dict[str, str]:
     for offer in registry.offers(kind):
         if offer.component.name not in RUNS_PROGRAMS and not registry.missing(offer):
             needs = (
-                ("a GPU", offer.component.needs_gpu),
+                ("a GPU", "cuda" in offer.component.devices),
                 ("the network", offer.component.needs_network),
             )
             told = "".join(f"; needs {what}" for what, so in needs if so)

@@ -15,7 +15,7 @@ from edit3r.errors import InputError, RunError, SettingsError
 
 if TYPE_CHECKING:
     from edit3r.workers import Progress, Workers
-    from edit3r_batch.jobs import Job
+    from edit3r_batch.jobs import BatchJob
 
 NO_RESULT = "no result"
 MOST_SHOWN = 40  # jobs in the table on the terminal
@@ -141,7 +141,9 @@ class BatchCommand(Command):
         return 0
 
 
-def _done(jobs: "Mapping[str, Job]", out: Path, args: argparse.Namespace) -> set[str]:
+def _done(
+    jobs: "Mapping[str, BatchJob]", out: Path, args: argparse.Namespace
+) -> set[str]:
     """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not
     be replaced.
     """
@@ -173,7 +175,7 @@ def _done(jobs: "Mapping[str, Job]", out: Path, args: argparse.Namespace) -> set
 
 
 def _run(
-    jobs: "Mapping[str, Job]",
+    jobs: "Mapping[str, BatchJob]",
     done: set[str],
     out: Path,
     args: argparse.Namespace,

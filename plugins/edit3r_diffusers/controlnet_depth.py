@@ -15,7 +15,7 @@ from torch import Tensor
 
 from edit3r.cache import remembered
 from edit3r.config import PartChoice
-from edit3r.contract.interfaces import Editor, Matcher
+from edit3r.contract.interfaces import ConditionedOnDepth, Editor, Matcher
 from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, PromptError
 from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained, pick_device
@@ -27,12 +27,10 @@ from edit3r_diffusers.loading import DiffusionSettings
 FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
 
 
-class ControlNetDepthEditor(Editor):
+class ControlNetDepthEditor(Editor, ConditionedOnDepth):
     """Redraws the photos towards a description (not an instruction), geometry held by depth, views
     by attention.
     """
-
-    takes_depth = True
 
     class Settings(DiffusionSettings):
         model: str = Field(

@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.cache import remembered
-from edit3r.contract.interfaces import Editor
+from edit3r.contract.interfaces import Editor, GivesAttention, StartsFromImages
 from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import PromptError
 from edit3r_diffusers import attention, latents, loading
@@ -25,14 +25,12 @@ neither.
 """
 
 
-class InstructPix2PixEditor(Editor):
+class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
     """Edits each view with the same instruction from the same noise (paper: seed and prompt are
     shared by all views).
 
     Masks are obeyed in the latents: outside, every step puts the photo's own noised latents back.
     """
-
-    starts_from_images = gives_attention = True
 
     class Settings(DiffusionSettings):
         model: str = Field(

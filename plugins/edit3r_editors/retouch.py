@@ -14,9 +14,9 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import PartChoice, Settings
-from edit3r.contract.interfaces import Editor, MatchedGeometry, Matcher
+from edit3r.contract.interfaces import ChangesShape, Editor, MatchedGeometry, Matcher
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import MatchingError
+from edit3r.errors import MatchingError, PromptError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.maps import dilate
 from edit3r.geometry.warping import warp
@@ -29,11 +29,8 @@ NEAR = 0.1
 SURE = 0.5
 
 
-class RetouchEditor(Editor):
+class RetouchEditor(Editor, ChangesShape):
     """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
-
-    needs_masks = True
-    changes_shape = True
 
     class Settings(Settings):
         matcher: PartChoice = Field(
@@ -57,6 +54,11 @@ class RetouchEditor(Editor):
         self.settings, self.matcher = settings, matcher
 
     def edit(self, views: Views, request: EditRequest) -> Views:
+        if request.masks is None:
+            raise PromptError(
+                "editor 'retouch' removes what is marked, and nothing is: click on it (--point X,Y), "
+                "or give --mask FILE for each photo."
+            )
         geometry = self._geometry(views)
         scenes = [
             self._scene(views, request.masks > 0, geometry, scene)

@@ -6,7 +6,7 @@ from pydantic import Field
 from edit3r import config
 from edit3r.config import PartChoice
 from edit3r.contract.interfaces import Matcher, Reconstructor
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.surroundings import apron, backdrop
 from edit3r.geometry.warping import contradicted, seen_by_others
@@ -65,12 +65,10 @@ class ClassicalReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         geometry = self.matcher.match(views if source is None else source)
-        grid = (
-            views.image_size if request is None else request.grid_of(views.image_size)
-        )
+        grid = grid or views.image_size
         measured, views, geometry = (
             geometry.measured,
             geometry.calibrated(views).at(grid),

@@ -11,7 +11,7 @@ from torch import nn
 
 from edit3r.config import PartChoice, Settings, make_settings
 from edit3r.contract.interfaces import Backbone, GaussianHead, Reconstructor
-from edit3r.contract.types import EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.errors import MissingDependencyError, RunError, SettingsError
 from edit3r.io.pretrained import out_of_memory_told, pick_device
 from edit3r.reporting import note, progress, warn
@@ -125,9 +125,9 @@ class NoPoSplatReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
-        """Reconstruct `views`; `source` and `request` are not used.
+        """Reconstruct `views`; `source` and `grid` are not used.
 
         Differentiable only while the network is in training mode. Raises InputError for views that
         cannot be used, RunError when memory ends.

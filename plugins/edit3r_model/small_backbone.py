@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from edit3r.compute.layers import Conv2d, GroupNorm, bilinear
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Backbone, MatchedGeometry
+from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry
 from edit3r.contract.types import Features
 from edit3r.errors import InputError
 from edit3r.geometry.maps import resize
@@ -31,12 +31,11 @@ SMALLEST = 8
 """Least height and width of its images [pixels]: one cell of the coarsest level."""
 
 
-class MatchedUNet(Backbone):
+class MatchedUNet(GeometryBackbone):
     """U-Net with global attention at an eighth of the images' resolution; one level of features, at
     half of it.
     """
 
-    takes_geometry = True
     patch_size = STRIDE
 
     class Settings(Settings):

@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Backbone, GaussianHead, MatchedGeometry
+from edit3r.contract.interfaces import Backbone, GeometryHead, MatchedGeometry
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.errors import InputError, SettingsError
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
@@ -77,15 +77,13 @@ class Decisions:
     ]  # weights of the candidates, together 1; 0 for the reference
 
 
-class EditFusionHead(GaussianHead):
+class EditFusionHead(GeometryHead):
     """Corrects matched geometry, and draws edits that disagree to the reference's; starts as no
     correction.
 
     It reads the last level of any backbone. The Gaussians lie on the geometry's grid, whatever the
     images' size.
     """
-
-    takes_geometry = takes_photos = True
 
     class Settings(Settings):
         width: int = Field(

@@ -22,11 +22,14 @@ from edit3r.config import PartChoice
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
+    GeometryBackbone,
+    GeometryHead,
     MatchedGeometry,
     Matcher,
     Reconstructor,
+    TakesGeometry,
 )
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import SettingsError
 from edit3r.geometry.cameras import scale_poses
 from edit3r.geometry.harmonics import dc_to_colour
@@ -43,7 +46,7 @@ GRID = 8
 """The network's images have sides that are multiples of this [pixels]."""
 
 
-class Edit3rReconstructor(Reconstructor):
+class Edit3rReconstructor(Reconstructor, TakesGeometry):
     """Matched poses and depths, and a network that draws disagreeing edits to the reference's.
 
     View 0 is the reference: its edit is kept as it is. Where another view's edit is the same
@@ -53,8 +56,6 @@ class Edit3rReconstructor(Reconstructor):
     both into features, the head makes the Gaussians. Parts that take no geometry are the paper's
     form: no matcher then.
     """
-
-    takes_geometry = True
 
     class Settings(config.Settings):
         matcher: PartChoice = Field(
@@ -124,7 +125,6 @@ class Edit3rReconstructor(Reconstructor):
         self.settings = settings
         self.matcher, self.backbone, self.head = matcher, backbone, head
         self.full = _full_form(settings, backbone, head)  # None: the small form
-        self.takes_geometry = self.full is None
         self._network = (
             self.full.network
             if self.full
@@ -140,12 +140,12 @@ class Edit3rReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         """Reconstruct; without `source` the edited images must agree well enough to be matched
         themselves.
 
-        Of `request` the `grid` counts. Differentiable only while the network is in training mode.
+        Differentiable only while the network is in training mode.
         """
         if self.full is not None:
             reporting.note("edit3r.form", "full")
@@ -153,9 +153,7 @@ class Edit3rReconstructor(Reconstructor):
         source = views if source is None else source
         with torch.no_grad():
             geometry = self.matcher.match(source)
-        grid = (
-            views.image_size if request is None else request.grid_of(views.image_size)
-        )
+        grid = grid or views.image_size
         views, source = (geometry.calibrated(shown) for shown in (views, source))
         measured, geometry = geometry.measured, geometry.at(grid)
         # Silu, sigmoid and others round the last few values of what each thread is given in another
@@ -195,14 +193,11 @@ class Edit3rReconstructor(Reconstructor):
         size = network_grid(
             source.image_size, self.settings.network_size, self.backbone.patch_size
         )
-        given = (averaged(prior, size),) if self.backbone.takes_geometry else ()
+        looks = isinstance(self.backbone, GeometryBackbone)
+        given = (averaged(prior, size),) if looks else ()
         features = self.backbone(resize(source.images, size), source.intrinsics, *given)
-        if self.head.takes_geometry:
-            return self.head(
-                features,
-                *(photos if self.head.takes_photos else (views.images, source)),
-                prior,
-            )
+        if isinstance(self.head, GeometryHead):
+            return self.head(features, *photos, prior)
         from edit3r_model import view_fitting
 
         gaussians = self.head(features, view_fitting.resize(views.images, size))
@@ -250,7 +245,7 @@ def _full_form(
     """The paper's form where parts or weights ask for it, else None; raises SettingsError for
     misfits.
     """
-    if not (backbone.takes_geometry or head.takes_geometry):
+    if not (isinstance(backbone, GeometryBackbone) or isinstance(head, GeometryHead)):
         if settings.weights == "shipped":
             raise SettingsError(
                 "reconstructor.weights: none ship for these parts; give their weights, or "

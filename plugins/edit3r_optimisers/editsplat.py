@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.contract.interfaces import Editor, Rasterizer
+from edit3r.contract.interfaces import Editor, GivesAttention, Rasterizer
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.harmonics import DC
@@ -21,9 +21,9 @@ from edit3r.geometry.warping import warp
 from edit3r.reporting import note, track
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
+    EditJob,
     FittingMethod,
     MethodSettings,
-    Scene,
     depths_of,
     edited,
     edited_from,
@@ -68,7 +68,7 @@ class EditSplatReconstructor(FittingMethod):
             description="attention from which a Gaussian counts as attended; the most is 1",
         )
 
-    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         first = (
             scene.edited
@@ -82,7 +82,7 @@ class EditSplatReconstructor(FittingMethod):
         ), cameras
 
     def _guided(
-        self, scene: Scene, first: Views, gaussians: Gaussians, cameras: Cameras
+        self, scene: EditJob, first: Views, gaussians: Gaussians, cameras: Cameras
     ) -> Views:
         """Edit every view again from the fusion of its neighbours' first edits."""
         depths, _ = depths_of(gaussians, cameras, self.rasterizer)
@@ -97,7 +97,7 @@ class EditSplatReconstructor(FittingMethod):
         return replace(first, images=images)
 
     def _trimmed(
-        self, scene: Scene, edits: Views, gaussians: Gaussians, cameras: Cameras
+        self, scene: EditJob, edits: Views, gaussians: Gaussians, cameras: Cameras
     ) -> Gaussians:
         """Remove the Gaussians that the edit attends to most, which hold back the second fit."""
         maps, told_by = attention_maps(self.editor, scene.photos, edits, scene.request)
@@ -168,7 +168,7 @@ def attention_maps(
 
     That is the editor's own attention; else the masks; else how much each pixel changed.
     """
-    if editor.gives_attention:
+    if isinstance(editor, GivesAttention):
         maps, told_by = (
             editor.attention(photos, request),
             "the editor's cross-attention",

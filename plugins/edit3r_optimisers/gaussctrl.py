@@ -10,6 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.interfaces import (
+    ConditionedOnDepth,
     Editor,
     MatchedGeometry,
     Matcher,
@@ -21,9 +22,9 @@ from edit3r.pipeline.checks import component_name
 from edit3r.reporting import note, warn
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
+    EditJob,
     FittingMethod,
     MethodSettings,
-    Scene,
     depths_of,
     edited,
     rendered,
@@ -80,7 +81,7 @@ class GaussCtrlReconstructor(FittingMethod):
             None  # of the editor, to be given other depths; shares the weights
         )
 
-    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         views = rendered(gaussians, cameras, scene.photos, self.rasterizer)
         geometry = depths_of(gaussians, cameras, self.rasterizer)
@@ -98,7 +99,7 @@ class GaussCtrlReconstructor(FittingMethod):
         self._warn_of_missing_abilities()
         together = self.settings.together
         references = reference_views(
-            views.count, min(self.editor.references, together - 1)
+            views.count, min(_references(self.editor), together - 1)
         )
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
@@ -115,7 +116,7 @@ class GaussCtrlReconstructor(FittingMethod):
         """Return a copy of the editor with the fitted scene as matcher; the editor itself where it
         reads no depth.
         """
-        if not self.editor.takes_depth:
+        if not isinstance(self.editor, ConditionedOnDepth):
             return self.editor
         self._copy = self._copy or copy(self.editor)
         self._copy.matcher = geometry
@@ -123,7 +124,8 @@ class GaussCtrlReconstructor(FittingMethod):
 
     def _warn_of_missing_abilities(self) -> None:
         name = component_name(self.editor)
-        aligns, conditioned = self.editor.references > 0, self.editor.takes_depth
+        conditioned = isinstance(self.editor, ConditionedOnDepth)
+        aligns = _references(self.editor) > 0
         note(
             "gaussctrl.editor",
             {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned},
@@ -155,3 +157,8 @@ def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
     room = max(1, together - len(references))
     parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]
     return [[*references, *part] for part in parts]
+
+
+def _references(editor: Editor) -> int:
+    """How many views all others look at while the editor works; 0: each is edited by itself."""
+    return editor.references if isinstance(editor, ConditionedOnDepth) else 0

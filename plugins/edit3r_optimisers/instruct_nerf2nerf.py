@@ -16,7 +16,7 @@ from edit3r.contract.interfaces import Editor, Rasterizer
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.reporting import note
 from edit3r_optimisers.fitting import TargetImages, view_at
-from edit3r_optimisers.method import FittingMethod, MethodSettings, Scene, edited_from
+from edit3r_optimisers.method import EditJob, FittingMethod, MethodSettings, edited_from
 
 
 class InstructNerf2NerfReconstructor(FittingMethod):
@@ -45,7 +45,7 @@ class InstructNerf2NerfReconstructor(FittingMethod):
                 )
             return self
 
-    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         targets = DatasetUpdate(
             scene.photos,

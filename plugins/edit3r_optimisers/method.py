@@ -11,7 +11,13 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import PartChoice
-from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.contract.interfaces import (
+    Editor,
+    EditsViews,
+    Rasterizer,
+    Reconstructor,
+    StartsFromImages,
+)
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.pipeline.checks import (
@@ -65,7 +71,7 @@ class MethodSettings(FitSettings):
 
 
 @dataclass(frozen=True)
-class Scene:
+class EditJob:
     """One scene (batch 1) to edit."""
 
     photos: Views  # unedited
@@ -77,12 +83,10 @@ class Scene:
         return not torch.equal(self.photos.images, self.edited.images)
 
 
-class FittingMethod(Reconstructor):
+class FittingMethod(Reconstructor, EditsViews):
     """A reconstructor that fits Gaussians scene by scene and edits in between; a method fills in
     `_reconstruct`.
     """
-
-    edits_views = True
 
     def __init__(
         self,
@@ -94,25 +98,32 @@ class FittingMethod(Reconstructor):
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
 
-    @torch.no_grad()
     def __call__(
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
-        """Reconstruct every scene of the batch by itself; without a request, prompt and seed are
-        the settings' own.
-        """
-        photos = views if source is None else source
+        """Reconstruct every scene of the batch by itself; prompt and seed are the settings' own."""
+        request = EditRequest(self.settings.prompt, self.settings.seed)
+        return self.edit_and_reconstruct(
+            views, views if source is None else source, request
+        )
+
+    @torch.no_grad()
+    def edit_and_reconstruct(
+        self, views: Views, source: Views, request: EditRequest
+    ) -> Reconstruction:
+        photos = source
         if photos.c2w is None and views.c2w is not None:
             photos = replace(photos, c2w=views.c2w)
-        request = request or EditRequest(self.settings.prompt, self.settings.seed)
         results = []
         for item in range(len(views.images)):
             results.append(
                 self._reconstruct(
-                    Scene(photos.scene(item), views.scene(item), request.of_scene(item))
+                    EditJob(
+                        photos.scene(item), views.scene(item), request.of_scene(item)
+                    )
                 )
             )
         scenes, cameras = zip(*results)
@@ -126,10 +137,10 @@ class FittingMethod(Reconstructor):
         )
 
     @abstractmethod
-    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         """Return the edited scene, and its cameras in the frame of view 0."""
 
-    def _fit_photos(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _fit_photos(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
         start, cameras = begin(
             scene.photos, self.reconstructor, self.settings.points, self.settings.seed
@@ -226,7 +237,7 @@ def edited_from(
     An editor that cannot begin from images edits anew, and its result is mixed with them; the run
     says so.
     """
-    if editor.starts_from_images:
+    if isinstance(editor, StartsFromImages):
         with errors_named_after(editor):
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)

@@ -7,9 +7,9 @@ from pydantic import Field
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
+    EditJob,
     FittingMethod,
     MethodSettings,
-    Scene,
     edited,
     rendered,
 )
@@ -28,7 +28,7 @@ class RefitReconstructor(FittingMethod):
             description="fit the edited photos it is given, or edit renders of the fitted scene",
         )
 
-    def _reconstruct(self, scene: Scene) -> tuple[Gaussians, Cameras]:
+    def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         if self.settings.edit == "renders":
             views = edited(

@@ -13,9 +13,8 @@ def register_rasterizers():
         Component(
             "auto",
             "edit3r_rasterizers.auto_rasterizer:AutoRasterizer",
-            "gsplat for Gaussians on a CUDA device where it is installed, else numba; the run "
-            "says which and why.",
-            requires=("numba",),
+            "the rasterizer made for the device of the Gaussians, else the CPU's; the run says "
+            "which and why.",
         ),
         Component(
             "numba",
@@ -23,6 +22,7 @@ def register_rasterizers():
             "Fast on CPUs: float32, multi-threaded, differentiable, the same bits for any number "
             "of threads.",
             requires=("numba",),
+            devices=("cpu",),
         ),
         Component(
             "torch",
@@ -30,13 +30,12 @@ def register_rasterizers():
             "Plain PyTorch reference: any device, float32 and float64, differentiable in the "
             "cameras too, slow.",
         ),
-        # No `requires`: where there is no CUDA, "install gsplat" would be the wrong advice. The
-        # class says what to do.
         Component(
             "gsplat",
             "edit3r_rasterizers.gsplat_rasterizer:GsplatRasterizer",
             "gsplat's CUDA kernels, for NVIDIA GPUs; needs the extra edit3r[gsplat].",
             extra="gsplat",
-            needs_gpu=True,
+            requires=("gsplat",),
+            devices=("cuda",),
         ),
     ]

@@ -1,50 +1,32 @@
 """The rasterizer that suits the device the Gaussians are on."""
 
-import importlib.util
-from dataclasses import dataclass
-
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer
+from edit3r.plugins.load import Offer
+from edit3r.plugins.registry import Registry, default_registry
 from edit3r_rasterizers.settings import RasterizerSettings
 
 
-@dataclass(frozen=True)
-class Choice:
-    """The rasterizer that is used, and why, in words for the run's manifest."""
-
-    name: str  # "numba" or "gsplat"
-    reason: str
-
-
-def choose(device: torch.device, has_gsplat: bool) -> Choice:
-    """Choose gsplat for Gaussians on a CUDA device where it is installed, and numba for all
-    else.
-    """
-    if device.type == "cpu":
-        return Choice("numba", "the Gaussians are on the CPU")
-    if device.type == "cuda" and has_gsplat:
-        return Choice(
-            "gsplat", f"the Gaussians are on {device} and gsplat is installed"
-        )
-    hint = (
-        ' (pip install "edit3r[gsplat]" renders there)' if device.type == "cuda" else ""
-    )
-    return Choice(
-        "numba",
-        f"no rasterizer for {device} is installed{hint}, so the Gaussians are copied to the CPU",
+def choose(registry: Registry, device: str) -> tuple[Offer, str]:
+    """The installed rasterizer made for a type of device, else one made for the CPU; and why."""
+    offers = [
+        offer for offer in registry.offers("rasterizer") if not registry.missing(offer)
+    ]
+    for offer in offers:
+        if device in offer.component.devices:
+            return offer, f"made for {device}, where the Gaussians are"
+    on_cpu = next(offer for offer in offers if "cpu" in offer.component.devices)
+    return on_cpu, (
+        f"no rasterizer made for {device} is installed, so the Gaussians are copied to the CPU"
     )
 
 
 class AutoRasterizer(Rasterizer):
-    """Hands each scene to the rasterizer that `choose` names, and notes name and reason in the
-    run's manifest.
-    """
+    """Hands each scene to the rasterizer that `choose` names, and notes which and why."""
 
     Settings = RasterizerSettings
 
@@ -59,29 +41,45 @@ class AutoRasterizer(Rasterizer):
         background: Float[Tensor, "*#batch_camera 3"] | None = None,
     ) -> Rendering:
         """Render on the best device at hand; the result is on the Gaussians' own."""
-        device = gaussians.means.device
-        choice = choose(
-            device, has_gsplat=importlib.util.find_spec("gsplat") is not None
-        )
-        reporting.note("rasterizer.picked", choice.name)
-        reporting.note("rasterizer.reason", choice.reason)
-        rasterizer = self._get(choice.name)
-        if choice.name == "gsplat" or device.type == "cpu":
-            return rasterizer.render(gaussians, cameras, background)
-        reporting.warn(f"rasterizer 'auto' picked 'numba': {choice.reason}.")
-        return rasterizer.render(gaussians.to("cpu"), cameras.to("cpu"), background).to(
-            device
-        )
+        given = () if background is None else (background,)
+        rasterizer, device = self._for(gaussians)
+        if device == gaussians.means.device.type:
+            return rasterizer.render(gaussians, cameras, *given)
+        moved = (one.to(device) for one in (gaussians, cameras, *given))
+        return rasterizer.render(*moved).to(gaussians.means.device)
 
-    def _get(self, name: str) -> Rasterizer:
+    def contributions(
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        weights: Float[Tensor, "camera height width"] | None = None,
+    ) -> Float[Tensor, "batch gaussian"]:
+        rasterizer, device = self._for(gaussians)
+        weights = None if weights is None else weights.to(device)
+        found = rasterizer.contributions(
+            gaussians.to(device), cameras.to(device), weights
+        )
+        return found.to(gaussians.means.device)
+
+    def _for(self, gaussians: Gaussians) -> tuple[Rasterizer, str]:
+        """The rasterizer for these Gaussians, and the type of device that it renders on."""
+        device = gaussians.means.device.type
+        offer, reason = choose(default_registry(), device)
+        name = offer.qualified_name
+        reporting.note("rasterizer.picked", offer.component.name)
+        reporting.note("rasterizer.reason", reason)
+        if device not in offer.component.devices:
+            reporting.warn(
+                f"rasterizer 'auto' picked {offer.component.name!r}: {reason}."
+            )
+            device = "cpu"
         if name not in self._built:
-            self._built[name] = _build(name, self.settings)
-        return self._built[name]
+            self._built[name] = self._build(offer)
+        return self._built[name], device
 
-
-def _build(name: str, settings: RasterizerSettings) -> Rasterizer:
-    if name == "numba":
-        return NumbaRasterizer(NumbaRasterizer.Settings(**settings.model_dump()))
-    from edit3r_rasterizers.gsplat_rasterizer import GsplatRasterizer
-
-    return GsplatRasterizer(GsplatRasterizer.Settings(**settings.model_dump()))
+    def _build(self, offer: Offer) -> Rasterizer:
+        """Build it with those of this one's settings that it has too."""
+        registry = default_registry()
+        known = registry.settings_class(offer).model_fields
+        values = {k: v for k, v in self.settings.model_dump().items() if k in known}
+        return registry.build("rasterizer", offer.qualified_name, **values)

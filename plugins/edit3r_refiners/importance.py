@@ -4,47 +4,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import to_pixels
-from edit3r.geometry.harmonics import DC
 from edit3r.geometry.paths import between_and_around
 
 PATH_CAMERAS = 2  # cameras between and around, per input view
 PATH_REDUCTION = 2  # of the sides of their images
 PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
-
-
-def contributions(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    rasterizer: Rasterizer,
-    pixels: Bool[Tensor, "camera height width"] | None = None,
-) -> Float[Tensor, "batch gaussian"]:
-    """Sum each Gaussian's blending weight (transmittance times alpha) over the `pixels` of all
-    cameras [pixels].
-
-    A rendered image is linear in the colours, so the weight is the gradient of the summed image by
-    the constant harmonic, divided by the basis function. Grey Gaussians keep every colour away from
-    the clamp at 0.
-    """
-    grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
-    weight = torch.zeros_like(gaussians.opacities)
-    for camera in range(
-        cameras.count
-    ):  # one at a time: all that one keeps for its gradient is a lot of memory
-        with torch.enable_grad():
-            images = rasterizer.render(
-                replace(gaussians, harmonics=grey), cameras.select([camera])
-            ).images
-            counted = (
-                images[:, 0, 0] if pixels is None else images[:, 0, 0] * pixels[camera]
-            )
-            weight += torch.autograd.grad(counted.sum(), grey)[0][:, :, 0, 0]
-    return weight / DC
 
 
 def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:
@@ -71,7 +41,7 @@ def visible_weight(
     weights = []
     for seen_from in viewpoints(cameras):
         area = (first_focal(cameras) / first_focal(seen_from)) ** 2
-        weights.append(area * contributions(gaussians, seen_from, rasterizer)[0])
+        weights.append(area * rasterizer.contributions(gaussians, seen_from)[0])
     return torch.stack(weights).amax(0)
 
 

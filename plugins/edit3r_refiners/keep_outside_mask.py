@@ -13,58 +13,49 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Rasterizer, Refiner
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.contract.interfaces import (
+    ComparesWithBefore,
+    Rasterizer,
+    RefineInputs,
+    Refiner,
+)
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import median_scale
 from edit3r.reporting import note, warn
-from edit3r_refiners.importance import contributions
 from edit3r_refiners.merging import Region, own_pixel_inside
 
 SHAPE = ("means", "scales", "quats", "opacities")
 FIELDS = (*SHAPE, "harmonics")
 
 
-class KeepOutsideMask(Refiner):
+class KeepOutsideMask(Refiner, ComparesWithBefore):
     """Keeps what shows outside the masks as it was before the edit, bit for bit."""
 
-    needs_before = True
-
-    def __call__(
-        self,
-        gaussians: Gaussians,
-        cameras: Cameras,
-        views: Views,
-        request: EditRequest,
-        rasterizer: Rasterizer,
-    ) -> Gaussians:
-        """Return `request.before` with those Gaussians replaced that show only where
-        `request.masks` are above 0.
+    def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
+        """Return the scene before the edit with those Gaussians replaced that show only inside the
+        masks.
 
         Without masks, or where they cover every pixel, `gaussians` come back unchanged.
         """
-        if request.masks is None or bool((request.masks > 0).all()):
+        if not inputs.confined:
             return gaussians
-        if request.before is None:
+        if inputs.before is None:
             warn(
-                "keep-outside-mask: the scene before the edit is not known; nothing is kept as "
-                "it was."
+                "keep-outside-mask: the scene before the edit is not known; nothing is kept."
             )
             return gaussians
-        if request.masks.shape[0] != 1:
+        if inputs.masks.shape[0] != 1:
             warn(
                 "several scenes at once: the Gaussians outside the masks are reconstructed anew, "
                 "not kept."
             )
             return gaussians
-        region = request.masks[0] > 0
+        region = inputs.masks[0] > 0
         note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
+        cameras = inputs.cameras.at(region.shape[-2:])
         with torch.no_grad():
             return insert_edit(
-                request.before,
-                gaussians,
-                region,
-                cameras.at(region.shape[-2:]),
-                rasterizer,
+                inputs.before, gaussians, region, cameras, inputs.rasterizer
             )
 
 
@@ -170,7 +161,7 @@ def _show_in(
     gaussians: Gaussians, pixels: Region, cameras: Cameras, rasterizer: Rasterizer
 ) -> Bool[Tensor, "gaussian"]:
     """Tell which Gaussians add anything to the pixels."""
-    return contributions(gaussians, cameras, rasterizer, pixels)[0] > 0
+    return rasterizer.contributions(gaussians, cameras, pixels)[0] > 0
 
 
 def _in_unit_of(

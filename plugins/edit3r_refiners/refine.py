@@ -17,8 +17,8 @@ from torch.nn.functional import smooth_l1_loss
 
 from edit3r.compute.layers import one_thread
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Rasterizer, Refiner
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.reporting import note, progress
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
@@ -156,22 +156,16 @@ class RefineRefiner(Refiner):
             "many, but at most 16",
         )
 
-    def __call__(
-        self,
-        gaussians: Gaussians,
-        cameras: Cameras,
-        views: Views,
-        request: EditRequest,
-        rasterizer: Rasterizer,
-    ) -> Gaussians:
-        """Follow `views` alone: photos that were not edited would pull the edit back out."""
-        shown = cameras.select(range(views.count)).at(views.image_size)
+    def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
+        """Follow the views alone: photos that were not edited would pull the edit back out."""
+        views = inputs.views
+        shown = inputs.cameras.select(range(views.count)).at(views.image_size)
         # Two photos settle little between them: more steps only make each view show its own photo.
         steps = self.settings.steps + max(0, views.count - 2) * min(
             self.settings.steps, MORE_STEPS
         )
         refined = refine(
-            gaussians, shown, views.images, rasterizer, steps, self.settings
+            gaussians, shown, views.images, inputs.rasterizer, steps, self.settings
         )
         note("refine", refined.facts)
         return refined.gaussians

@@ -10,8 +10,8 @@ import torch
 from pydantic import Field, field_validator
 
 from edit3r.compute.layers import one_thread
-from edit3r.contract.interfaces import Rasterizer, Refiner
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.reporting import note
@@ -62,28 +62,17 @@ class SimplifyRefiner(Refiner):
         def _parse_gaussians(cls, value: Any) -> Budget:
             return parse_budget(value)
 
-    def __call__(
-        self,
-        gaussians: Gaussians,
-        cameras: Cameras,
-        views: Views,
-        request: EditRequest,
-        rasterizer: Rasterizer,
-    ) -> Gaussians:
+    def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
 
         A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its
         border.
         """
-        exchanged = (
-            request.before is not None
-            and request.masks is not None
-            and not bool((request.masks > 0).all())
-        )
-        fine = request.masks[0] > 0 if exchanged else None
+        exchanged = inputs.before is not None and inputs.confined
+        fine = inputs.masks[0] > 0 if exchanged else None
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
             gaussians = simplify(
-                gaussians, cameras, rasterizer, most, self.settings, fine
+                gaussians, inputs.cameras, inputs.rasterizer, most, self.settings, fine
             ).gaussians
             fine = None
         return gaussians

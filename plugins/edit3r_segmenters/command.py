@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from edit3r.cli.marks import add_mark_flags, selection_from
+from edit3r.cli.flags import add_mark_flags
 from edit3r.contract.command import Command
 
 
@@ -80,19 +80,21 @@ class MaskCommand(Command):
         from edit3r.io.images import load_photos, save_image
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.selection.select import Selection, geometry_of, select_masks
+        from edit3r.selection.marks import MarkTexts
+        from edit3r.selection.select import geometry_of, select_masks
 
-        given, registry = (
-            parse_assignments(args.set),
-            default_registry(tuple(args.plugin)),
-        )
+        given = parse_assignments(args.set)
+        registry = default_registry(tuple(args.plugin))
         segmenter = registry.build(
             "segmenter", args.segmenter, **given.get("segmenter", {})
         )
-        matcher = (
-            registry.build("matcher", args.matcher, **given.get("matcher", {}))
-            if args.matcher
-            else None
+        matcher = None
+        if args.matcher:
+            matcher = registry.build(
+                "matcher", args.matcher, **given.get("matcher", {})
+            )
+        texts = MarkTexts(
+            tuple(args.point), tuple(args.not_point), tuple(args.box), tuple(args.mask)
         )
         with (
             StageConsole(quiet=args.quiet) as console,
@@ -100,32 +102,22 @@ class MaskCommand(Command):
         ):
             with report.stage("read photos"):
                 photos = load_photos(args.images, size=args.size)
-                marks = replace(
-                    selection_from(args, photos) or Selection(),
-                    words=args.words,
-                    guess=args.guess,
-                )
+                marks = replace(texts.read(photos), words=args.words, guess=args.guess)
+            views = photos.views
             with report.stage("select"):
-                geometry = geometry_of(matcher, photos.views)
+                geometry = geometry_of(matcher, views)
                 chosen = select_masks(
-                    photos.views.images[0],
-                    marks,
-                    segmenter,
-                    geometry,
-                    photos.views.intrinsics,
+                    views.images[0], marks, segmenter, geometry, views.intrinsics
                 )
             with atomic_folder(args.out, args.overwrite) as folder:
-                for photo, mask in zip(photos.photos, chosen.masks):
-                    save_image(
-                        mask.expand(3, -1, -1), folder / f"{photo.name}_mask.png"
-                    )
+                for name, mask in zip(views.names, chosen.masks):
+                    save_image(mask.expand(3, -1, -1), folder / f"{name}_mask.png")
                 save_image(
-                    _preview(photos.views.images[0], chosen.masks),
-                    folder / "preview.png",
+                    _preview(views.images[0], chosen.masks), folder / "preview.png"
                 )
         if not args.quiet:
-            for photo, how in zip(photos.photos, chosen.how):
-                print(f"{photo.name}: {how}")
+            for name, how in zip(views.names, chosen.how):
+                print(f"{name}: {how}")
             print(
                 f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask "
                 f"{args.out}/*_mask.png"

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.contract.interfaces import Dataset, TrainingJob
+from edit3r.contract.interfaces import Dataset, TakesGeometry, TrainingJob
 from edit3r.contract.types import Reconstruction
 from edit3r.errors import MatchingError, SettingsError
 from edit3r.io.images import save_image
@@ -35,7 +35,7 @@ def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
     images alone.
     """
     reconstructor = job.reconstructor
-    if batch.geometry is not None and reconstructor.takes_geometry:
+    if batch.geometry is not None and isinstance(reconstructor, TakesGeometry):
         return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
     return reconstructor(batch.edited, batch.source)
 

@@ -28,7 +28,7 @@ class Flat(Reconstructor):
     def network(self):
         return self.gain
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         self.calls += 1
         if self.before:
             self.before(views, source)
@@ -262,7 +262,7 @@ class Gain(Reconstructor):
     def network(self):
         return self._network
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         images = self._network(views.images.flatten(0, 1)).sigmoid().unflatten(0, views.images.shape[:2])
         depths = images.new_full(images[:, :, 0].shape, 3.0)
         poses = images.new_zeros(*images.shape[:2], 4, 4) + images.new_ones(4).diag()

@@ -10,22 +10,22 @@ from edit3r_testing import RefinerContract
 
 
 class Spoiled(Refiner):
-    """Returns the Gaussians it is given, changed by a function of Gaussians and request."""
+    """Returns the Gaussians it is given, changed by a function of Gaussians and inputs."""
 
     def __init__(self, change):
         self.change = change
 
-    def __call__(self, gaussians, cameras, views, request, rasterizer):
-        return self.change(gaussians, request)
+    def __call__(self, gaussians, inputs):
+        return self.change(gaussians, inputs)
 
 
-def in_place(gaussians, request):
+def in_place(gaussians, inputs):
     gaussians.opacities.mul_(0.5)
     return gaussians
 
 
-def refuse_masks(gaussians, request):
-    if request.masks is not None:
+def refuse_masks(gaussians, inputs):
+    if inputs.masks is not None:
         raise TypeError("masks are not supported")
     return gaussians
 

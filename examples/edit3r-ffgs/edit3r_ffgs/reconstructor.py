@@ -10,7 +10,7 @@ from safetensors.torch import load_file
 
 from edit3r.config import Settings
 from edit3r.contract.interfaces import Reconstructor
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.geometry.cameras import invert_rigid, relative_to_first
 from edit3r.plugins.weights import find
 from edit3r_ffgs import ANYSPLAT
@@ -39,7 +39,7 @@ class FfgsReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         pipeline = self.pipeline.to(views.images.device)
         scenes = [

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from edit3r import config
 from edit3r.contract.interfaces import Reconstructor
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import RunError
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.images import save_image
@@ -38,7 +38,7 @@ class ProgramReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
-        request: EditRequest | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         scenes, cameras = zip(*(self._scene(images) for images in views.images))
         c2w, intrinsics = (

@@ -26,7 +26,7 @@ class Thing:
 
 @hookimpl
 def register_editors():
-    return [Component("described", "described_locally:Thing", "a thing", citation="Doe 2026", needs_gpu=True)]
+    return [Component("described", "described_locally:Thing", "a thing", citation="Doe 2026", devices=('cuda',))]
 
 
 @hookimpl
@@ -127,7 +127,7 @@ def test_all_there_is_to_know_is_shown(local, capsys):
         "how much: all of it at 1",
     ):
         assert words in said
-    assert "needs a GPU             yes" in said
+    assert "runs on                 cuda" in said
     assert "--set editor.strength=0.25" in said
 
 

@@ -110,7 +110,7 @@ def test_a_rasterizer_that_fails_or_draws_nan_is_wrong_and_the_others_are_tried(
     )
     assert wrong(doctor.rasterizers(here)) == [
         "lost: RuntimeError: driver lost",
-        "nan: its picture is not finite",
+        "nan: its image is not finite",
     ]
 
 

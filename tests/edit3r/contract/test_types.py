@@ -97,11 +97,9 @@ def test_views_select_keeps_poses_with_their_pictures():
         Views(views.images, views.intrinsics, c2w=poses[:, :2])
 
 
-def test_views_and_cameras_of_another_size_show_the_same_and_a_grid_is_a_share_of_both_sides():
-    ramp = torch.linspace(0, 1, 30).expand(1, 2, 3, 20, 30)
+def test_views_and_cameras_of_another_size_show_the_same():
+    ramp, size = torch.linspace(0, 1, 30).expand(1, 2, 3, 20, 30), (10, 15)
     views = Views(ramp, torch.eye(3).expand(1, 2, 3, 3))
-    size = EditRequest("", grid=0.5).grid_of(views.image_size)
-    assert size == (10, 15) and EditRequest("").grid_of((20, 30)) == (20, 30)
     assert views.at((20, 30)) is views and views.at(size).image_size == size
     assert torch.allclose(
         views.at(size).images[..., 1:-1],

@@ -27,7 +27,7 @@ class Sepia(Editor):
 
 
 class Lifted(Reconstructor):
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         raise NotImplementedError
 
 

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from edit3r.api import run
-from edit3r.contract.interfaces import Editor, Reconstructor
+from edit3r.contract.interfaces import Editor, EditsViews, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.pipeline.config import DEFAULTS, make_run_config
-from edit3r.pipeline.steps import composite
+from edit3r.pipeline.steps import _as_fused, composite
 from edit3r.reporting import Report
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -41,7 +41,7 @@ class Flat(Reconstructor):
     def __init__(self, spoil=None):
         self.spoil = spoil
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
         ones = torch.ones_like(colours[..., :1])
         count = colours.shape[1] // views.count
@@ -152,16 +152,16 @@ def test_an_edit_that_does_nothing_is_reported(views):
     assert any("changed the photos very little" in text for text in report.warnings)
 
 
-def test_every_reconstructor_is_given_the_request(views):
-    class Keeping(Flat):
-        def __call__(self, views, source=None, request=None):
+def test_a_reconstructor_that_edits_is_given_the_request(views):
+    class Editing(Flat, EditsViews):
+        def edit_and_reconstruct(self, views, source, request):
             self.request = request
-            return super().__call__(views, source)
+            return self(views)
 
-    keeping, masks = Keeping(), torch.ones(1, 2, 6, 8)
-    run(views, "warmer", editor=Invert(), recon=keeping, masks=masks, seed=7)
-    assert (keeping.request.prompt, keeping.request.seed) == ("warmer", 7)
-    assert torch.equal(keeping.request.masks, masks)
+    editing, masks = Editing(), torch.ones(1, 2, 6, 8)
+    run(views, "warmer", editor=Invert(), recon=editing, masks=masks, seed=7)
+    assert (editing.request.prompt, editing.request.seed) == ("warmer", 7)
+    assert torch.equal(editing.request.masks, masks)
 
 
 @pytest.mark.parametrize(("refine", "grid"), [(2, (3, 4)), (0, (6, 8))])
@@ -169,8 +169,8 @@ def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail_and_the_
     views, refine, grid
 ):
     class OnGrid(Flat):
-        def __call__(self, views, source=None, request=None):
-            self.made = views.at(request.grid_of(views.image_size))
+        def __call__(self, views, source=None, grid=None):
+            self.made = views.at(grid)
             return super().__call__(self.made)
 
     recon = OnGrid()
@@ -193,13 +193,14 @@ class Counting(Flat):
 
     calls = 0
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         self.calls += 1
         return super().__call__(views, source)
 
 
-class CountingAndEditing(Counting):
-    edits_views = True
+class CountingAndEditing(Counting, EditsViews):
+    def edit_and_reconstruct(self, views, source, request):
+        return self(views, source)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +227,7 @@ def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(
 class LeavingOut(Flat):
     """Could not place view 1 of three."""
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         placed = torch.tensor([[True, False, True]])
         return replace(
             super().__call__(views),
@@ -252,8 +253,8 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
     assert result.photos.names == result.edited.names == (
         "a",
         "c",
-    ) and result.left_out.names == ("b",)
-    assert result.cameras.count == 2 and result.request.masks.shape[1] == 2
+    ) and result.scene.left_out.names == ("b",)
+    assert result.cameras.count == 2 and result.scene.masks.shape[1] == 2
     assert (
         result.gaussians.view_index.unique().tolist() == [0, 1]
         and result.gaussians.count == 2 * 6 * 8
@@ -270,10 +271,10 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
 class Fused(Flat):
     """Says that fusing the edits made the second view lighter."""
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         fusion = torch.zeros(1, views.count, 3, 4, 5)
         fusion[:, 1] = 0.25
-        return replace(super().__call__(views, source, request), fusion=fusion)
+        return replace(super().__call__(views, source), fusion=fusion)
 
 
 def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
@@ -281,10 +282,13 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
 ):
     followed = []
     monkeypatch.setattr(
-        "edit3r.pipeline.steps._refine",
-        lambda scene, parts, shown, *_: followed.append(shown) or scene.gaussians,
+        "edit3r.pipeline.steps._refined",
+        lambda refiner, gaussians, scene, parts: (
+            followed.append(_as_fused(scene)) or gaussians
+        ),
     )
-    result = run(views, editor=Invert(), recon=Fused(), **PLAIN)
+    steps = {"gaussians": "all", "refine": 1}
+    result = run(views, editor=Invert(), recon=Fused(), **steps)
     assert torch.equal(followed[0].images[:, 0], 1 - views.images[:, 0])
     assert torch.allclose(
         followed[0].images[:, 1], (1.25 - views.images[:, 1]).clamp(max=1), atol=1e-6
@@ -295,8 +299,10 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
 def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
     followed = []
     monkeypatch.setattr(
-        "edit3r.pipeline.steps._refine",
-        lambda scene, parts, shown, *_: followed.append(shown) or scene.gaussians,
+        "edit3r.pipeline.steps._refined",
+        lambda refiner, gaussians, scene, parts: (
+            followed.append(_as_fused(scene)) or gaussians
+        ),
     )
     masks = torch.zeros(1, views.count, *views.image_size)
     masks[..., :4] = 1
@@ -322,7 +328,14 @@ def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first
 def test_stages_are_timed_in_order(views):
     result = run(views, "x", editor=Invert(), recon=Flat(), **PLAIN)
     names = [stage.name for stage in result.report.stages]
-    assert names == ["load components", "edit (Invert)", "reconstruct (Flat)", "check"]
+    assert names == [
+        "read photos",
+        "load components",
+        "select",
+        "edit (Invert)",
+        "reconstruct (Flat)",
+        "check",
+    ]
     assert all(stage.seconds >= 0 for stage in result.report.stages)
 
 

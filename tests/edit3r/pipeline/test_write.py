@@ -17,7 +17,7 @@ from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io.images import save_image
 from edit3r.pipeline.config import OUTPUTS, make_run_config
 from edit3r.pipeline.earlier import read_earlier_run
-from edit3r.pipeline.write import summary
+from edit3r.pipeline.summary import summary
 from edit3r.reporting import warn
 
 ALL = {
@@ -36,7 +36,7 @@ ALL = {
 class Wall(Reconstructor):
     """One Gaussian per pixel on the plane z = 1."""
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         warn("the wall is flat")
         height, width = views.image_size
         ys, xs = torch.meshgrid(
@@ -87,6 +87,12 @@ def result(photos):
         )
 
 
+def with_settings(result, **settings):
+    """The same result, written with other settings."""
+    result.parts.config = result.config.model_copy(update=settings)
+    return result
+
+
 def names(folder):
     return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
 
@@ -95,7 +101,7 @@ def names(folder):
     "asked", [(), ("viewer",), ("scene", "images"), ("frames",), OUTPUTS]
 )
 def test_what_is_not_asked_for_is_not_written(result, tmp_path, asked):
-    asking = replace(result, config=result.config.model_copy(update={"outputs": asked}))
+    asking = with_settings(result, outputs=asked)
     out = asking.save(tmp_path / "out")
     assert names(out) == {"run.json"}.union(*(ALL[name] for name in asked))
     if "renders" in names(out):
@@ -137,33 +143,28 @@ def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
 
 
 def test_a_run_writes_further_formats_of_its_scene(result, tmp_path):
-    exporting = replace(
-        result, config=result.config.model_copy(update={"export": ("glb",)})
-    )
+    exporting = with_settings(result, export=("glb",))
     assert "scene.glb" in names(exporting.save(tmp_path / "out"))
 
 
 @pytest.mark.parametrize(
-    ("quality", "named"),
+    ("asked", "named"),
     [
-        (None, "default settings, 32x24:"),
+        ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
+        ({"quality": "fast"}, "fast settings, 32x24:"),
+        ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
         (
-            {"preset": "fast", "chosen": "size 256"},
-            "fast settings, photos reduced to 32x24:",
-        ),
-        (
-            {"preset": "", "chosen": "size 192"},
-            "measured (size 192) settings, photos reduced to 32x24:",
+            {"reconstructor": {"name": "edit3r", "weights": "x"}},
+            "own (reconstructor) settings",
         ),
     ],
 )
-def test_the_last_lines_name_the_settings_that_were_chosen(
-    result, tmp_path, quality, named
+def test_the_last_lines_name_the_settings_that_were_asked_for(
+    result, tmp_path, asked, named
 ):
-    smaller = replace(result, config=result.config.model_copy(update={"size": 192}))
-    if quality is not None:
-        smaller.report.notes["quality"] = quality
-    assert named in summary(tmp_path, smaller)
+    job = replace(result.parts.job, config=make_run_config(asked))
+    result.parts.job = job
+    assert named in summary(tmp_path, result)
 
 
 def test_a_notebook_shows_the_sheet_and_the_viewer(result):
@@ -196,7 +197,7 @@ def test_outside_a_run_a_warning_is_one_of_pythons():
 
 
 def test_reprs_are_short_and_hold_no_numbers_of_tensors(result):
-    things = (result, result.photos, result.gaussians, result.cameras, result.request)
+    things = (result, result.photos, result.gaussians, result.cameras)
     for thing in (*things, Reconstruction(result.gaussians)):
         assert len(repr(thing)) < 300 and "tensor(" not in repr(thing)
     assert repr(

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from edit3r_batch.jobs import MOST_BYTES, read_jobs
+from edit3r_batch.jobs import MAX_BYTES, read_jobs
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -46,7 +46,7 @@ def test_settings_are_those_of_a_configuration_file_over_the_defaults(folder):
         **_editor(0.5),
     }
     assert jobs["job-000003"].settings["seed"] == 1 and jobs["job-000003"].line == 3
-    assert jobs["bike"].path("a.png") == str(folder / "a.png")
+    assert jobs["bike"].inputs.photos[0] == str(folder / "a.png")
 
 
 def _editor(strength):
@@ -78,7 +78,7 @@ def _editor(strength):
         ({**GOOD, "id": "x" * 300}, "cannot be the name of a folder"),
         ({**GOOD, "id": "summary.md"}, "cannot be the name of a folder"),
         ({**GOOD, "id": "First"}, "the id 'First' is that of line 1 too"),
-        ({**GOOD, "prompt": "x" * MOST_BYTES}, "longer than 1,000,000 bytes"),
+        ({**GOOD, "prompt": "x" * MAX_BYTES}, "longer than 1,000,000 bytes"),
     ],
 )
 def test_a_job_that_cannot_run_is_refused_with_its_line(folder, line, sentence, capsys):

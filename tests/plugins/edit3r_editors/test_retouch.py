@@ -161,7 +161,7 @@ def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     seen = []
 
     class Spy(edit3r.contract.interfaces.Reconstructor):
-        def __call__(self, views, source=None, request=None):
+        def __call__(self, views, source=None, grid=None):
             seen.append(source)
             raise MatchingError("enough.")
 

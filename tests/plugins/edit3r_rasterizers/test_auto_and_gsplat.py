@@ -1,4 +1,3 @@
-import re
 import sys
 import types
 
@@ -9,25 +8,41 @@ from edit3r_rasterizers.gsplat_rasterizer import GsplatRasterizer
 from raster_scenes import cameras, cloud
 
 import edit3r
+from edit3r.contract.component import Component
 from edit3r.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.plugins.load import LoadedPlugins, Offer
+from edit3r.plugins.registry import Registry
 from edit3r.reporting import Report, collecting
 
-CUDA, CPU, MPS = torch.device("cuda:0"), torch.device("cpu"), torch.device("mps")
+
+def made_for(name, *devices, requires=()):
+    component = Component(
+        name, "module:Class", "a rasterizer", requires=requires, devices=devices
+    )
+    return Offer("rasterizer", component, "plugin", "1")
 
 
 @pytest.mark.parametrize(
-    ("device", "has_gsplat", "name", "reason"),
+    ("device", "name", "reason"),
     [
-        (CPU, True, "numba", "on the CPU"),
-        (CUDA, True, "gsplat", "gsplat is installed"),
-        (CUDA, False, "numba", r"edit3r\[gsplat\]"),
-        (MPS, True, "numba", "copied to the CPU"),
+        ("cpu", "numba", "made for cpu"),
+        ("cuda", "gsplat", "made for cuda"),
+        ("mps", "numba", "copied to the CPU"),
+        ("xpu", "strangers", "made for xpu"),
     ],
 )
-def test_auto_picks_by_device_and_says_why(device, has_gsplat, name, reason):
-    choice = choose(device, has_gsplat)
-    assert choice.name == name
-    assert re.search(reason, choice.reason)
+def test_auto_picks_by_declared_devices_among_all_that_is_installed(
+    device, name, reason
+):
+    offers = (
+        made_for("anywhere"),
+        made_for("gsplat", "cuda"),
+        made_for("not-here", "mps", requires=("no_such_module",)),
+        made_for("numba", "cpu"),
+        made_for("strangers", "xpu"),
+    )
+    offer, why = choose(Registry(LoadedPlugins(offers, ())), device)
+    assert offer.component.name == name and reason in why
 
 
 def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
@@ -35,7 +50,7 @@ def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
     with collecting(Report()) as report:
         found = edit3r.build("rasterizer", "auto", eps2d=0.5).render(scene, views)
     assert report.notes["rasterizer.picked"] == "numba"
-    assert report.notes["rasterizer.reason"] == "the Gaussians are on the CPU"
+    assert report.notes["rasterizer.reason"] == "made for cpu, where the Gaussians are"
     assert torch.equal(
         found.images,
         edit3r.build("rasterizer", "numba", eps2d=0.5).render(scene, views).images,
@@ -46,7 +61,7 @@ def test_gsplat_without_cuda_says_what_to_use_instead(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(
         MissingDependencyError,
-        match=r"needs an NVIDIA GPU .* this machine has none; use 'numba' instead",
+        match=r"'gsplat' runs on cuda, and this machine has no such device",
     ):
         edit3r.build("rasterizer", "gsplat")
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 from edit3r_refiners.refine import BETAS, Adam, RefineRefiner, RefineSettings, refine
 
-from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.interfaces import RefineInputs
+from edit3r.contract.types import Views
 from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
@@ -60,7 +61,7 @@ def test_more_photos_get_more_steps(rasterizer):
                 )
             )
         ):
-            refiner(spoilt, cameras, views, EditRequest(""), rasterizer)
+            refiner(spoilt, RefineInputs(cameras, views, rasterizer))
         assert max(taken) == steps
 
 
@@ -86,8 +87,7 @@ def test_the_photos_may_be_larger_than_the_grid_of_gaussians(rasterizer, scene):
     refiner = RefineRefiner(RefineRefiner.Settings(steps=4))
     views = Views(images, cameras.intrinsics)
     from_small, from_full = (
-        refiner(gaussians, c, views, EditRequest(""), rasterizer)
-        for c in (small, cameras)
+        refiner(gaussians, RefineInputs(c, views, rasterizer)) for c in (small, cameras)
     )
     assert all(
         torch.equal(getattr(from_small, name), getattr(from_full, name))

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.interfaces import ComparesWithBefore, Rasterizer, RefineInputs
+from edit3r.contract.types import Views
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
@@ -28,13 +28,13 @@ def scene(rasterizer):
 
 def test_simplify_leaves_no_more_than_the_smaller_of_both_numbers(rasterizer, scene):
     refiner = edit3r.build("refiner", "simplify", gaussians="30", max_gaussians=20)
-    assert 0 < refiner(*scene, EditRequest("x"), rasterizer).count <= 20
+    assert 0 < refiner(scene[0], RefineInputs(*scene[1:], rasterizer)).count <= 20
 
 
 def test_simplify_to_all_changes_nothing(rasterizer, scene):
     assert (
         edit3r.build("refiner", "simplify", gaussians="all")(
-            *scene, EditRequest("x"), rasterizer
+            scene[0], RefineInputs(*scene[1:], rasterizer)
         )
         is scene[0]
     )
@@ -51,7 +51,7 @@ def test_refine_brings_the_scene_closer_to_the_edited_views(rasterizer, scene):
     gaussians, cameras, views = scene
     with torch.no_grad():
         better = edit3r.build("refiner", "refine", steps=10)(
-            *scene, EditRequest("x"), rasterizer
+            scene[0], RefineInputs(*scene[1:], rasterizer)
         )
         first = cameras.select([0])
         before, after = (
@@ -69,10 +69,10 @@ def test_simplify_and_refine_tell_what_they_did(rasterizer):
     views, report = Views(images, cameras.intrinsics), Report()
     with collecting(report):
         fewer = edit3r.build("refiner", "simplify", gaussians=900)(
-            gaussians, cameras, views, EditRequest("x"), rasterizer
+            gaussians, RefineInputs(cameras, views, rasterizer)
         )
         edit3r.build("refiner", "refine", steps=2)(
-            fewer, cameras, views, EditRequest("x"), rasterizer
+            fewer, RefineInputs(cameras, views, rasterizer)
         )
     assert (
         fewer.count
@@ -99,7 +99,9 @@ class Watch(Rasterizer):
 def test_refine_renders_the_edited_views_only(rasterizer, scene):
     """Photos that still show the colours from before would pull them back."""
     watch = Watch(rasterizer)
-    edit3r.build("refiner", "refine", steps=2)(*scene, EditRequest("x"), watch)
+    edit3r.build("refiner", "refine", steps=2)(
+        scene[0], RefineInputs(*scene[1:], watch)
+    )
     assert set(watch.seen) == {1}
 
 
@@ -113,29 +115,23 @@ def masked(scene, rasterizer, share):
         view_index=torch.zeros(80, dtype=torch.long),
     )
     before = replace(gaussians, view_index=torch.zeros(80, dtype=torch.long))
-    request = EditRequest("x", masks=masks, before=before)
-    return (
-        edited,
-        edit3r.build("refiner", "keep-outside-mask")(
-            edited, cameras, views, request, rasterizer
-        ),
-        request,
-    )
+    inputs = RefineInputs(cameras, views, rasterizer, masks, before)
+    return edited, edit3r.build("refiner", "keep-outside-mask")(edited, inputs), inputs
 
 
 def test_keep_outside_mask_keeps_what_shows_outside_and_takes_what_shows_inside_alone(
     rasterizer, scene
 ):
-    edited, result, request = masked(scene, rasterizer, 0.7)
+    edited, result, inputs = masked(scene, rasterizer, 0.7)
     with torch.no_grad():
         old, new = (
             rasterizer.render(g, scene[1]).images[0].movedim(1, -1)
-            for g in (request.before, result)
+            for g in (inputs.before, result)
         )
     assert torch.equal(
-        old[request.masks[0] == 0], new[request.masks[0] == 0]
+        old[inputs.masks[0] == 0], new[inputs.masks[0] == 0]
     ) and not torch.equal(old, new)
-    from_before = (result.harmonics == request.before.harmonics).flatten(2).all(2)
+    from_before = (result.harmonics == inputs.before.harmonics).flatten(2).all(2)
     from_edited = (result.harmonics == edited.harmonics).flatten(2).all(2)
     assert (from_before ^ from_edited).all() and from_edited.any()
 
@@ -145,9 +141,8 @@ def test_keep_outside_mask_keeps_nothing_where_masks_cover_all_or_there_are_none
 ):
     gaussians, cameras, views = scene
     refiner = edit3r.build("refiner", "keep-outside-mask")
-    assert refiner.needs_before
+    assert isinstance(refiner, ComparesWithBefore)
     for masks in (None, torch.ones(1, 2, *cameras.image_size)):
-        request = EditRequest(
-            "x", masks=masks, before=replace(gaussians, harmonics=-gaussians.harmonics)
-        )
-        assert refiner(gaussians, cameras, views, request, rasterizer) is gaussians
+        before = replace(gaussians, harmonics=-gaussians.harmonics)
+        inputs = RefineInputs(cameras, views, rasterizer, masks, before)
+        assert refiner(gaussians, inputs) is gaussians

@@ -34,7 +34,7 @@ class MovingReconstructor:
     def __init__(self, inner) -> None:
         self.inner, self.network = inner, torch.nn.Linear(1, 1)
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         answer = self.inner(views, source)
         means = answer.gaussians.means * (1 + self.network.weight * 0.1)
         return replace(answer, gaussians=replace(answer.gaussians, means=means))
@@ -104,7 +104,7 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
     class ByColour(MovingReconstructor):
         """Its centres lie the farther off the brighter the reference is."""
 
-        def __call__(self, views, source=None, request=None):
+        def __call__(self, views, source=None, grid=None):
             answer = super().__call__(views, source)
             means = answer.gaussians.means + 10 * views.images[:, 0].mean()
             return replace(answer, gaussians=replace(answer.gaussians, means=means))

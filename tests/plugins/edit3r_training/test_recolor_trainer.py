@@ -191,7 +191,7 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
         takes_geometry = False
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None, request=None):
+        def __call__(self, views, source=None, grid=None):
             raise MatchingError("too little in common")
 
     job = replace(_job(tmp_path), reconstructor=Unmatched())
@@ -231,7 +231,7 @@ class _Spy:
         settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
         self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         self.edited, self.source = views.images, source.images
         return self.reconstructor(views, source)
 
@@ -303,7 +303,7 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
         takes_geometry = False
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None, request=None):
+        def __call__(self, views, source=None, grid=None):
             with torch.no_grad():
                 return inner(views, source)
 
@@ -512,7 +512,7 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
 
         network = inner.network
 
-        def __call__(self, views, source=None, request=None):
+        def __call__(self, views, source=None, grid=None):
             answer = inner(views, source)
             return replace(
                 answer,

@@ -81,7 +81,7 @@ class PlantedReconstructor(Reconstructor):
         self.settings, self.matcher = settings, matcher
 
     def __call__(
-        self, views: Views, source: Views | None = None, request=None
+        self, views: Views, source: Views | None = None, grid=None
     ) -> Reconstruction:
         CALLS.append("reconstruct")
         geometry = self.matcher.match(views if source is None else source)

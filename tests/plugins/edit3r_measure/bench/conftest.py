@@ -33,7 +33,7 @@ class Cards(Reconstructor):
     def __init__(self, settings):
         self.settings = settings
 
-    def __call__(self, views, source=None, request=None):
+    def __call__(self, views, source=None, grid=None):
         if self.settings.fails:
             raise MatchingError("the cards fell over.")
         depths = torch.full((*views.images.shape[:2], *views.image_size), self.settings.depth)

@@ -7,9 +7,10 @@ import pytest
 import torch
 from PIL import Image
 
-from edit3r.cli.marks import add_mark_flags, selection_from
+from edit3r.cli.flags import add_mark_flags
 from edit3r.errors import InputError
 from edit3r.io.images import load_photos
+from edit3r.selection.marks import MarkTexts
 
 
 @pytest.fixture
@@ -22,7 +23,9 @@ def photos(tmp_path):
 def read(photos, *words):
     parser = argparse.ArgumentParser()
     add_mark_flags(parser)
-    return selection_from(parser.parse_args(words), photos)
+    args = parser.parse_args(words)
+    texts = MarkTexts(args.point, args.not_point, args.box, args.mask)
+    return texts.read(photos) if texts.given else None
 
 
 def test_no_flag_marks_nothing(photos):
@@ -62,9 +65,25 @@ def test_what_cannot_be_read_says_what_was_expected(photos, words):
         read(photos, *words)
 
 
-def test_a_place_outside_the_photo_is_an_error(photos):
+@pytest.mark.parametrize(
+    "words",
+    [("--point", "200,30"), ("--box", "100,30,9,9"), ("--box=-15,30,9,9",)],
+)
+def test_a_place_outside_the_photo_is_an_error(photos, words):
     with pytest.raises(InputError, match="outside"):
-        read(photos, "--point", "200,30")
+        read(photos, *words)
+
+
+@pytest.mark.parametrize("words", [("--point", "nan,3"), ("--box", "1,2,inf,4")])
+def test_places_are_finite_numbers(photos, words):
+    with pytest.raises(InputError, match="finite"):
+        read(photos, *words)
+
+
+def test_a_box_is_cut_to_the_photo(photos):
+    assert read(photos, "--box", "40,30,99,99").boxes[0] == pytest.approx(
+        (0.5, 0.5, 0.5, 0.5)
+    )
 
 
 def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):

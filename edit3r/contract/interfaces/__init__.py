@@ -1,0 +1,112 @@
+"""The interface of every kind of component.
+
+Each concrete class has a nested `Settings` (a subclass of `edit3r.Settings`, every field with
+default, range and description) and is constructed by the registry as `Class(settings, **parts)`.
+Interfaces are abstract, concrete classes are final: compose, do not subclass. Progress, facts for
+the manifest and warnings go through `edit3r.reporting` (`track`, `note`, `warn`).
+"""
+
+import torch
+
+from edit3r.contract.command import Command
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.interfaces.editing import (
+    ChangesShape,
+    ConditionedOnDepth,
+    Editor,
+    GivesAttention,
+    StartsFromImages,
+)
+from edit3r.contract.interfaces.reconstruction import (
+    Backbone,
+    EditsViews,
+    GaussianHead,
+    GeometryBackbone,
+    GeometryHead,
+    MatchedGeometry,
+    Matcher,
+    Reconstructor,
+    TakesGeometry,
+)
+from edit3r.contract.interfaces.rendering import (
+    ComparesWithBefore,
+    Rasterizer,
+    RefineInputs,
+    Refiner,
+)
+from edit3r.contract.interfaces.selecting import (
+    Detection,
+    Detector,
+    Marks,
+    Proposal,
+    Segmenter,
+    Tracks,
+    as_proposal,
+)
+from edit3r.contract.interfaces.training import (
+    Dataset,
+    Loss,
+    LossInputs,
+    SceneSample,
+    Trainer,
+    TrainingJob,
+)
+
+# The first logarithm that MKL computes on several threads of a process is sometimes less accurate
+# in one of them, and then the same seed does not give the same bytes. After one small logarithm on
+# one thread it never is.
+torch.log(torch.ones(1))
+
+INTERFACES: dict[str, type] = {
+    "editor": Editor,
+    "segmenter": Segmenter,
+    "detector": Detector,
+    "reconstructor": Reconstructor,
+    "backbone": Backbone,
+    "head": GaussianHead,
+    "matcher": Matcher,
+    "rasterizer": Rasterizer,
+    "loss": Loss,
+    "dataset": Dataset,
+    "trainer": Trainer,
+    "refiner": Refiner,
+    "command": Command,
+}
+"""The interface of each kind, for checks and documentation."""
+
+__all__ = [
+    "INTERFACES",
+    "Backbone",
+    "ChangesShape",
+    "Command",
+    "ComparesWithBefore",
+    "ConditionedOnDepth",
+    "Configured",
+    "Dataset",
+    "Detection",
+    "Detector",
+    "Editor",
+    "EditsViews",
+    "GaussianHead",
+    "GeometryBackbone",
+    "GeometryHead",
+    "GivesAttention",
+    "Loss",
+    "LossInputs",
+    "Marks",
+    "MatchedGeometry",
+    "Matcher",
+    "Proposal",
+    "Rasterizer",
+    "Reconstructor",
+    "RefineInputs",
+    "Refiner",
+    "SceneSample",
+    "Segmenter",
+    "StartsFromImages",
+    "TakesGeometry",
+    "Tracks",
+    "Trainer",
+    "TrainingJob",
+    "as_proposal",
+]

@@ -1,0 +1,73 @@
+"""2D editors, and what some of them can do beyond `edit`.
+
+An editor that can do more inherits the small interface for it beside `Editor`; whoever needs the
+ability asks with `isinstance`.
+"""
+
+from abc import ABC, abstractmethod
+
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.types import EditRequest, Views
+
+
+class Editor(Configured, ABC):
+    """Changes photos as an instruction says.
+
+    Keeps number, size and cameras of the views; same seed, same result. It need not honour
+    `request.masks`: the pipeline composites the result with them, so pixels outside stay bit-equal
+    whatever the editor does.
+    """
+
+    @abstractmethod
+    def edit(self, views: Views, request: EditRequest) -> Views:
+        """Return the edited views, images in [0, 1].
+
+        Raises PromptError for an instruction that the editor cannot carry out.
+        """
+
+
+class ChangesShape:
+    """An editor whose edits add or remove things.
+
+    The geometry is then read from the edited views, not from the photos.
+    """
+
+
+class StartsFromImages(ABC):
+    """An editor that can begin from other images than the photos (Instruct-NeRF2NeRF)."""
+
+    @abstractmethod
+    def edit_from(
+        self,
+        views: Views,
+        start: Float[Tensor, "batch view 3 height width"],
+        request: EditRequest,
+        strength: float,
+    ) -> Views:
+        """Edit `views`, beginning from the images `start` of them.
+
+        `strength` in [0, 1] says how little of `start` stays. A diffusion editor adds noise to
+        `start` at `strength` of the way and removes it with `views` and the prompt as conditions
+        (Instruct-NeRF2NeRF, section 4.2).
+        """
+
+
+class GivesAttention(ABC):
+    """An editor that tells where its edit looks (EditSplat)."""
+
+    @abstractmethod
+    def attention(
+        self, views: Views, request: EditRequest
+    ) -> Float[Tensor, "batch view height width"]:
+        """Cross-attention of the prompt's words on each view; any scale, at least 0."""
+
+
+class ConditionedOnDepth(ABC):
+    """An editor that reads depth from its part `matcher`, which a caller may replace (GaussCtrl)."""
+
+    references: (
+        int  # how many views, from the first, all others look at; 0: each by itself
+    )

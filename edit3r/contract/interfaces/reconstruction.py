@@ -1,0 +1,196 @@
+"""Reconstructors and their parts: backbone, head and matcher."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.types import (
+    EditRequest,
+    Features,
+    Gaussians,
+    Reconstruction,
+    Views,
+)
+
+if TYPE_CHECKING:
+    from edit3r.io.framing import Lens
+
+
+class Reconstructor(Configured, ABC):
+    """Turns edited views into 3D Gaussians in one pass, in the frame of view 0."""
+
+    min_views: int = 2
+    max_views: int | None = (
+        None  # above it the pipeline takes evenly spaced views and says so
+    )
+
+    @abstractmethod
+    def __call__(
+        self,
+        views: Views,
+        source: Views | None = None,
+        grid: tuple[int, int] | None = None,
+    ) -> Reconstruction:
+        """Reconstruct `views`.
+
+        `source` is the same photos before editing, which agree with each other. `grid` is the
+        (height, width) of the grid on which Gaussians are made, one a pixel [pixels]; None: that of
+        the views. A reconstructor may ignore it; cameras that it returns have the size it used.
+        Poses that somebody knows are `views.c2w`; it may ignore them and give its own.
+
+        Raises MatchingError when the photos cannot be placed relative to each other.
+        """
+
+    @property
+    def network(self) -> nn.Module | None:
+        """The trainable part; None for a reconstructor without one."""
+        return None
+
+
+class EditsViews(ABC):
+    """A reconstructor that edits while it reconstructs, with its part of kind editor."""
+
+    @abstractmethod
+    def edit_and_reconstruct(
+        self, views: Views, source: Views, request: EditRequest
+    ) -> Reconstruction:
+        """Reconstruct the photos `source`, edited as `request` says.
+
+        `views` are those photos as the run's editor changed them, a first edit to begin with.
+        """
+
+
+@dataclass(frozen=True)
+class MatchedGeometry:
+    """Relative poses and depths of B scenes, read from photos that agree with each other.
+
+    The unit of length is arbitrary but common to poses and depths.
+    """
+
+    c2w: Float[Tensor, "batch view 4 4"]  # view 0 is the identity
+    depths: Float[
+        Tensor, "batch view height width"
+    ]  # camera z > 0, filled where nothing matched
+    confidence: Float[
+        Tensor, "batch view height width"
+    ]  # in [0, 1]; 0: filled in, not measured
+    registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
+    # normalised, as read from the photos; None: as given
+    intrinsics: Float[Tensor, "batch view 3 3"] | None = None
+
+    @property
+    def measured(self) -> Float[Tensor, "batch view"]:
+        """Share of each view's pixels whose depth was measured, not filled in."""
+        return (self.confidence >= 0.5).to(self.depths.dtype).mean((2, 3))
+
+    def calibrated(self, views: Views) -> Views:
+        """`views` with the intrinsics that this geometry was read with."""
+        return (
+            views
+            if self.intrinsics is None
+            else replace(views, intrinsics=self.intrinsics)
+        )
+
+    def at(self, size: tuple[int, int]) -> "MatchedGeometry":
+        """This geometry for views of another (height, width) [pixels]."""
+        # Nearest: depths are never mixed across an edge.
+        depths = interpolate(self.depths, size, mode="nearest-exact")
+        confidence = interpolate(self.confidence, size, mode="nearest-exact")
+        return replace(self, depths=depths, confidence=confidence)
+
+
+class TakesGeometry(ABC):
+    """A reconstructor that can use geometry which somebody else measured, as training does."""
+
+    @abstractmethod
+    def from_geometry(
+        self, views: Views, source: Views, geometry: MatchedGeometry
+    ) -> Reconstruction:
+        """Reconstruct `views` from poses and depths of `source` instead of matching.
+
+        `source` is the same photos before editing, `geometry` at their resolution. Differentiable
+        by `network`.
+        """
+
+
+class Backbone(Configured, nn.Module, ABC):
+    """Network from views to features; any number of views >= 2."""
+
+    patch_size: int  # height and width of its input must be multiples of this [pixels]
+    feature_widths: tuple[int, ...]  # channels of each level it returns
+
+    @abstractmethod
+    def forward(
+        self,
+        images: Float[Tensor, "batch view 3 height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+    ) -> Features:
+        """Features of images in [0, 1] with normalised intrinsics."""
+
+
+class GeometryBackbone(Backbone):
+    """A backbone that looks at matched geometry as well."""
+
+    @abstractmethod
+    def forward(
+        self,
+        images: Float[Tensor, "batch view 3 height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        geometry: MatchedGeometry | None = None,
+    ) -> Features:
+        """Features of images in [0, 1] with normalised intrinsics.
+
+        `geometry` is what a matcher read from these images, at their size, in a unit that makes
+        depths about 1; None: nothing is known.
+        """
+
+
+class GaussianHead(Configured, nn.Module, ABC):
+    """Network from features to one Gaussian per pixel, ordered view-major, then row-major."""
+
+    @abstractmethod
+    def forward(
+        self, features: Features, images: Float[Tensor, "batch view 3 height width"]
+    ) -> Gaussians:
+        """Gaussians with `view_index` set, for images in [0, 1]."""
+
+
+class GeometryHead(GaussianHead):
+    """A head that places its Gaussians by matched geometry."""
+
+    @abstractmethod
+    def forward(
+        self,
+        features: Features,
+        images: Float[Tensor, "batch view 3 height width"],
+        source: Views,
+        geometry: MatchedGeometry,
+    ) -> Gaussians:
+        """Gaussians with `view_index` set, on the grid and in the unit of `geometry`.
+
+        `images`, after the edit, and `source`, before it, have the photos' size. The grid of
+        `geometry` need be neither theirs nor the backbone's.
+        """
+
+
+class Matcher(Configured, ABC):
+    """Reads relative pose and depth from unedited photos."""
+
+    @abstractmethod
+    def match(self, views: Views) -> MatchedGeometry:
+        """Geometry at the views' own resolution.
+
+        Raises MatchingError when view 0 matches no other view.
+        """
+
+    def lens(self, views: Views) -> "Lens | None":
+        """What bends straight lines in all views; None unless the photos tell beyond doubt.
+
+        Asked only where nobody knows the lens.
+        """
+        return None

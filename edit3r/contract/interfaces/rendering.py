@@ -1,0 +1,78 @@
+"""Rasterizers, and the refiners that use them."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.geometry.harmonics import DC
+
+
+class Rasterizer(Configured, ABC):
+    """Renders Gaussians; differentiable in means, quats, scales, opacities and harmonics."""
+
+    @abstractmethod
+    def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
+        """Images, alphas and expected depths of every camera of every scene."""
+
+    def contributions(
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        weights: Float[Tensor, "camera height width"] | None = None,
+    ) -> Float[Tensor, "batch gaussian"]:
+        """Each Gaussian's blending weight (transmittance times alpha), summed over all pixels.
+
+        `weights` says how much each pixel counts; None: 1 each. Not differentiable. This default
+        reads them from the gradient of `render`; a rasterizer without gradients overrides it.
+        """
+        # An image is linear in the colours, so the gradient of its sum by the constant harmonic is
+        # the weight times the basis function. Grey Gaussians stay away from the clamp at 0.
+        grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
+        grey_gaussians = replace(gaussians, harmonics=grey)
+        total = torch.zeros_like(gaussians.opacities)
+        for camera in range(
+            cameras.count
+        ):  # one by one: a graph of all takes a lot of memory
+            with torch.enable_grad():
+                images = self.render(grey_gaussians, cameras.select([camera])).images
+                red = images[:, 0, 0]
+                counted = red if weights is None else red * weights[camera]
+                total += torch.autograd.grad(counted.sum(), grey)[0][:, :, 0, 0]
+        return total / DC
+
+
+@dataclass(frozen=True)
+class RefineInputs:
+    """All that a refiner may look at beside the Gaussians."""
+
+    cameras: Cameras  # poses of all input views
+    views: (
+        Views  # images that show the edit; the first `views.count` cameras are theirs
+    )
+    rasterizer: Rasterizer
+    # in [0, 1], one for each camera; 1: may change; None: everything may
+    masks: Float[Tensor, "batch camera height width"] | None = None
+    before: Gaussians | None = None  # the scene before the edit, where it is known
+    seed: int = 0
+
+    @property
+    def confined(self) -> bool:
+        """Whether some pixels must stay as they were before the edit."""
+        return self.masks is not None and not bool((self.masks > 0).all())
+
+
+class Refiner(Configured, ABC):
+    """One step after reconstruction: fewer or sharper Gaussians, or some kept as they were."""
+
+    @abstractmethod
+    def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
+        """Return the refined Gaussians, in the same frame."""
+
+
+class ComparesWithBefore:
+    """A refiner that needs `inputs.before`; without it the pipeline leaves the refiner out."""

@@ -1,0 +1,151 @@
+"""Segmenters and detectors: which pixels belong to the thing that somebody means."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.errors import InputError
+from edit3r.reporting import warn
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One object on one image, with the fields that SAM2's automatic mask generator gives.
+
+    A segmenter without learned weights fills `stability` and `predicted_iou` with stand-ins and
+    says so in its summary.
+    """
+
+    soft_mask: Float[Tensor, "height width"]  # in [0, 1]
+    area: float  # share of the image covered by soft_mask > 0.5, in [0, 1]
+    stability: float  # in [0, 1]: overlap of the mask under two thresholds
+    predicted_iou: float  # in [0, 1]: how good the mask believes it is
+    box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Objects followed through views: index r is the same object everywhere."""
+
+    logits: Float[Tensor, "view object height width"]  # > 0: inside
+    present: Bool[
+        Tensor, "view object"
+    ]  # False: lost in that view, its logits are all <= 0
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What a user pointed at on one image; places are x and y in [0, 1]."""
+
+    positive: tuple[tuple[float, float], ...] = ()  # on the object
+    negative: tuple[tuple[float, float], ...] = ()  # on what is not the object
+    box: tuple[float, float, float, float] | None = (
+        None  # x, y, width, height around it
+    )
+    # where it is expected, in [0, 1], as from another view
+    prior: Float[Tensor, "height width"] | None = None
+
+
+class Segmenter(Configured, ABC):
+    """Finds objects on one image and follows them through other views of the scene."""
+
+    prompt: str = (
+        ""  # what to look for, instead of what the edit's prompt names; "": the latter
+    )
+
+    @abstractmethod
+    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
+        """All candidate objects, most salient first."""
+
+    def segment(
+        self,
+        image: Float[Tensor, "3 height width"],
+        points: Sequence[tuple[float, float]] = (),
+        box: tuple[float, float, float, float] | None = None,
+    ) -> Proposal:
+        """The object at `points` (x, y in [0, 1]) or in `box` (x, y, width, height in [0, 1]).
+
+        A segmenter implements this or, to read more than that, `segment_marks`.
+        """
+        if type(self).segment_marks is Segmenter.segment_marks:
+            name = type(self).__name__
+            raise NotImplementedError(
+                f"{name} implements neither segment nor segment_marks"
+            )
+        if not points and box is None:
+            raise InputError(
+                "segment: give at least one point, or a box, on the object."
+            )
+        return self.segment_marks(image, Marks(tuple(points), box=box))
+
+    def segment_marks(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> Proposal:
+        """The object that `marks` describe; they hold a positive point, a box or a prior.
+
+        A segmenter that does not implement this reads positive points and the box only; a prior
+        alone is then the answer itself.
+        """
+        if marks.prior is not None and not marks.positive and marks.box is None:
+            return as_proposal(marks.prior)
+        if marks.negative:
+            name = type(self).__name__
+            warn(
+                f"segmenter {name} reads no negative points; erase what is too much instead."
+            )
+        return self.segment(image, marks.positive, marks.box)
+
+    def segment_text(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...] | None:
+        """What `text` (such as "the bike") names, best first.
+
+        Empty when the image does not show it; None for a segmenter that cannot read text.
+        """
+        return None
+
+    @abstractmethod
+    def track(
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "object height width"],
+    ) -> Tracks:
+        """Follow objects, given by soft masks on view 0, through all views.
+
+        An object that is not found in a view is reported as lost there.
+        """
+
+
+def as_proposal(mask: Float[Tensor, "height width"]) -> Proposal:
+    """A mask that somebody gave, as a proposal that is sure of itself."""
+    inside = mask > 0.5
+    rows = inside.any(1).nonzero()[:, 0]
+    columns = inside.any(0).nonzero()[:, 0]
+    box = (0.0, 0.0, 0.0, 0.0)
+    if len(rows):
+        left, top = float(columns[0]), float(rows[0])
+        box = (left, top, float(columns[-1]) + 1 - left, float(rows[-1]) + 1 - top)
+    return Proposal(mask, float(inside.float().mean()), 1.0, 1.0, box)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One box that a text names."""
+
+    label: str
+    score: float  # in [0, 1]
+    box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+
+
+class Detector(Configured, ABC):
+    """Finds what a text names."""
+
+    @abstractmethod
+    def detect(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Detection, ...]:
+        """Boxes of `text` (such as "the bike"), best first; empty when there is none."""

@@ -1,0 +1,72 @@
+"""The one state of a run: what is known of the scene so far."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.io.images import Photo
+from edit3r.pipeline.verdict import Verdict
+from edit3r.selection.select import Selection
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a run knows. Each step returns a new one with more of it filled in.
+
+    After `reconstruct` only the placed views are in it; `placed` tells which they are.
+    """
+
+    photos: Views  # unedited; geometry is read from them
+    start: Views  # what the edit is applied to: the photos, or an earlier run's edited views
+    records: tuple[Photo, ...] = ()  # how files became the photos; () where none did
+    mask_files: Mapping[str, str] = field(default_factory=dict)  # file: sha256
+    prompts: tuple[str, ...] = ()  # the edits so far, this run's last
+    marked: Selection | None = None  # what the user marked on the photos
+    # in [0, 1]; 1: may change; None: everywhere
+    masks: Float[Tensor, "batch view height width"] | None = None
+    edited: Views | None = None  # after the 2D editor and the composite with the masks
+    # the scene as it was before this edit, where somebody needs it
+    before: Reconstruction | None = None
+    reconstruction: Reconstruction | None = None  # of the edited views
+    placed: tuple[
+        bool, ...
+    ] = ()  # for each view that was used; False: left out of the scene
+    left_out: Views | None = None  # photos that could not be placed
+    gaussians: Gaussians | None = None  # after the refiners, in the frame of view 0
+    rendered: Rendering | None = None  # the Gaussians from the input views
+    verdict: Verdict | None = None
+
+    @property
+    def cameras(self) -> Cameras:
+        """Poses of the input views in the Gaussians' frame, at the views' size."""
+        return self.reconstruction.cameras.at(self.start.image_size)
+
+    @property
+    def confined(self) -> bool:
+        """Whether some pixels must stay as they are."""
+        return self.masks is not None and not bool((self.masks > 0).all())
+
+    def select(self, indices: list[int]) -> "Scene":
+        """The same with the views at `indices` only; nothing has been reconstructed yet."""
+        records = tuple(self.records[i] for i in indices) if self.records else ()
+        return replace(
+            self,
+            photos=self.photos.select(indices),
+            start=self.start.select(indices),
+            records=records,
+            masks=None if self.masks is None else self.masks[:, indices],
+            edited=None if self.edited is None else self.edited.select(indices),
+        )
+
+    def to(self, device: torch.device | str) -> "Scene":
+        """The same with its tensors on `device`."""
+        moved = {
+            name: value.to(device)
+            for name in ("photos", "start", "masks", "before")
+            if (value := getattr(self, name)) is not None
+        }
+        return replace(self, **moved)
