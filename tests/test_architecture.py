@@ -28,8 +28,10 @@ MAX_IMPORTS_BETWEEN_PLUGINS = 12
 MAX_PARAMETERS = 8
 MAX_FILES_OF_A_RUN = 110  # 15 of them plugins that say what they offer
 
-MANY_PARAMETERS: set[str] = set()
-"""Functions that may have more parameters, as 'module.function', each with a reason beside it."""
+MANY_PARAMETERS = {
+    "edit3r.api.run",  # the settings of a run stand in its signature
+}
+"""Functions that may have more parameters, as 'module.function', each with its reason."""
 
 COMPILED_BY = {"njit", "compiled", "kernel", "inlined"}
 """Decorators of functions that numba compiles: a kernel is one loop, and takes its arrays one by
@@ -242,6 +244,22 @@ def test_plugins_talk_through_the_registry_and_the_core():
         if re.search(r"(^|\.)_", f"{arrow.target}.{arrow.name}")
     ]
     assert not private, "\n".join(private)
+
+
+STEPS = "edit3r.pipeline.steps"
+
+
+def test_nothing_but_the_loop_assembles_a_run():
+    """Every door (command line, Python, batch, app) builds a RunJob and calls `run`."""
+    helpers = {"composite"}
+    wrong = [
+        str(arrow)
+        for arrow in arrows()
+        if arrow.target == STEPS
+        and arrow.name not in helpers
+        and arrow.source.name != "edit3r.pipeline.run"
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 # ---- what the core may not know ----

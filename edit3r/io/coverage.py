@@ -53,6 +53,11 @@ def frames_kept_for() -> Iterator[None]:
             shutil.rmtree(_frame_folders.pop(), ignore_errors=True)
 
 
+def origin(file: Path) -> str:
+    """The file as people know it: for a frame of a video, the video and the frame's number."""
+    return frame_origins.get(file, str(file))
+
+
 @dataclass(frozen=True)
 class Look:
     """What a small copy of a picture shows."""

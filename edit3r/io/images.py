@@ -27,7 +27,7 @@ from edit3r.io.coverage import (
     USUAL_FRAMES,
     VIDEO_SUFFIXES,
     choose_photos,
-    frame_origins,
+    origin,
     take_frames,
 )
 from edit3r.io.decode import decode, image_size, read_image
@@ -414,7 +414,7 @@ def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Phot
         float(intrinsics.normalised[0, 0]) * width,
         float(intrinsics.normalised[1, 1]) * height,
     )
-    named = frame_origins.get(file, str(file))
+    named = origin(file)
     return Photo(
         name, named, sha256_of(file), frame.source, frame, intrinsics.source, focal
     )

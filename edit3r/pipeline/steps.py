@@ -30,7 +30,7 @@ from edit3r.contract.types import EditRequest, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.io.atomic import sha256_of
-from edit3r.io.coverage import USUAL_FRAMES, choose_photos
+from edit3r.io.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.io.images import LoadedPhotos, find_photos, load_photos
 from edit3r.pipeline.checks import (
     check_edit,
@@ -39,6 +39,7 @@ from edit3r.pipeline.checks import (
     component_name,
     errors_named_after,
 )
+from edit3r.pipeline.earlier import EarlierRun
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, read_lens
 from edit3r.pipeline.rendering import render_each
@@ -61,18 +62,21 @@ MIN_VISIBLE_CHANGE = (
 def read(job: RunJob, registry: Registry) -> Scene:
     """The photos of the job, or of the earlier run that it goes on from, and what is marked there."""
     with stage("read photos"):
+        masks = job.masks
         if job.earlier is not None:
-            scene = _read_earlier(job)
+            scene = _read_earlier(job.earlier)
         elif isinstance(job.photos, Views):
             scene = Scene(photos=job.photos, start=job.photos)
         else:
-            scene = _read_files(job, registry)
+            found, scene = _read_files(job.photos, job, registry)
+            if isinstance(masks, MarkTexts):
+                used = [record.file for record in scene.records]
+                masks = masks.for_photos([origin(path) for path in found], used)
         scene = replace(scene, prompts=(*scene.prompts, job.config.prompt))
-        return _with_marks(scene, job)
+        return _with_marks(scene, masks)
 
 
-def _read_earlier(job: RunJob) -> Scene:
-    earlier = job.earlier
+def _read_earlier(earlier: EarlierRun) -> Scene:
     return Scene(
         photos=earlier.photos,
         start=earlier.edited,
@@ -82,23 +86,24 @@ def _read_earlier(job: RunJob) -> Scene:
     )
 
 
-def _read_files(job: RunJob, registry: Registry) -> Scene:
+def _read_files(
+    photos: tuple[Path, ...], job: RunJob, registry: Registry
+) -> tuple[list[Path], Scene]:
+    """All photos that were found, and the scene of those that are used."""
     config = job.config
-    found = find_photos(job.photos, max(USUAL_FRAMES, config.views or 0))
-    used = choose_photos(found, config.views)
+    found = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
     loaded = load_photos(
-        used,
+        choose_photos(found, config.views),
         fov=config.fov,
         size=config.size,
         cameras=job.cameras if isinstance(job.cameras, Path) else None,
         read_lens=partial(read_lens, config, registry),
     )
-    return Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
+    return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
 
 
-def _with_marks(scene: Scene, job: RunJob) -> Scene:
-    """The scene with the job's masks, or with what is marked on its photos."""
-    masks = job.masks
+def _with_marks(scene: Scene, masks: Tensor | Selection | MarkTexts | None) -> Scene:
+    """The scene with given masks, or with what is marked on its photos."""
     if masks is None:
         return scene
     if isinstance(masks, Tensor):
@@ -107,16 +112,9 @@ def _with_marks(scene: Scene, job: RunJob) -> Scene:
         return replace(scene, marked=masks)
     if not scene.records:
         raise InputError("marks in words need photos that were read from files.")
-    texts = masks if job.earlier is not None else _of_used_photos(masks, job, scene)
-    loaded = LoadedPhotos(scene.start, scene.records)
-    hashes = {file: sha256_of(Path(file)) for file in texts.mask_files}
-    return replace(scene, marked=texts.read(loaded), mask_files=hashes)
-
-
-def _of_used_photos(texts: MarkTexts, job: RunJob, scene: Scene) -> MarkTexts:
-    found = [str(path) for path in find_photos(job.photos)]
-    used = [record.file for record in scene.records]
-    return texts.for_photos(found, used)
+    marked = masks.read(LoadedPhotos(scene.start, scene.records))
+    hashes = {file: sha256_of(Path(file)) for file in masks.mask_files}
+    return replace(scene, marked=marked, mask_files=hashes)
 
 
 # ---- select ----

@@ -44,7 +44,7 @@ class MarkTexts:
                 masks[view] = read_mask(path, frames[view])
         return Selection(positive, negative, boxes, masks=masks)
 
-    def for_photos(self, found: list[Path], used: list[Path]) -> "MarkTexts":
+    def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""
         if len(self.mask_files) != len(found):
             return self

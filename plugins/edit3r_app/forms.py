@@ -103,9 +103,7 @@ def read_form(fields: tuple[FormField, ...], values: dict[str, Any]) -> dict[str
     return settings
 
 
-def run_settings(
-    form: dict[str, Any], registry: Registry, photos: int
-) -> dict[str, Any]:
+def run_settings(form: dict[str, Any], registry: Registry) -> dict[str, Any]:
     """The settings of a run as a form's values say; raises SettingsError where they are none.
 
     Keys of `form`: prompt, editor, reconstructor, quality, and settings, which holds the values of
@@ -135,7 +133,7 @@ def run_settings(
             f"{', '.join(RUNS_PROGRAMS)} starts programs of your choice, which only edit3r run "
             "does."
         )
-    make_run_config(settings, photos=photos)
+    make_run_config(settings)
     return settings
 
 

@@ -603,7 +603,7 @@ class ScenePage:
         self._edit_draft(lambda draft: draft.form.update({"prompt": wish}))
         draft = self._draft()
         try:
-            settings = forms.run_settings(draft.form, self.registry, len(self.names))
+            settings = forms.run_settings(draft.form, self.registry)
             if not settings["prompt"] and settings["editor"]["name"] != "none":
                 raise InputError("say what to change, such as: paint it golden.")
             wished = Job(

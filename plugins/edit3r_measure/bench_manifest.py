@@ -29,7 +29,7 @@ from edit3r.io.atomic import sha256_of
 from edit3r.io.images import is_plain_name, load_photos, read_image
 from edit3r.io.masks import load_masks
 from edit3r.io.run_folder import installed_versions
-from edit3r.pipeline.config import MOST_PROMPT
+from edit3r.pipeline.config import MAX_PROMPT
 from edit3r.plugins.registry import Registry
 from edit3r_measure.report import read_json, write_json
 
@@ -83,7 +83,7 @@ class ItemRecord(Settings):
     scene: str = Field(description="id of its scene")
     type: EditType
     prompt: str = Field(
-        max_length=MOST_PROMPT, description="the instruction, shared by all views"
+        max_length=MAX_PROMPT, description="the instruction, shared by all views"
     )
     description: str = Field(
         "", description="what the edited photo shows, for CLIP; '' to use the prompt"

@@ -66,7 +66,7 @@ def test_only_what_differs_from_the_defaults_becomes_a_setting():
 @pytest.mark.parametrize("kind", CHOSEN)
 def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
     for name in offered(REGISTRY, kind):
-        settings = run_settings({"prompt": "x", kind: name}, REGISTRY, photos=2)
+        settings = run_settings({"prompt": "x", kind: name}, REGISTRY)
         assert settings[kind] == {"name": name}
 
 
@@ -100,10 +100,8 @@ def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
 )
 def test_what_cannot_be_run_is_refused_before_it_is_queued(form, sentence):
     with pytest.raises(SettingsError, match=sentence):
-        run_settings({"prompt": "paint it red", **form}, REGISTRY, photos=2)
+        run_settings({"prompt": "paint it red", **form}, REGISTRY)
 
 
 def test_a_wish_may_say_any_word():
-    assert (
-        run_settings({"prompt": "command"}, REGISTRY, photos=2)["prompt"] == "command"
-    )
+    assert run_settings({"prompt": "command"}, REGISTRY)["prompt"] == "command"

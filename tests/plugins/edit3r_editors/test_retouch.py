@@ -7,12 +7,10 @@ import torch
 from edit3r_editors.retouch import RetouchEditor, _spanned
 
 import edit3r
-import edit3r.pipeline.steps
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import MatchingError, PromptError
 from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.pipeline.config import RunConfig
 from edit3r.reporting import Report, collecting
 
 SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
@@ -160,18 +158,15 @@ def test_what_no_other_view_sees_is_invented_and_said():
 def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     seen = []
 
-    class Spy(edit3r.contract.interfaces.Reconstructor):
+    class Spy(Reconstructor):
         def __call__(self, views, source=None, grid=None):
             seen.append(source)
             raise MatchingError("enough.")
 
     views, truth, masks, geometry = _scene()
-    parts = {
-        "editor": RetouchEditor(RetouchEditor.Settings(), _Known(geometry)),
-        "reconstructor": Spy(),
-    }
+    editor = RetouchEditor(RetouchEditor.Settings(), _Known(geometry))
     with pytest.raises(MatchingError):
-        edit3r.pipeline.steps.run(views, RunConfig(), masks=masks, components=parts)
+        edit3r.run(views, masks=masks, editor=editor, recon=Spy())
     assert _error(seen[0].images[0], truth, masks) < 0.02
-    with pytest.raises(PromptError, match="changes what is masked, and nothing is"):
-        edit3r.pipeline.steps.run(views, RunConfig(), components=parts)
+    with pytest.raises(PromptError, match="removes what is marked, and nothing is"):
+        edit3r.run(views, editor=editor, recon=Spy())

@@ -102,7 +102,7 @@ def test_a_box_gives_the_object_in_it(mask):
 
 
 def test_a_point_or_a_box_is_needed():
-    with pytest.raises(InputError, match="at least one point or a box"):
+    with pytest.raises(InputError, match="at least one point, or a box"):
         SEGMENTER.segment(PICTURE)
 
 

@@ -93,7 +93,7 @@ def test_points_and_boxes_change_the_mask(build_sam2, photo):
 
 
 def test_a_segment_of_nothing_is_refused(build_sam2, photo):
-    with pytest.raises(InputError, match="at least one point or a box"):
+    with pytest.raises(InputError, match="at least one point, or a box"):
         build_sam2().segment(photo)
 
 

@@ -1,0 +1,110 @@
+"""`edit3r.run` can do what the command line can."""
+
+import inspect
+import json
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.contract.types import Cameras
+from edit3r.errors import InputError
+from edit3r.io.cameras import posed_cameras, write_cameras
+from edit3r.io.images import save_image
+from edit3r.pipeline.config import RunConfig
+
+QUICK = {"gaussians": "all", "refine": 0, "frames": 2, "size": 96}
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory):
+    """Two photos of a generated scene as files, their cameras, and a mask of the left half."""
+    folder = tmp_path_factory.mktemp("posed")
+    sample = edit3r.build(
+        "dataset", "procedural", image_size=96, scenes=1, seed=3, textures=8
+    )[0]
+    names = [f"{index}.png" for index in range(len(sample.context))]
+    for name, image in zip(names, sample.context):
+        save_image(image, folder / name)
+        mask = torch.zeros_like(image)
+        mask[:, :, : image.shape[-1] // 2] = 1
+        save_image(mask, folder / f"mask_{name}")
+    write_cameras(folder / "cameras.json", posed_cameras(sample.context_cameras, names))
+    return folder, sample
+
+
+def run(posed, **asked):
+    folder, _ = posed
+    photos = [folder / "0.png", folder / "1.png"]
+    return edit3r.run(photos, "make it red", editor="recolor", **QUICK, **asked)
+
+
+def test_a_masked_edit_with_given_cameras_is_edited_again(posed, tmp_path):
+    folder, sample = posed
+    masks = [folder / "mask_0.png", folder / "mask_1.png"]
+    first = run(posed, masks=masks, cameras=folder / "cameras.json")
+    true = (
+        torch.linalg.inv(sample.context_cameras.c2w[0, 0])
+        @ sample.context_cameras.c2w[0, 1]
+    )
+    assert torch.allclose(first.cameras.c2w[0, 1], true, atol=1e-5)
+    outside = first.scene.masks[0] == 0
+    photos, edited = first.photos.images[0], first.edited.images[0]
+    assert torch.equal(photos.movedim(1, -1)[outside], edited.movedim(1, -1)[outside])
+
+    marks = edit3r.Selection(
+        masks={0: 1 - first.scene.masks[0, 0], 1: 1 - first.scene.masks[0, 1]}
+    )
+    second = edit3r.run(prompt="make it blue", earlier=first, masks=marks, **QUICK)
+    assert second.scene.prompts == ("make it red", "make it blue")
+    assert torch.equal(second.cameras.c2w, first.cameras.c2w)
+    assert torch.equal(second.photos.images, first.photos.images)
+    kept = second.edited.images[0].movedim(1, -1)[~outside]
+    assert torch.equal(kept, edited.movedim(1, -1)[~outside])
+    assert second.reconstructor is first.reconstructor
+
+    third = edit3r.run(
+        prompt="make it darker", earlier=second.save(tmp_path / "second"), **QUICK
+    )
+    assert third.scene.prompts[-1] == "make it darker" and len(third.scene.prompts) == 3
+
+
+def test_mask_files_and_a_preset_stand_in_the_manifest(posed, tmp_path):
+    folder, _ = posed
+    mask = str(folder / "mask_0.png")
+    result = edit3r.run(
+        [folder / "0.png", folder / "1.png"],
+        "make it red",
+        masks=mask,
+        quality="fast",
+        outputs=(),
+        **{**QUICK, "size": 64},
+    )
+    manifest = json.loads((result.save(tmp_path / "out") / "run.json").read_text())
+    assert list(manifest["masks"]) == [mask]
+    assert manifest["notes"]["quality"]["preset"] == "fast"
+
+
+def test_cameras_of_loaded_views_are_used(posed):
+    folder, sample = posed
+    views = edit3r.load_views([folder / "0.png", folder / "1.png"])
+    cameras = sample.context_cameras
+    moved = Cameras(cameras.c2w, cameras.intrinsics, views.image_size)
+    result = edit3r.run(views, editor="none", cameras=moved, **QUICK)
+    assert torch.allclose(
+        result.cameras.c2w[0, 1, :3, 3].norm(),
+        (cameras.c2w[0, 1, :3, 3] - cameras.c2w[0, 0, :3, 3]).norm(),
+        atol=1e-5,
+    )
+
+
+def test_marks_in_words_need_files(posed):
+    folder, _ = posed
+    views = edit3r.load_views([folder / "0.png", folder / "1.png"])
+    with pytest.raises(InputError, match="photos that were read from files"):
+        edit3r.run(views, "make it red", masks=folder / "mask_0.png", **QUICK)
+
+
+def test_every_setting_of_a_run_is_a_keyword():
+    names = set(inspect.signature(edit3r.run).parameters)
+    assert set(RunConfig.model_fields) - {"reconstructor"} <= names and "recon" in names
