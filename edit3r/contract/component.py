@@ -49,6 +49,8 @@ class Component:
     ] = ()  # types of torch device it runs on, as ("cuda",); (): any
     needs_network: bool = False
     supports_seed: bool = True  # False: the same seed may give another result
+    # of an editor: what a run without --editor may take it for (`edit3r.contract.wishes.Action`)
+    actions: tuple[str, ...] = ()
     min_views: int = 1
     max_views: int | None = None  # None: any number
     citation: str = ""
@@ -73,7 +75,7 @@ class Component:
                 raise ValueError(
                     f"{who}: {field} must be text, got {getattr(self, field)!r}"
                 )
-        for field in ("requires", "parts", "devices"):
+        for field in ("requires", "parts", "devices", "actions"):
             object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
         if not isinstance(self.weights, tuple) or not all(
             isinstance(item, Weights) for item in self.weights

@@ -22,6 +22,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from edit3r.contract.wishes import Wish
+
 MAX_DEGREE = 4
 Moved = TypeVar("Moved", bound="_Tensors")
 
@@ -133,24 +135,36 @@ class EditRequest(_Tensors):
     seed: int = 0  # one for all views, so that every view gets the same edit
     # in [0, 1]; 1: may change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None = None
-    guess: bool = False  # True: the user allows a guess at what is meant
+    wishes: tuple[Wish, ...] = ()  # the prompt as it was read; see `read`
+    # where each wish applies, in [0, 1]; None: nobody looked, so everywhere
+    regions: Float[Tensor, "wish batch view height width"] | None = None
 
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
 
+    def read(self) -> tuple[Wish, ...]:
+        """What the prompt asks for. Raises PromptError for one that asks for nothing."""
+        from edit3r.wishes.read import read
+
+        return self.wishes or read(self.prompt)
+
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""
-        if self.masks is None:
-            return self
-        return replace(self, masks=self.masks[index : index + 1])
+        one = slice(index, index + 1)
+        return replace(
+            self,
+            masks=None if self.masks is None else self.masks[one],
+            regions=None if self.regions is None else self.regions[:, one],
+        )
 
     def of_views(self, indices: Iterable[int]) -> "EditRequest":
         """The same request for the views at `indices` only."""
-        return (
-            self
-            if self.masks is None
-            else replace(self, masks=self.masks[:, list(indices)])
+        index = list(indices)
+        return replace(
+            self,
+            masks=None if self.masks is None else self.masks[:, index],
+            regions=None if self.regions is None else self.regions[:, :, index],
         )
 
 

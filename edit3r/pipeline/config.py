@@ -38,8 +38,9 @@ class RunConfig(Settings):
         max_length=MAX_PROMPT,
         description="what to change, such as 'paint the bike red'",
     )
-    editor: PartChoice = Field(
-        PartChoice(name=DEFAULTS["editor"]), description="2D editor and its settings"
+    editor: PartChoice | None = Field(
+        None,
+        description="2D editor and its settings; default: the one that can do what the prompt asks",
     )
     reconstructor: PartChoice = Field(
         PartChoice(name=DEFAULTS["reconstructor"]),

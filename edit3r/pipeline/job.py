@@ -95,11 +95,7 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     }
     marked = inputs.mask or inputs.point or inputs.not_point or inputs.box
     subject = DEFAULTS["subject"]
-    if (
-        not marked
-        and config.editor.name == DEFAULTS["editor"]
-        and subject in config.prompt.lower()
-    ):
+    if not marked and config.editor is None and subject in config.prompt.lower():
         note("selection.mask", f"the packaged pair brings masks of its {subject}")
         folder = Path(cameras).parent
         found["mask"] = tuple(

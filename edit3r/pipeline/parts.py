@@ -6,6 +6,7 @@ from typing import Any
 
 from edit3r.config import PartChoice
 from edit3r.contract.interfaces import (
+    ChangesShape,
     Editor,
     Matcher,
     Rasterizer,
@@ -14,9 +15,11 @@ from edit3r.contract.interfaces import (
     Segmenter,
 )
 from edit3r.contract.types import Views
-from edit3r.errors import InputError
+from edit3r.errors import InputError, PromptError
 from edit3r.io.framing import Lens
+from edit3r.pipeline.checks import component_name
 from edit3r.pipeline.config import DEFAULTS, RunConfig
+from edit3r.pipeline.editors import EditorTask, tasks_for_editor, tasks_without_editor
 from edit3r.pipeline.job import RunJob
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import say
@@ -40,9 +43,38 @@ class Parts:
         return self.job.earlier is not None
 
     @cached_property
+    def tasks(self) -> tuple[EditorTask, ...]:
+        """The editors of the run, each with its part of the prompt."""
+        prompt = self.config.prompt
+        if self.config.editor is None and "editor" not in self._given:
+            return tasks_without_editor(prompt, self._registry)
+        return tasks_for_editor(self._build("editor"), prompt, self._registry)
+
+    @property
     def editor(self) -> Editor:
-        parts = {"segmenter": self._chosen_segmenter} if self._chosen_segmenter else {}
-        return self._build("editor", parts)
+        """The first editor, mostly the only one."""
+        return self.tasks[0].editor
+
+    @property
+    def editor_names(self) -> str:
+        return " + ".join(
+            dict.fromkeys(component_name(task.editor) for task in self.tasks)
+        )
+
+    @property
+    def only_task(self) -> EditorTask:
+        """The task of a reconstructor that edits by itself; raises PromptError for several."""
+        if len(self.tasks) > 1:
+            raise PromptError(
+                f"reconstructor {component_name(self.reconstructor)!r} edits by itself, with one "
+                f"editor, and this sentence needs {self.editor_names}; ask for one thing at a time."
+            )
+        return self.tasks[0]
+
+    @property
+    def changes_shape(self) -> bool:
+        """Whether an editor adds or removes things."""
+        return any(isinstance(task.editor, ChangesShape) for task in self.tasks)
 
     @cached_property
     def reconstructor(self) -> Reconstructor:
@@ -69,19 +101,17 @@ class Parts:
 
     @cached_property
     def segmenter(self) -> Segmenter:
-        """The one asked for, else the editor's own, else the default one."""
+        """The one asked for, else the default one."""
         if self._chosen_segmenter is not None:
             return self._build("segmenter")
-        own = getattr(self.editor, "parts", {}).get("segmenter")
-        default = PartChoice(name=DEFAULTS["segmenter"])
-        return own or self._registry.build_choice("segmenter", default)
+        return self._registry.build_choice(
+            "segmenter", PartChoice(name=DEFAULTS["segmenter"])
+        )
 
     @property
-    def finds_by_prompt(self) -> bool:
-        """Whether a segmenter was asked for that the editor has no use for itself."""
-        offer = getattr(self.editor, "offer", None)
-        editor_uses_it = offer is not None and "segmenter" in offer.component.parts
-        return self._chosen_segmenter is not None and not editor_uses_it
+    def chose_segmenter(self) -> bool:
+        """Whether the user asked for a segmenter, so that any editor is confined to the thing."""
+        return self._chosen_segmenter is not None
 
     @property
     def _chosen_segmenter(self) -> Any:

@@ -10,7 +10,7 @@ from torch import Tensor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.io.images import Photo
 from edit3r.pipeline.verdict import Verdict
-from edit3r.selection.select import Selection
+from edit3r.selection.select import Selected, Selection
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,11 @@ class Scene:
     marked: Selection | None = None  # what the user marked on the photos
     # in [0, 1]; 1: may change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None = None
+    # where each wish of the prompt applies, in [0, 1]
+    regions: Float[Tensor, "wish batch view height width"] | None = None
+    selected: tuple[
+        Selected, ...
+    ] = ()  # the things that were looked for, of the first scene
     edited: Views | None = None  # after the 2D editor and the composite with the masks
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
@@ -59,6 +64,7 @@ class Scene:
             start=self.start.select(indices),
             records=records,
             masks=None if self.masks is None else self.masks[:, indices],
+            regions=None if self.regions is None else self.regions[:, :, indices],
             edited=None if self.edited is None else self.edited.select(indices),
         )
 

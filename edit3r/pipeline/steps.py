@@ -19,15 +19,18 @@ from torch import Tensor
 from edit3r.cache import recall
 from edit3r.compute.layers import bilinear
 from edit3r.contract.interfaces import (
-    ChangesShape,
     ComparesWithBefore,
+    Editor,
+    EditsRegions,
     EditsViews,
     Reconstructor,
     RefineInputs,
     Refiner,
 )
 from edit3r.contract.types import EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import InputError
+from edit3r.geometry.maps import dilate_softly
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.io.atomic import sha256_of
 from edit3r.io.coverage import USUAL_FRAMES, choose_photos, origin
@@ -40,16 +43,17 @@ from edit3r.pipeline.checks import (
     errors_named_after,
 )
 from edit3r.pipeline.earlier import EarlierRun
+from edit3r.pipeline.editors import EditorTask
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, read_lens
 from edit3r.pipeline.rendering import render_each
 from edit3r.pipeline.scene import Scene
 from edit3r.pipeline.verdict import judge as judged
 from edit3r.plugins.registry import Registry
-from edit3r.reporting import note, stage, warn
-from edit3r.selection.from_prompt import masks_from_prompt
+from edit3r.reporting import note, say, stage, warn
 from edit3r.selection.marks import MarkTexts
-from edit3r.selection.select import Selection, geometry_of, select_masks
+from edit3r.selection.regions import RegionFinder
+from edit3r.selection.select import Selection, geometry_of
 
 MIN_VISIBLE_CHANGE = (
     2 / 255
@@ -127,7 +131,7 @@ def select(scene: Scene, parts: Parts) -> Scene:
         scene, reconstructor = scene.to(parts.config.device), parts.reconstructor
         _require_enough(scene.start, reconstructor)
     with stage("select"):
-        scene = replace(scene, masks=_masks(scene, parts))
+        scene = _with_regions(scene, parts)
         return _as_many_as_fit(scene, reconstructor)
 
 
@@ -150,11 +154,13 @@ def _as_many_as_fit(scene: Scene, reconstructor: Reconstructor) -> Scene:
     return scene.select(chosen)
 
 
-def _masks(
-    scene: Scene, parts: Parts
-) -> Float[Tensor, "batch view height width"] | None:
-    """The masks that were given or that a segmenter finds; None where everything may change."""
+def _with_regions(scene: Scene, parts: Parts) -> Scene:
+    """The scene with a region for each wish, and their union as masks.
+
+    An editor that takes any sentence is confined only by marks, or where a segmenter was asked for.
+    """
     views = scene.start
+    wishes = tuple(wish for task in parts.tasks for wish in task.wishes)
     if scene.masks is not None:
         expected = [*views.images.shape[:2], *views.image_size]
         if list(scene.masks.shape) != expected:
@@ -162,28 +168,41 @@ def _masks(
                 f"masks: expected one per view at the views' size {expected}, got "
                 f"{list(scene.masks.shape)}."
             )
-        return scene.masks
-    if scene.marked is not None:
-        return _masks_of_marks(scene.marked, views, parts)
-    if parts.finds_by_prompt:
-        config = parts.config
-        return masks_from_prompt(config.prompt, views, parts.segmenter, config.guess)
-    return None
-
-
-def _masks_of_marks(
-    marked: Selection, views: Views, parts: Parts
-) -> Float[Tensor, "1 view height width"]:
-    """Masks of what a user marked, carried between views by the reconstructor's own matcher."""
-    if len(marked.masks) == views.count:
-        return torch.stack([marked.masks[view] for view in range(views.count)])[
-            None
-        ].to(views.images)
-    geometry = geometry_of(parts.matcher, views)
-    selected = select_masks(
-        views.images[0], marked, parts.segmenter, geometry, views.intrinsics
+        return replace(scene, regions=scene.masks.expand(len(wishes), *expected))
+    regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
+    named = parts.chose_segmenter and any(
+        wish.thing.scope == "named" for wish in wishes
     )
-    return selected.masks.transpose(0, 1)
+    if scene.marked is None and not regional and not named:
+        return scene
+    found = [
+        _finder(views.scene(index), scene, parts).find(wishes or (MARKED,))
+        for index in range(len(views.images))
+    ]
+    regions = torch.stack([one.masks for one in found], dim=1)
+    masks = regions.amax(0)
+    if not regional:
+        masks = dilate_softly((masks > 0.5).to(masks).flatten(0, 1)).view_as(masks)
+    return replace(
+        scene,
+        regions=regions if wishes else None,
+        masks=None if bool((masks >= 1).all()) else masks,
+        selected=found[0].selected,
+    )
+
+
+MARKED = Wish("other", Thing("marked"))
+"""The wish of a sentence that could not be read, or of none."""
+
+
+def _finder(views: Views, scene: Scene, parts: Parts) -> RegionFinder:
+    return RegionFinder(
+        views,
+        segmenter=lambda: parts.segmenter,
+        geometry=lambda: geometry_of(parts.matcher, views),
+        marked=scene.marked,
+        guess=parts.config.guess,
+    )
 
 
 # ---- edit ----
@@ -191,23 +210,45 @@ def _masks_of_marks(
 
 @torch.no_grad()
 def edit(scene: Scene, parts: Parts) -> Scene:
-    """Edit all views, or the first alone, and keep the pixels outside the masks."""
-    editor, config, views = parts.editor, parts.config, scene.start
-    with stage(f"edit ({component_name(editor)})"):
+    """Edit all views, or the first alone, one editor after the other."""
+    config, views = parts.config, scene.start
+    with stage(f"edit ({parts.editor_names})"):
         count = views.count if config.edit_views == "all" else 1
         chosen = views.select(range(count))
-        masks = None if scene.masks is None else scene.masks[:, :count]
-        with errors_named_after(editor):
-            request = EditRequest(config.prompt, config.seed, masks, config.guess)
-            answer = editor.edit(chosen, request)
-        check_edit(editor, chosen, answer)
-        images = answer.images
-        if masks is not None:
-            _note_spill(chosen, answer, masks)
-            images = composite(chosen.images, images, masks)
-        _note_change(images - chosen.images, config.prompt)
-        images = torch.cat((images, views.images[:, count:]), dim=1)
+        edited, done = chosen, 0
+        for task in parts.tasks:
+            request = _request(
+                task, scene, config.seed, range(done, done + len(task.wishes))
+            )
+            edited = _edited(task.editor, edited, request.of_views(range(count)))
+            done += len(task.wishes)
+        _note_change(edited.images - chosen.images, config.prompt)
+        images = torch.cat((edited.images, views.images[:, count:]), dim=1)
     return replace(scene, edited=replace(views, images=images))
+
+
+def _request(task: EditorTask, scene: Scene, seed: int, wishes: range) -> EditRequest:
+    """What one editor is asked; its wishes are those at `wishes` of the whole sentence."""
+    regions = None
+    if scene.regions is not None:
+        regions = scene.regions[wishes.start : wishes.stop]
+    if task.wishes:
+        say("edit.understood", "; ".join(map(str, task.wishes)))
+    return EditRequest(task.prompt, seed, scene.masks, task.wishes, regions)
+
+
+def _edited(editor: Editor, views: Views, request: EditRequest) -> Views:
+    """The editor's answer, held to its contract, with the pixels outside the masks as they were."""
+    with errors_named_after(editor):
+        answer = editor.edit(views, request)
+    check_edit(editor, views, answer)
+    masks = request.masks
+    if masks is None:
+        return replace(views, images=answer.images)
+    _note_spill(views, answer, masks)
+    if isinstance(editor, EditsRegions):  # it blends by its regions itself
+        masks = (masks > 0).to(masks)
+    return replace(views, images=composite(views.images, answer.images, masks))
 
 
 def composite(
@@ -270,12 +311,13 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
 def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
     recon, edited = parts.reconstructor, scene.edited
-    source = edited if isinstance(parts.editor, ChangesShape) else scene.photos
+    source = edited if parts.changes_shape else scene.photos
     if not isinstance(recon, EditsViews):
         return _checked(
             recon, edited, lambda: recon(edited, source, _grid(parts, edited))
         )
-    request = EditRequest(parts.config.prompt, parts.config.seed, scene.masks)
+    task = parts.only_task
+    request = _request(task, scene, parts.config.seed, range(len(task.wishes)))
     return _checked(
         recon, edited, lambda: recon.edit_and_reconstruct(edited, source, request)
     )
@@ -353,7 +395,7 @@ def _masks_of_change(
 def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and some of it must stay."""
     needed = any(isinstance(refiner, ComparesWithBefore) for refiner in parts.refiners)
-    if not needed or isinstance(parts.editor, ChangesShape) or not scene.confined:
+    if not needed or parts.changes_shape or not scene.confined:
         return None
     if scene.before is not None:  # an earlier run's
         return scene.before

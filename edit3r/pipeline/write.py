@@ -198,7 +198,7 @@ def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"]
 
 def _sheet(result: "RunResult") -> Image.Image:
     subtitle = (
-        f"editor {component_name(result.editor)}, "
+        f"editor {result.parts.editor_names}, "
         f"reconstructor {component_name(result.reconstructor)}; "
         f"verdict: {result.verdict.label}"
     )
@@ -221,7 +221,11 @@ def _manifest(result: "RunResult") -> RunManifest:
     settings = {
         kind: getattr(one, "settings", None) for kind, one in components.items()
     }
-    plugins = [record for one in components.values() for record in plugin_records(one)]
+    used = [
+        *(task.editor for task in result.parts.tasks),
+        *list(components.values())[1:],
+    ]
+    plugins = [record for one in used for record in plugin_records(one)]
     weights = {k: v for k, v in report.notes.items() if k.startswith("weights.")}
     notes = {k: v for k, v in report.notes.items() if k not in weights}
     return RunManifest(

@@ -26,6 +26,7 @@ from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.warping import warp
 from edit3r.pipeline.checks import component_name
 from edit3r.reporting import note, warn
+from edit3r.selection.which import pick
 
 Box = tuple[float, float, float, float]
 SAME_SURFACE = (
@@ -60,9 +61,8 @@ class Selection:
     masks: Mapping[int, Float[Tensor, "height width"]] = field(
         default_factory=dict
     )  # finished masks, by view
-    words: str = (
-        ""  # what is meant, such as "the bike"; looked up where nothing is marked
-    )
+    words: str = ""  # what is meant, such as "bike"; looked up where nothing is marked
+    which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
     guess: bool = (
         False  # True: words that cannot be looked up mean what stands out most
     )
@@ -201,11 +201,9 @@ class _Work:
         words, name = self.selection.words, component_name(self.segmenter)
         found = self.segmenter.segment_text(self.images[view], words) if words else None
         if found:
-            self._keep(
-                view,
-                torch.stack([proposal.soft_mask for proposal in found]).amax(0),
-                "words",
-            )
+            picked = pick(found, self.selection.which, self.images[view])
+            mask = torch.stack([proposal.soft_mask for proposal in picked]).amax(0)
+            self._keep(view, mask, "words")
             return
         if not self.selection.guess:
             if not words:

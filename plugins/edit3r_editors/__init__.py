@@ -39,6 +39,7 @@ def register_editors():
             "removes what is masked and shows what the other photos see behind it; the rest is "
             "inpainted",
             parts=("matcher",),
+            actions=("remove",),
             min_views=2,
         ),
         Component(
@@ -46,5 +47,6 @@ def register_editors():
             "edit3r_editors.looks:LooksEditor",
             "a named look for the picture or what is masked (autumn, sketch, marble ...): "
             "filters, nothing generative",
+            actions=("look", "paint"),
         ),
     )

@@ -7,7 +7,6 @@ neighbourhood, so that a surface looks alike in all views; no pattern depends on
 picture, where it would swim over the surfaces.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -22,8 +21,9 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Editor
+from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import PromptError, suggest
 from edit3r.reporting import say
 
@@ -228,17 +228,12 @@ LOOKS = {
 """Every look by its name."""
 
 BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words.split()}
-FILLERS = """
-    make made making turn turned give render convert change paint draw drawn let have like look looks looking as if in
-    into to of at on a an the this that it its it's were was is be become becomes with style effect painting drawing
-    picture photo photograph image scene view whole entire everything all please day time season colours colors tones
-"""
-NEGATIONS = "not no don't dont never without except but neither nor isn't instead"
 
 
-class LooksEditor(Editor):
-    """Gives photos one named look; colour grading and classical filters, not a generative
-    editor.
+class LooksEditor(Editor, EditsRegions):
+    """Gives photos, or things in them, one named look.
+
+    Colour grading and classical filters, not a generative editor.
     """
 
     class Settings(Settings):
@@ -249,58 +244,43 @@ class LooksEditor(Editor):
             1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
         )
 
+    def understands(self, wish: Wish) -> bool:
+        return bool(self.settings.look) or look_of(wish) != ""
+
+    def wish_of_nothing(self) -> Wish | None:
+        if not self.settings.look:
+            return None
+        return Wish(
+            "look", Thing("whole"), look=self.settings.look, text=self.settings.look
+        )
+
     def edit(self, views: Views, request: EditRequest) -> Views:
-        name = self.settings.look or read_look(
-            request.prompt, request.masks is not None
-        )
-        place = "the whole picture" if request.masks is None else "what is masked"
-        say("edit.understood", f"look {name} on {place}: {LOOKS[name].does}")
+        wishes = (self.wish_of_nothing(),) if self.settings.look else request.read()
         photos = views.images.flatten(0, 1)
-        drawn = torch.lerp(
-            photos,
-            LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1),
-            self.settings.strength,
-        )
-        return replace(views, images=drawn.view_as(views.images))
+        for number, wish in enumerate(wishes):
+            name = self.settings.look or look_of(wish)
+            if not name:
+                listed = ", ".join(LOOKS)
+                hint = suggest(wish.look, BY_WORD) if wish.look else ""
+                raise PromptError(
+                    f"{wish.text!r} names no look that the editor looks knows.{hint} Looks are "
+                    f"{listed}."
+                )
+            say("look", f"{name}: {LOOKS[name].does}")
+            drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
+            weight = self.settings.strength
+            if request.regions is not None:
+                weight = weight * request.regions[number].flatten(0, 1)[:, None].to(
+                    photos
+                )
+            photos = torch.lerp(photos, drawn, torch.as_tensor(weight).to(photos))
+        return replace(views, images=photos.view_as(views.images))
 
 
-def read_look(prompt: str, masked: bool) -> str:
-    """The one look that a prompt names; other words may only say what is `masked`. Raises
-    PromptError.
-    """
-    text = re.sub(
-        r"\bblack\s*(?:and|&|-and-)\s*white\b",
-        "greyscale",
-        prompt.lower().replace("’", "'"),
-    )
-    tokens = re.findall(r"[^\W_]+(?:'[a-z]+)?", text)
-    named = tuple(dict.fromkeys(BY_WORD[token] for token in tokens if token in BY_WORD))
-    others = [
-        token
-        for token in tokens
-        if token not in BY_WORD and token not in FILLERS.split()
-    ]
-    listed = f"Looks are {', '.join(LOOKS)}."
-    if negation := next(
-        (token for token in tokens if token in NEGATIONS.split()), None
-    ):
-        raise PromptError(
-            f"{negation!r} in {prompt!r}: negations are not understood; name one look. {listed}"
-        )
-    if not named:
-        hint = next((hint for token in others if (hint := suggest(token, BY_WORD))), "")
-        raise PromptError(
-            f"{prompt!r} names no look that the editor looks knows.{hint} {listed}"
-        )
-    if len(named) > 1:
-        raise PromptError(
-            f"{prompt!r} names {' and '.join(named)}; ask for one, then for the next with --from."
-        )
-    if others and not masked:
-        raise PromptError(
-            f"cannot carry out {' '.join(others)!r} in {prompt!r}. If it is the thing that gets "
-            "the look, say where it "
-            "is by --point X,Y, --mask FILE or --segmenter NAME; without, the whole picture "
-            f"does. {listed}"
-        )
-    return named[0]
+def look_of(wish: Wish) -> str:
+    """The name of the one look that a wish asks for; "" where it names none, or several."""
+    spoken = wish.look.split()
+    if wish.action == "paint" and len(wish.changes) == 1:
+        spoken = [wish.changes[0].material, wish.changes[0].kind]
+    named = dict.fromkeys(BY_WORD[word] for word in spoken if word in BY_WORD)
+    return next(iter(named)) if len(named) == 1 else ""

@@ -14,8 +14,15 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.config import PartChoice, Settings
-from edit3r.contract.interfaces import ChangesShape, Editor, MatchedGeometry, Matcher
+from edit3r.contract.interfaces import (
+    ChangesShape,
+    Editor,
+    EditsRegions,
+    MatchedGeometry,
+    Matcher,
+)
 from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import MatchingError, PromptError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.maps import dilate
@@ -29,7 +36,7 @@ NEAR = 0.1
 SURE = 0.5
 
 
-class RetouchEditor(Editor, ChangesShape):
+class RetouchEditor(Editor, ChangesShape, EditsRegions):
     """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
 
     class Settings(Settings):
@@ -52,6 +59,12 @@ class RetouchEditor(Editor, ChangesShape):
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
+
+    def understands(self, wish: Wish) -> bool:
+        return wish.action == "remove" and wish.thing.scope in ("named", "marked")
+
+    def wish_of_nothing(self) -> Wish:
+        return Wish("remove", Thing("marked"), text="remove what is marked")
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.masks is None:

@@ -12,8 +12,8 @@ def register_editors() -> Component:
     return Component(
         "recolor",
         "edit3r_recolor.editor:RecolorEditor",
-        "recolours an object or the picture from plain words, the same in every view; no model",
-        parts=("segmenter",),
+        "recolours things or the whole image from plain words, the same in every view; no model",
+        actions=("paint",),
         citation="Edit3r, section 3.2 (region-wise recoloring)",
     )
 

@@ -4,7 +4,6 @@ marked object.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import cv2
 import torch
@@ -13,19 +12,10 @@ from pydantic import Field, field_validator
 from torch import Tensor
 
 from edit3r.config import Settings
-from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
-from edit3r.errors import PromptError
-from edit3r.selection.select import Selection, select_masks
-from edit3r_recolor.prompt import Instruction
-from edit3r_recolor.steps import Paint, rgb_to_lab
+from edit3r.contract.interfaces import Proposal, Tracks
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
-
-NEAR = (13.0, 20.0)
-"""Colour differences [CIE94, lightness halved, hue by 1.7] up to which a pixel has a colour, and
-from which not.
-"""
 
 
 class ProposalFilter(Settings):
@@ -145,84 +135,3 @@ def proposals_of_masks(masks: Float[Tensor, "object height width"]) -> list[Prop
         Proposal(mask, float(i.float().mean()), 1.0, 1.0, box)
         for mask, i, box in zip(masks, inside, boxes)
     ]
-
-
-@dataclass(frozen=True)
-class Region:
-    """Soft masks of one region in every view of a scene, and how it was found."""
-
-    masks: Float[Tensor, "view height width"]  # in [0, 1]
-    # "masks", "point", "box", "everything", "named object", "most salient object", "all but the
-    # ..."
-    source: str
-
-
-def choose_region(
-    images: Float[Tensor, "view 3 height width"],
-    given: Float[Tensor, "view height width"] | None,
-    instruction: Instruction,
-    segmenter: Segmenter,
-    marks: Selection,
-) -> Region:
-    """Take the given masks, else the marks (a point or box), else what the instruction says,
-    whatever its colours.
-
-    `marks.guess` allows the most salient object where the segmenter cannot look up what the
-    instruction names.
-    """
-    if given is not None:
-        return Region(given.to(images), "masks")
-    if instruction.scope == "everything" and not marks.views:
-        return Region(torch.ones_like(images[:, 0]), "everything")
-    words = segmenter.prompt or (
-        "background"
-        if instruction.scope == "background"
-        else " ".join(instruction.subject)
-    )
-    selected = select_masks(images, replace(marks, words=words), segmenter)
-    found = {"words": "named object", "guess": "most salient object"}
-    how = found.get(selected.how[0], "point" if marks.positive else "box")
-    masks = selected.masks[:, 0]
-    if instruction.scope == "all but" or (
-        instruction.scope == "background" and how != "named object"
-    ):
-        seen = torch.tensor([how != "not found" for how in selected.how]).to(
-            masks
-        )  # a view without it stays as it is
-        return Region((1 - masks) * seen[:, None, None], f"all but the {how}")
-    return Region(masks, how)
-
-
-def only_near(
-    region: Region, images: Float[Tensor, "view 3 height width"], colour: Paint | None
-) -> Region:
-    """The part of a region that has a colour, by its named sRGB; None: all of it. Raises
-    PromptError for no part.
-
-    By CIE94 around the named colour, which allows the more difference in chroma the more chroma the
-    name has, as things are duller than the names of their colours; but a fifth of that chroma there
-    must be: grey is never red.
-    """
-    if colour is None:
-        return region
-    from kornia.filters import median_blur
-    from skimage.color import deltaE_ciede94
-
-    lab = rgb_to_lab(median_blur(images, 3)).movedim(1, -1).double()
-    named = rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None]).movedim(0, -1)
-    distance = torch.from_numpy(
-        deltaE_ciede94(named.numpy(force=True), lab.numpy(force=True), kL=2, kH=0.6)
-    )
-    near = ((NEAR[1] - distance) / (NEAR[1] - NEAR[0])).clamp(0, 1).to(images)
-    chroma, least = lab[..., 1:].norm(dim=-1), 0.2 * named[..., 1:].norm()
-    masks = (
-        region.masks
-        * near
-        * (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1).to(images)
-    )
-    if not masks.any():
-        raise PromptError(
-            f"nothing there is near {colour.colour}, so nothing would change; name the colour it "
-            "has."
-        )
-    return Region(masks, f"{region.source}, {colour.colour}")

@@ -2,14 +2,13 @@
 scene.
 """
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
+from edit3r.compute.colour import lab_to_rgb, rgb_to_lab
+from edit3r.contract.wishes import Change
 from edit3r_recolor.recoloring import (
     RecolorParameters,
     adjust_contrast,
@@ -27,102 +26,21 @@ KEPT_CHROMA = (
 )
 WARM_GAIN = (1.12, 1.0, 0.82)  # RGB gains of "warmer"
 SEPIA = ((0.393, 0.769, 0.189), (0.349, 0.686, 0.168), (0.272, 0.534, 0.131))
-_TO_XYZ = (
-    (0.412453, 0.357580, 0.180423),
-    (0.212671, 0.715160, 0.072169),
-    (0.019334, 0.119193, 0.950227),
-)
-_WHITE = (0.95047, 1.0, 1.08883)  # D65
-
-Adjustment = Literal[
-    "brightness", "contrast", "saturation", "warmth", "greyscale", "sepia", "invert"
-]
 Images = Float[Tensor, "view 3 height width"]
 Masks = Float[Tensor, "view height width"]
 
 
-@dataclass(frozen=True)
-class Paint:
-    """Give a region one colour, keeping its shading and texture."""
-
-    colour: str  # as the prompt names it
-    rgb: tuple[float, float, float]  # sRGB in [0, 1]
-
-
-@dataclass(frozen=True)
-class Tint:
-    """Move all colours of a region towards one, as in "bluer"."""
-
-    colour: str
-    rgb: tuple[float, float, float]
-    amount: float  # share of the way, in (0, 1]
-
-
-@dataclass(frozen=True)
-class Adjust:
-    """Change one property of all colours of a region."""
-
-    what: Adjustment
-    amount: float = (
-        1.0  # 1: clearly visible; the sign is the direction where there is one
-    )
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Draw the paper's composite transform from the run's seed."""
-
-
-Step = Paint | Tint | Adjust | Sample
-
-
-def apply_step(
-    images: Images, masks: Masks, step: Step, parameters: RecolorParameters
+def apply_change(
+    images: Images, masks: Masks, change: Change, parameters: RecolorParameters
 ) -> Images:
     """Change whole images; `masks` only say where a paint measures the lightness it starts from."""
-    match step:
-        case Paint():
-            return paint(images, masks, step.rgb)
-        case Tint():
-            return tint(images, step.rgb, step.amount)
-        case Adjust():
-            return adjust(images, step.what, step.amount)
-        case Sample():
-            return recolor(images, parameters)
-
-
-def rgb_to_lab(images: Images) -> Images:
-    """CIE Lab under D65 of sRGB in [0, 1], without the quarter of a second that kornia takes to
-    load.
-    """
-    linear = torch.where(
-        images > 0.04045,
-        ((images + 0.055) / 1.055).clamp(min=0).pow(2.4),
-        images / 12.92,
-    )
-    xyz = torch.einsum("oi,...ihw->...ohw", images.new_tensor(_TO_XYZ), linear)
-    xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
-    x, y, z = torch.where(
-        xyz > 0.008856, xyz.clamp(min=0.008856).pow(1 / 3), 7.787 * xyz + 4 / 29
-    ).unbind(-3)
-    return torch.stack((116 * y - 16, 500 * (x - y), 200 * (y - z)), -3)
-
-
-def lab_to_rgb(lab: Images) -> Images:
-    """The inverse of `rgb_to_lab`, clamped to [0, 1]."""
-    lightness, a, b = lab.unbind(-3)
-    y = (lightness + 16) / 116
-    bent = torch.stack((a / 500 + y, y, (y - b / 200).clamp(min=0)), -3)
-    xyz = torch.where(bent > 0.2068966, bent.pow(3), (bent - 4 / 29) / 7.787)
-    xyz = xyz * lab.new_tensor(_WHITE)[:, None, None]
-    linear = torch.einsum(
-        "oi,...ihw->...ohw", lab.new_tensor(np.linalg.inv(_TO_XYZ)), xyz
-    )
-    return torch.where(
-        linear > 0.0031308,
-        1.055 * linear.clamp(min=0.0031308).pow(1 / 2.4) - 0.055,
-        12.92 * linear,
-    ).clamp(0, 1)
+    if change.kind == "paint":
+        return paint(images, masks, change.colour.rgb)
+    if change.kind == "tint":
+        return tint(images, change.colour.rgb, change.amount)
+    if change.kind == "random":
+        return recolor(images, parameters)
+    return adjust(images, change.kind, change.amount)
 
 
 def paint(images: Images, masks: Masks, rgb: tuple[float, float, float]) -> Images:
@@ -196,7 +114,7 @@ def tint(images: Images, rgb: tuple[float, float, float], amount: float) -> Imag
     return lab_to_rgb(torch.cat((lab[:, :1], chroma), 1)).clamp(0, 1)
 
 
-def adjust(images: Images, what: Adjustment, amount: float) -> Images:
+def adjust(images: Images, what: str, amount: float) -> Images:
     """Change one property of all colours; `amount` 1 is clearly visible, a negative one goes the
     other way.
     """

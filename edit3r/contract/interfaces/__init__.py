@@ -14,6 +14,7 @@ from edit3r.contract.interfaces.editing import (
     ChangesShape,
     ConditionedOnDepth,
     Editor,
+    EditsRegions,
     GivesAttention,
     StartsFromImages,
 )
@@ -86,6 +87,7 @@ __all__ = [
     "Detection",
     "Detector",
     "Editor",
+    "EditsRegions",
     "EditsViews",
     "GaussianHead",
     "GeometryBackbone",

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.wishes import Wish
 
 
 class Editor(Configured, ABC):
@@ -27,6 +28,25 @@ class Editor(Configured, ABC):
 
         Raises PromptError for an instruction that the editor cannot carry out.
         """
+
+    def understands(self, wish: Wish) -> bool:
+        """Whether the editor can carry out this wish; one that takes any sentence says True.
+
+        A run without `--editor` takes the first that declares the wish's action
+        (`Component.actions`) and understands the wish.
+        """
+        return True
+
+
+class EditsRegions:
+    """An editor that changes the regions of its wishes and nothing else.
+
+    The run finds the things that the sentence names and hands over `request.regions`.
+    """
+
+    def wish_of_nothing(self) -> Wish | None:
+        """What an empty prompt asks of this editor; None where it needs a sentence."""
+        return None
 
 
 class ChangesShape:

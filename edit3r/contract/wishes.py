@@ -1,0 +1,98 @@
+"""What a sentence asks for, as the editors get it with their request.
+
+One reader (`edit3r.wishes.read`) makes these from the prompt. A sentence is a row of wishes, each
+about one thing: "paint the door green and remove the bin" is two.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Action = Literal["paint", "look", "remove", "other"]
+"""What a wish does: change colours, give a look, take something away, or anything else."""
+
+Scope = Literal["named", "marked", "whole", "background"]
+
+
+@dataclass(frozen=True)
+class Colour:
+    """A colour by its name."""
+
+    name: str  # as the sentence says it
+    rgb: tuple[float, float, float]  # sRGB in [0, 1]
+
+
+@dataclass(frozen=True)
+class Thing:
+    """What a wish is about."""
+
+    # named: by `name`; marked: what the user marked, or what stands out; whole: all of the image;
+    # background: all but the main thing
+    scope: Scope = "marked"
+    name: str = ""  # "motorcycle", "old door"
+    which: tuple[
+        str, ...
+    ] = ()  # what picks it among several: "left", "big", "red", "all"
+    of: str = ""  # the whole that it is a part of: "tank of the motorcycle"
+    part: Colour | None = None  # only its pixels near this colour
+
+    def __str__(self) -> str:
+        if self.scope == "whole" and self.part is not None:
+            return f"what is {self.part.name}"
+        words = [*self.which, self.name or {"marked": "it"}.get(self.scope, self.scope)]
+        text = " ".join(words) + (f" ({self.of})" if self.of else "")
+        return text if self.part is None else f"{text} where it is {self.part.name}"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change of colours."""
+
+    # paint: one colour, with its shading; tint: towards a colour; random: drawn by the seed
+    kind: Literal[
+        "paint",
+        "tint",
+        "brightness",
+        "contrast",
+        "saturation",
+        "warmth",
+        "greyscale",
+        "sepia",
+        "invert",
+        "random",
+    ]
+    colour: Colour | None = None  # of paint and tint
+    material: str = ""  # of paint: what it shall look like, such as "gold"
+    amount: float = (
+        1.0  # 1: clearly visible; the sign is the direction where there is one
+    )
+
+    def __str__(self) -> str:
+        if self.kind == "paint":
+            return self.colour.name
+        if self.kind == "tint":
+            return f"more {self.colour.name}"
+        if self.kind in ("greyscale", "sepia", "invert", "random"):
+            return {"invert": "inverted", "random": "random colours"}.get(
+                self.kind, self.kind
+            )
+        return f"{self.kind} {self.amount:+.2g}"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """One thing, and what shall happen to it."""
+
+    action: Action
+    thing: Thing
+    changes: tuple[Change, ...] = ()  # of the action paint, in order
+    look: str = ""  # of the action look: its word, such as "sketch"
+    without: tuple[Thing, ...] = ()  # what stays as it is
+    text: str = ""  # the words of the sentence that ask for it
+    unread: tuple[str, ...] = ()  # those among them that nobody understood
+
+    def __str__(self) -> str:
+        what = ", ".join(map(str, self.changes)) or self.look or self.action
+        if self.action == "other":
+            return repr(self.text)
+        kept = "".join(f" without {thing}" for thing in self.without)
+        return f"{self.thing}{kept}: {what}"

@@ -1,0 +1,145 @@
+"""Where each wish of a sentence applies: masks of its thing in every view.
+
+Marks (clicks, boxes, masks) stand for the thing that the sentence names; in "the background" and
+"everything except the fox" they stand for what is left out. What is not marked is looked up by its
+name.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import MatchedGeometry, Segmenter
+from edit3r.contract.types import Views
+from edit3r.contract.wishes import Thing, Wish
+from edit3r.errors import InputError, PromptError
+from edit3r.selection.near_colour import near_colour
+from edit3r.selection.select import ASK, Selected, Selection, select_masks
+
+Masks = Float[Tensor, "view height width"]
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Soft masks of the wishes of one scene, and how each was found."""
+
+    masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
+    selected: tuple[Selected, ...]  # every thing that was looked for, in order
+
+
+class RegionFinder:
+    """Finds the things of wishes in the views of one scene; a thing is looked for once."""
+
+    def __init__(
+        self,
+        views: Views,
+        segmenter: Callable[[], Segmenter],
+        geometry: Callable[[], MatchedGeometry | None],
+        marked: Selection | None = None,
+        guess: bool = False,
+    ) -> None:
+        """`views` hold one scene; segmenter and geometry are asked for only where needed."""
+        self._views = views
+        self._segmenter = segmenter
+        self._geometry = geometry
+        self._marked = marked
+        self._guess = guess
+        self._found: dict[Thing | None, Selected] = {}
+
+    def find(self, wishes: Sequence[Wish]) -> Regions:
+        """Where each wish applies. Raises InputError for what cannot be found."""
+        marked_thing = self._thing_of_marks(wishes)
+        masks = [self._region(wish, marked_thing) for wish in wishes]
+        return Regions(torch.stack(masks), tuple(self._found.values()))
+
+    def _thing_of_marks(self, wishes: Sequence[Wish]) -> Thing | None:
+        """The one thing that the marks stand for; None for one that has no name."""
+        if self._marked is None:
+            return None
+        wanted = [
+            wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")
+        ]
+        if not wanted:
+            wanted = [thing for wish in wishes for thing in wish.without]
+        names = {thing.name: thing for thing in wanted}
+        if len(names) > 1:
+            listed = " and ".join(repr(name) for name in names)
+            raise PromptError(
+                f"the sentence names {listed}, and clicks, boxes or masks say one place; ask for "
+                "one, then for the next with --from the first run's folder."
+            )
+        return next(iter(names.values()), None)
+
+    def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
+        thing = wish.thing
+        mask = self._base(wish, marked_thing)
+        for kept in wish.without:
+            mask = mask * (1 - self._mask(kept, marked_thing))
+        if thing.part is not None:
+            mask = near_colour(mask, self._views.images[0], thing.part)
+        return mask
+
+    def _base(self, wish: Wish, marked_thing: Thing | None) -> Masks:
+        """The wish's thing before anything is taken out of it."""
+        thing, whole = wish.thing, torch.ones_like(self._views.images[0, :, 0])
+        if thing.scope == "named":
+            return self._mask(thing, marked_thing)
+        if thing.scope == "whole":
+            confined = self._marked is not None and not wish.without
+            return self._mask(None, None) if confined else whole
+        if thing.scope == "marked":
+            return self._mask(thing, thing)
+        if wish.without:  # the background of what is named beside it
+            return whole
+        return self._background()
+
+    def _background(self) -> Masks:
+        """All but what is marked, or what the segmenter takes for the background."""
+        if self._marked is not None:
+            return self._inverse(self._look_for(None, self._marked))
+        asked = Selection(words="background", guess=self._guess)
+        selected = self._look_for(Thing("background"), asked)
+        masks = selected.masks[:, 0]
+        return self._inverse(selected) if "guess" in selected.how else masks
+
+    def _inverse(self, selected: Selected) -> Masks:
+        """All but the thing; a view that lost it stays as it is."""
+        seen = torch.tensor([how != "not found" for how in selected.how])
+        masks = selected.masks[:, 0]
+        return (1 - masks) * seen.to(masks)[:, None, None]
+
+    def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
+        """Masks of a thing: what is marked where the marks stand for it, else by its name."""
+        stands_for = (
+            thing is None or marked_thing is None or thing.name == marked_thing.name
+        )
+        if self._marked is not None and stands_for:
+            return self._look_for(None, self._marked).masks[:, 0]
+        if thing is None or (thing.scope != "named" and thing.part is None):
+            if not self._guess:
+                raise InputError(f"nothing says which object is meant; {ASK}.")
+            return self._look_for(None, Selection(guess=True)).masks[:, 0]
+        if thing.scope == "whole":  # "except the red parts"
+            whole = torch.ones_like(self._views.images[0, :, 0])
+            return near_colour(whole, self._views.images[0], thing.part)
+        asked = Selection(words=thing.name, which=thing.which, guess=self._guess)
+        mask = self._look_for(thing, asked).masks[:, 0]
+        if thing.part is not None:
+            mask = near_colour(mask, self._views.images[0], thing.part)
+        return mask
+
+    def _look_for(self, thing: Thing | None, selection: Selection) -> Selected:
+        key = None if thing is None else replace(thing, part=None)
+        if key not in self._found:
+            carried = len(selection.masks) < self._views.count
+            self._found[key] = select_masks(
+                self._views.images[0],
+                selection,
+                self._segmenter(),
+                self._geometry() if carried else None,
+                self._views.intrinsics,
+            )
+        return self._found[key]

@@ -1,0 +1,1 @@
+"""Sentences read into wishes: the words that are known, and the reader."""

@@ -1,0 +1,115 @@
+"""Read the words that name a thing: "the left cup", "the red parts of the bike", "the rest"."""
+
+from edit3r.contract.wishes import Colour, Thing
+from edit3r.wishes import vocabulary as words
+
+JOINING = (
+    "of",
+    "on",
+    "from",
+    "in",
+    "with",
+    "near",
+    "behind",
+    "under",
+    "beside",
+    "wearing",
+)
+"""Words between a thing and the whole, place or mark by which it is known."""
+
+
+def read_thing(tokens: list[str]) -> Thing:
+    """The thing that the words name; without any, what the user marked.
+
+    A pronoun stands for what was named last and is returned under the name "it".
+    """
+    tokens = [token for token in tokens if token not in words.POLITENESS]
+    tokens, of = _whole_of(tokens)
+    ignored = (
+        words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS | words.OBJECT
+    )
+    ignored |= words.WEAK | words.STRONG | words.RANDOM | words.NICE | words.FLOOD
+    named = [t for t in tokens if t not in ignored or t in words.WHOLE & {"everything"}]
+    every = [token for token in tokens if token in words.EVERY]
+    part, named = _colour_of_part(named, tokens)
+    nouns = [t for t in named if t not in words.WHOLE | words.EVERY]
+    if set(nouns) & words.REST or (set(nouns) and set(nouns) <= words.BACKGROUND):
+        return Thing("background", part=part)
+    which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
+    nouns = [t for t in nouns if t not in which]
+    colours, nouns = _leading_colours(nouns, bool(set(tokens) & {"one", "ones"}))
+    if of and (part is not None or not nouns):
+        inner = read_thing(of)
+        return Thing(inner.scope, inner.name, inner.which, inner.of, part or inner.part)
+    if nouns or which or (colours and set(tokens) & {"one", "ones"}):
+        name = " ".join(nouns).removesuffix("'s")
+        return Thing(
+            "named",
+            name,
+            which=tuple(dict.fromkeys((*every, *which, *colours))),
+            of=" ".join(read_thing(of).name.split()) if of else "",
+            part=part,
+        )
+    pronoun = set(tokens) & (words.PRONOUNS | words.OBJECT)
+    if pronoun and set(tokens) & {"whole", "all"}:  # "all of it"
+        return Thing("marked", "it", which=("whole",), part=part)
+    if set(tokens) & words.WHOLE or part is not None:
+        return Thing("whole", part=part)
+    return Thing("marked", "it" if pronoun else "", part=part)
+
+
+def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
+    """Split "the tank of the motorcycle" and "the motorcycle's tank" into tank and motorcycle."""
+    for start, token in enumerate(tokens):
+        rest = tokens[start + 1 :]
+        content = [t for t in rest if t not in words.FILLERS | words.DETERMINERS]
+        inner = [t for t in tokens[:start] if t not in words.FILLERS | words.PAINT]
+        if token in JOINING and content and inner:
+            places = words.PLACES | words.BACKGROUND | {"foreground"}
+            if set(content) & places:  # "the cup on the left"
+                return tokens[:start] + [t for t in content if t in places], []
+            if set(inner) <= words.WHOLE | words.DETERMINERS | {"colour", "tone"}:
+                return rest, []
+            return tokens[:start], rest
+        if token in ("at", "to") and set(content) & words.PLACES and inner:
+            return tokens[:start] + [t for t in content if t in words.PLACES], []
+        if token.endswith("'s") and content:
+            if set(content) <= {"colour", "colours", "tone"}:
+                return [*tokens[:start], token.removesuffix("'s")], []
+            return rest, [*tokens[:start], token.removesuffix("'s")]
+    return tokens, []
+
+
+def _colour_of_part(
+    named: list[str], tokens: list[str]
+) -> tuple[Colour | None, list[str]]:
+    """Take "red parts" out of the words: only pixels near red are meant."""
+    for start in range(len(named)):
+        found = words.read_colour(named[start:])
+        if found is None:
+            continue
+        colour, length = found
+        after = named[start + length : start + length + 1]
+        one = set(tokens) & {"one", "ones"}
+        if (after and after[0] in words.PARTS) or (len(named) == length and not one):
+            is_noun = (
+                not after and length == 1 and colour.name in ("orange", "rose", "olive")
+            )
+            return (
+                (None, named)
+                if is_noun
+                else (colour, named[:start] + named[start + length + 1 :])
+            )
+        whole = set(named[:start]) & words.WHOLE
+        if whole and not after:  # "everything red"
+            return colour, named[:start]
+    return None, named
+
+
+def _leading_colours(nouns: list[str], alone: bool) -> tuple[list[str], list[str]]:
+    """Split "red cup" into the colour that picks it and its name; in "the red one" it is alone."""
+    found = words.read_colour(nouns)
+    if found is None or (found[1] >= len(nouns) and not alone):
+        return [], nouns
+    colour, length = found
+    return [colour.name], nouns[length:]
