@@ -34,6 +34,7 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     add("--point", metavar="[N:]X,Y", help=INPUTS["point"], **REPEATED)
     add("--not-point", metavar="[N:]X,Y", help=INPUTS["not_point"], **REPEATED)
     add("--box", metavar="[N:]X,Y,W,H", help=INPUTS["box"], **REPEATED)
+    add("--thing", metavar="TEXT", default="", help=INPUTS["thing"])
     add(
         "--mask",
         metavar="FILE",

@@ -225,6 +225,10 @@ class JobInputs(Settings):
         (), description="a box around the object, on the first photo or photo N"
     )
 
+    thing: str = Field(
+        "", description="the object in words, such as 'the left cup', instead of marks"
+    )
+
     @field_validator("photos", "mask", "point", "not_point", "box", mode="before")
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:

@@ -105,11 +105,10 @@ def _refusal(editor: Editor, wish: Wish, registry: Registry) -> str:
 def _nobody(wish: Wish, registry: Registry) -> str:
     """That no installed editor can do it, which words are to blame, and which others might."""
     unread = ", ".join(repr(word) for word in wish.unread)
-    reason = (
-        f"{unread} in {wish.text!r} is not understood"
-        if unread
-        else (f"no editor here can carry out {wish.text!r}")
-    )
+    verb = "are" if len(wish.unread) > 1 else "is"
+    reason = f"no editor here can carry out {wish.text!r}"
+    if unread:
+        reason = f"{unread} in {wish.text!r} {verb} not understood"
     learned = [
         offer.component.name
         for offer in registry.offers("editor")

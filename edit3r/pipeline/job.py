@@ -56,7 +56,9 @@ def job_from(inputs: JobInputs, *layers: Mapping[str, Any]) -> RunJob:
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:
         inputs = _packaged(inputs, config)
-    texts = MarkTexts(inputs.point, inputs.not_point, inputs.box, inputs.mask)
+    texts = MarkTexts(
+        inputs.point, inputs.not_point, inputs.box, inputs.mask, inputs.thing
+    )
     return RunJob(
         config=config,
         photos=tuple(map(Path, inputs.photos)),
@@ -93,7 +95,8 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
         "photos": tuple(photos),
         "cameras": inputs.cameras or str(cameras),
     }
-    marked = inputs.mask or inputs.point or inputs.not_point or inputs.box
+    marks = (inputs.mask, inputs.point, inputs.not_point, inputs.box, inputs.thing)
+    marked = any(marks)
     subject = DEFAULTS["subject"]
     if not marked and config.editor is None and subject in config.prompt.lower():
         note("selection.mask", f"the packaged pair brings masks of its {subject}")

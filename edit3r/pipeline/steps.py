@@ -52,6 +52,7 @@ from edit3r.pipeline.verdict import judge as judged
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import note, say, stage, warn
 from edit3r.selection.marks import MarkTexts
+from edit3r.selection.near_colour import near_colour
 from edit3r.selection.regions import RegionFinder
 from edit3r.selection.select import Selection, geometry_of
 
@@ -168,7 +169,8 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
                 f"masks: expected one per view at the views' size {expected}, got "
                 f"{list(scene.masks.shape)}."
             )
-        return replace(scene, regions=scene.masks.expand(len(wishes), *expected))
+        regions = [_narrowed(scene.masks, views, wish.thing) for wish in wishes]
+        return replace(scene, regions=torch.stack(regions) if regions else None)
     regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
     named = parts.chose_segmenter and any(
         wish.thing.scope == "named" for wish in wishes
@@ -181,13 +183,25 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
     ]
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)
-    if not regional:
+    if not regional and scene.marked is None:  # words are less exact than marks
         masks = dilate_softly((masks > 0.5).to(masks).flatten(0, 1)).view_as(masks)
     return replace(
         scene,
         regions=regions if wishes else None,
         masks=None if bool((masks >= 1).all()) else masks,
         selected=found[0].selected,
+    )
+
+
+def _narrowed(
+    masks: Float[Tensor, "batch view height width"], views: Views, thing: Thing
+) -> Float[Tensor, "batch view height width"]:
+    """Given masks; of "the red parts" only what is red."""
+    if thing.part is None:
+        return masks
+    scenes = zip(masks, views.images)
+    return torch.stack(
+        [near_colour(mask, images, thing.part) for mask, images in scenes]
     )
 
 

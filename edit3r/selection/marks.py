@@ -1,6 +1,6 @@
 """Marks as people type them: --point, --not-point, --box and --mask, read into a Selection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from edit3r.errors import InputError
@@ -8,6 +8,7 @@ from edit3r.io.framing import Frame, Lens
 from edit3r.io.images import LoadedPhotos
 from edit3r.io.masks import load_masks, read_mask
 from edit3r.selection.select import Box, Selection
+from edit3r.wishes.things import read_thing
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,13 @@ class MarkTexts:
     not_points: tuple[str, ...] = ()
     boxes: tuple[str, ...] = ()
     mask_files: tuple[str, ...] = ()
+    thing: str = ""  # in words, such as "the left cup"
 
     @property
     def given(self) -> bool:
-        return bool(self.points or self.not_points or self.boxes or self.mask_files)
+        return any(
+            (self.points, self.not_points, self.boxes, self.mask_files, self.thing)
+        )
 
     def read(self, photos: LoadedPhotos) -> Selection:
         """The marks on these photos. Raises InputError for a mark that fits no photo."""
@@ -42,7 +46,10 @@ class MarkTexts:
             for path in map(Path, self.mask_files):
                 view = self._view_of_mask(path, photos)
                 masks[view] = read_mask(path, frames[view])
-        return Selection(positive, negative, boxes, masks=masks)
+        thing = read_thing(self.thing.lower().split())
+        return Selection(
+            positive, negative, boxes, masks=masks, words=thing.name, which=thing.which
+        )
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""
@@ -51,7 +58,7 @@ class MarkTexts:
         kept = tuple(
             mask for mask, photo in zip(self.mask_files, found) if photo in used
         )
-        return MarkTexts(self.points, self.not_points, self.boxes, kept)
+        return replace(self, mask_files=kept)
 
     def _view_of_mask(self, path: Path, photos: LoadedPhotos) -> int:
         """The photo that a mask's name begins with; the first for a single mask of another name."""

@@ -77,7 +77,7 @@ class RegionFinder:
         thing = wish.thing
         mask = self._base(wish, marked_thing)
         for kept in wish.without:
-            mask = mask * (1 - self._mask(kept, marked_thing))
+            mask = mask * self._all_but(kept, marked_thing)
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
@@ -106,10 +106,18 @@ class RegionFinder:
         return self._inverse(selected) if "guess" in selected.how else masks
 
     def _inverse(self, selected: Selected) -> Masks:
-        """All but the thing; a view that lost it stays as it is."""
-        seen = torch.tensor([how != "not found" for how in selected.how])
         masks = selected.masks[:, 0]
-        return (1 - masks) * seen.to(masks)[:, None, None]
+        return (1 - masks) * self._seen(selected, masks)
+
+    def _all_but(self, thing: Thing, marked_thing: Thing | None) -> Masks:
+        """All but a thing; a view that lost it stays as it is."""
+        masks = 1 - self._mask(thing, marked_thing)
+        selected = self._found.get(replace(thing, part=None), self._found.get(None))
+        return masks if selected is None else masks * self._seen(selected, masks)
+
+    def _seen(self, selected: Selected, masks: Masks) -> Float[Tensor, "view 1 1"]:
+        seen = torch.tensor([how != "not found" for how in selected.how])
+        return seen.to(masks)[:, None, None]
 
     def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""

@@ -172,6 +172,10 @@ def _read_clause(tokens: list[str]) -> _Clause:
     tokens, clause.without = _without(_without_negated_colour(tokens))
     if not tokens:  # "but not the wheels"
         return clause
+    if "or" in tokens:
+        clause.action = "other"
+        clause.unread = ("or",)
+        return clause
     unsupported = tokens[0] in words.OTHER and not _repaints(tokens)
     negated = [token for token in tokens if token in words.NEGATIONS]
     if unsupported or negated:
@@ -284,7 +288,9 @@ def _only_names(tokens: list[str], clause: _Clause, origin: Colour | None) -> _C
     begins = tokens[0] in words.PAINT | words.DETERMINERS or len(content) == 1
     if says_more or origin is not None or not content or not begins:
         clause.action = "other"
-        clause.unread = tuple(content or tokens)
+        clause.unread = tuple(t for t in content if t not in words.PRONOUNS) or tuple(
+            tokens
+        )
         return clause
     clause.thing = read_thing(tokens)
     return clause

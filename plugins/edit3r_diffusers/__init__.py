@@ -48,6 +48,9 @@ _CONTROLNET = Weights(
 )
 
 
+ANY_ACTION = ("other", "paint", "look", "remove")
+
+
 def _editor(name: str, target: str, summary: str, **more) -> Component:
     return Component(
         name,
@@ -83,7 +86,12 @@ def _preset(
         **terms,
     )
     licence = f"Apache-2.0; default weights {weights.licence}"
-    more = {"licence": licence, "citation": citation, "weights": (weights,)}
+    more = {
+        "licence": licence,
+        "citation": citation,
+        "weights": (weights,),
+        "actions": ANY_ACTION,
+    }
     return _editor(name, f"pipeline_editor:{target}", summary, **more)
 
 
@@ -148,6 +156,7 @@ def register_editors():
         citation="Brooks et al., InstructPix2Pix: Learning to Follow Image Editing Instructions, "
         "CVPR 2023",
         weights=(_INSTRUCT_PIX2PIX,),
+        actions=ANY_ACTION,
     )
     controlnet_depth = _editor(
         "controlnet-depth",

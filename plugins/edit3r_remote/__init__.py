@@ -10,6 +10,7 @@ _service = partial(
     Component,
     licence="Apache-2.0; the service has its own terms",
     needs_network=True,
+    actions=("other",),
     supports_seed=False,
 )
 

@@ -97,7 +97,7 @@ class SamSegmenter(Segmenter):
     threshold_key: ClassVar[str]  # the setting to lower where words are not found
 
     def __init__(self, settings: SamSettings) -> None:
-        self.settings, self.prompt = settings, settings.prompt
+        self.settings = settings
         self.weights = ChosenWeights(
             settings.model,
             "segmenter.model",
@@ -115,8 +115,8 @@ class SamSegmenter(Segmenter):
 
     @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
-        if self.prompt:
-            return self._named(image, self.prompt)
+        if self.settings.prompt:
+            return self._named(image, self.settings.prompt)
         size = tuple(image.shape[-2:])
         model = self._model(self.image_class, image.device)
         with torch.no_grad(), self._memory("segmenting"):

@@ -410,10 +410,9 @@ def recipes(rng, folder, given):
 
 
 def prompts(rng, folder, given):
+    from edit3r.selection.from_prompt import things_in_prompt
     from edit3r_editors.looks import LOOKS, read_look
     from edit3r_recolor.prompt import parse_prompt
-
-    from edit3r.selection.from_prompt import things_in_prompt
 
     text = mangled_text(
         rng,

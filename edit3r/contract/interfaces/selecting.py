@@ -53,10 +53,6 @@ class Marks:
 class Segmenter(Configured, ABC):
     """Finds objects on one image and follows them through other views of the scene."""
 
-    prompt: str = (
-        ""  # what to look for, instead of what the edit's prompt names; "": the latter
-    )
-
     @abstractmethod
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """All candidate objects, most salient first."""

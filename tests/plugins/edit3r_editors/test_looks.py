@@ -5,7 +5,7 @@ frame.
 import numpy as np
 import pytest
 import torch
-from edit3r_editors.looks import LOOKS, read_look
+from edit3r_editors.looks import LOOKS, look_of
 from skimage import data
 
 from edit3r.cli.main import main
@@ -14,6 +14,7 @@ from edit3r.errors import PromptError, SettingsError
 from edit3r.io.images import packaged_pair
 from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting
+from edit3r.wishes.read import read
 
 PHOTO = torch.from_numpy(
     data.astronaut()[:256, 100:420].astype(np.float32) / 255
@@ -35,36 +36,36 @@ VIEWS = Views(
         ("a watercolour painting", "watercolour"),
         ("black and white", "greyscale"),
         ("paint it gold", "gold"),
+        ("turn the bear into marble", "marble"),
+        ("make it look like mars", ""),
+        ("autumn or rather winter", ""),
+        ("paint the bear red", ""),
+        ("remove the bear", ""),
     ],
 )
-def test_a_prompt_chooses_a_look(prompt, look):
-    assert read_look(prompt, masked=False) == look
+def test_a_wish_names_a_look_or_is_not_understood(prompt, look):
+    (wish,) = read(prompt)
+    assert look_of(wish) == look
+    assert build("editor", "looks").understands(wish) == bool(look)
 
 
-@pytest.mark.parametrize(
-    ("prompt", "says"),
-    [
-        ("", "names no look"),
-        ("make it look like mars", "names no look"),
-        ("make it autunm", "Did you mean 'autumn'"),
-        ("not like winter", "negations"),
-        ("everything but the bear in gold", "negations"),
-        ("autumn or rather winter", "autumn and winter"),
-        ("turn the bear into marble", "'bear'.*--point.*--mask.*--segmenter"),
-    ],
-)
-def test_what_names_no_one_look_is_an_error_with_the_way_out(prompt, says):
-    with pytest.raises(PromptError, match=says) as caught:
-        read_look(prompt, masked=False)
-    assert "--from" in str(caught.value) or all(
-        look in str(caught.value) for look in LOOKS
+def test_what_names_no_look_is_an_error_with_the_looks_there_are():
+    with pytest.raises(
+        PromptError, match="names no look.*Did you mean 'autumn'"
+    ) as caught:
+        edited("make it look like autunm")
+    assert all(look in str(caught.value) for look in LOOKS)
+
+
+def test_a_look_stays_in_the_region_of_its_wish():
+    regions = torch.zeros(1, 1, 2, *VIEWS.image_size)
+    regions[..., :100] = 1
+    request = EditRequest(
+        "the fox as a sketch", wishes=read("the fox as a sketch"), regions=regions
     )
-
-
-def test_other_words_may_say_what_is_masked():
-    assert read_look("turn the bear into marble", masked=True) == "marble"
-    with pytest.raises(PromptError, match="negations"):
-        read_look("don't turn the bear into marble", masked=True)
+    images = build("editor", "looks").edit(VIEWS, request).images
+    assert torch.equal(images[..., 100:], VIEWS.images[..., 100:])
+    assert (images[..., :100] - VIEWS.images[..., :100]).abs().mean() > 0.02
 
 
 def edited(prompt="", **settings) -> torch.Tensor:
@@ -111,9 +112,7 @@ def test_greyscale_is_grey_and_strength_is_the_share_of_a_look():
 def test_what_was_understood_is_noted():
     with collecting(Report()) as report:
         edited("make it look like autumn")
-    assert report.notes["edit.understood"].startswith(
-        "look autumn on the whole picture"
-    )
+    assert report.notes["look"].startswith("autumn: ")
 
 
 def test_an_unknown_look_is_refused_before_any_photo_is_read():
@@ -130,7 +129,7 @@ def test_describe_lists_every_look(capsys):
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--editor", "looks", "--prompt", "like mars"], "names no look"),
+        (["--editor", "looks", "--prompt", "like mars"], "is not understood"),
         (["--editor", "looks", "--prompt", "turn the motorcycle into gold"], "--point"),
         (
             [
@@ -151,7 +150,7 @@ def test_describe_lists_every_look(capsys):
                 "--point",
                 "100,100",
             ],
-            "several places",
+            "names 'door' and 'wall'",
         ),
         (
             ["--prompt", "paint the door green and the wall white"],

@@ -9,7 +9,7 @@ from edit3r_editors.retouch import RetouchEditor, _spanned
 import edit3r
 from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import MatchingError, PromptError
+from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import intrinsics_from_fov
 from edit3r.reporting import Report, collecting
 
@@ -168,5 +168,5 @@ def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     with pytest.raises(MatchingError):
         edit3r.run(views, masks=masks, editor=editor, recon=Spy())
     assert _error(seen[0].images[0], truth, masks) < 0.02
-    with pytest.raises(PromptError, match="removes what is marked, and nothing is"):
+    with pytest.raises(InputError, match="nothing says which object is meant"):
         edit3r.run(views, editor=editor, recon=Spy())

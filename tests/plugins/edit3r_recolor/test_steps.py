@@ -4,19 +4,19 @@ import pytest
 import torch
 from edit3r_recolor.recoloring import RecolorParameters
 from edit3r_recolor.steps import (
-    Adjust,
     _lightness_curve,
-    apply_step,
-    lab_to_rgb,
+    apply_change,
     paint,
-    rgb_to_lab,
     tint,
     weighted_median,
 )
-from edit3r_recolor.vocabulary import BASIC_COLOURS, read_colour
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
+
+from edit3r.compute.colour import lab_to_rgb, rgb_to_lab
+from edit3r.contract.wishes import Change
+from edit3r.wishes.vocabulary import BASIC_COLOURS, read_colour
 
 ONES = torch.ones(1, 16, 16)
 
@@ -65,7 +65,7 @@ def test_the_lightness_curve_is_the_monotone_cubic_through_three_points(start, g
 def test_paint_keeps_the_order_of_light_and_shade(colour, surface):
     before, after = (
         lightness(shaded(surface)),
-        lightness(paint(shaded(surface), ONES, read_colour([colour])[1])),
+        lightness(paint(shaded(surface), ONES, read_colour([colour])[0].rgb)),
     )
     steps = after[0, 0].diff()
     assert (before[0, 0].diff() < 0).all() and (steps < 0.05).all()
@@ -81,7 +81,7 @@ def test_paint_keeps_the_order_of_light_and_shade(colour, surface):
     "surface", [(0.5, 0.4, 0.3), (0.06, 0.05, 0.05), (0.9, 0.92, 0.95), (0.1, 0.2, 0.8)]
 )
 def test_paint_has_the_colour_it_is_named_after(colour, surface):
-    rgb = read_colour([colour])[1]
+    rgb = read_colour([colour])[0].rgb
     middle = paint(shaded(surface), ONES, rgb)[0, :, 8, 8]
     difference = abs(hue(middle) - hue(torch.tensor(rgb)))
     assert min(difference, 1 - difference) < 0.06
@@ -98,7 +98,7 @@ def test_black_white_and_grey_have_their_lightness_and_little_colour(
     colour, low, high, surface
 ):
     lab = kornia.color.rgb_to_lab(
-        paint(shaded(surface), ONES, read_colour([colour])[1])
+        paint(shaded(surface), ONES, read_colour([colour])[0].rgb)
     )[0, :, 8, 8]
     assert low <= lab[0] <= high
     assert lab[1:].norm() < 12
@@ -146,7 +146,7 @@ def test_paint_under_an_empty_mask_still_works():
 def test_adjustments_stay_in_range_also_on_black_and_white(what, amount):
     image = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
     image[..., 0, :], image[..., 1, :] = 0, 1
-    result = apply_step(image, ONES, Adjust(what, amount), RecolorParameters())
+    result = apply_change(image, ONES, Change(what, amount=amount), RecolorParameters())
     assert torch.isfinite(result).all() and result.min() >= 0 and result.max() <= 1
 
 
@@ -170,7 +170,7 @@ def test_adjustments_go_the_way_they_say(what):
     values = [
         measured(
             what,
-            apply_step(image, ONES, Adjust(what, amount), RecolorParameters())
+            apply_change(image, ONES, Change(what, amount=amount), RecolorParameters())
             if amount
             else image,
         )
@@ -185,7 +185,7 @@ def test_adjustments_go_the_way_they_say(what):
 
 def test_warmth_keeps_luma():
     image = torch.full((1, 3, 2, 2), 0.4)
-    warmer = apply_step(image, ONES, Adjust("warmth", 1.0), RecolorParameters())
+    warmer = apply_change(image, ONES, Change("warmth"), RecolorParameters())
     assert torch.allclose(
         kornia.color.rgb_to_grayscale(warmer),
         kornia.color.rgb_to_grayscale(image),

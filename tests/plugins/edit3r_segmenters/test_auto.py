@@ -7,7 +7,7 @@ import torch
 import edit3r
 from edit3r.cache import identity
 from edit3r.contract.interfaces import Marks
-from edit3r.pipeline.config import DEFAULTS, RunConfig
+from edit3r.pipeline.config import DEFAULTS
 from edit3r.reporting import Report, collecting
 
 CLICK = Marks(positive=((0.3, 0.5),))
@@ -69,13 +69,7 @@ def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
     )
 
 
-def test_it_is_what_a_run_takes_for_clicks(at_hand):
-    assert (
-        edit3r.build("editor", RunConfig().editor.name)
-        .parts["segmenter"]
-        .offer.component.name
-        == "auto"
-    )
+def test_it_is_what_a_run_takes_for_clicks():
     assert DEFAULTS["segmenter"] == "auto"
 
 

@@ -62,50 +62,24 @@ def found_in(manifest: dict, key: str):
     return next((value for value in inside if value is not None), None)
 
 
-def test_recolor_finds_what_the_prompt_names(photos, sam2, tmp_path):
-    manifest = run(
-        photos,
-        tmp_path / "out",
-        "--prompt",
-        "paint the bike red",
-        "--editor",
-        "recolor",
-        *sam2,
-    )
-    assert found_in(manifest, "editor.region") == "named object"
+def test_the_default_editor_finds_what_the_prompt_names(photos, sam2, tmp_path):
+    manifest = run(photos, tmp_path / "out", "--prompt", "paint the bike red", *sam2)
+    assert found_in(manifest, "selection")["how"][0] == "words"
 
 
 @pytest.mark.parametrize("prompt", ["paint the bike red", "make it winter"])
-def test_an_editor_without_a_segmenter_is_confined_to_what_is_named(
+def test_an_editor_that_takes_any_sentence_is_confined_where_a_segmenter_is_named(
     photos, sam2, tmp_path, prompt
 ):
-    words = ["--set", "segmenter.prompt=the door"] if "winter" in prompt else []
+    thing = ["--thing", "the door"] if "winter" in prompt else []
     command = ["--editor", "mock-diffusion", "--prompt", prompt]
-    manifest = run(photos, tmp_path / "out", *command, *sam2, *words)
-    assert found_in(manifest, "edit.confined_to") == (
-        "the door" if words else "the bike"
-    )
+    manifest = run(photos, tmp_path / "out", *command, *sam2, *thing)
+    assert found_in(manifest, "selection")["how"][0] == "words"
 
 
 def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
-    nothing = ["--set", "segmenter.detector.box_threshold=1.0"]
-    command = ["--editor", "mock-diffusion", "--prompt", "paint the bike red"]
-    assert (
-        main(
-            [
-                "run",
-                *photos,
-                *CHEAP,
-                "--out",
-                str(tmp_path / "out"),
-                *command,
-                *sam2,
-                *nothing,
-            ]
-        )
-        == 2
-    )
-    assert (
-        "'the bike' was not found" in capsys.readouterr().err
-        and not (tmp_path / "out").exists()
-    )
+    out = tmp_path / "out"
+    words = "--set segmenter.detector.box_threshold=1.0 --editor mock-diffusion".split()
+    command = ["run", *photos, *CHEAP, *sam2, *words, "--out", str(out)]
+    assert main([*command, "--prompt", "paint the bike red"]) == 2
+    assert "'bike' was not found" in capsys.readouterr().err and not out.exists()
