@@ -57,6 +57,14 @@ class RunCommand(Command):
             help="folder for the results (default edit3r-out)",
         )
         add(
+            "--preview",
+            metavar="FILE",
+            nargs="?",
+            const="edit3r-preview.png",
+            help="only show, in an image file, what is selected and how it is edited in 2D "
+            "(default edit3r-preview.png)",
+        )
+        add(
             "--overwrite",
             action="store_true",
             help="replace an earlier run in --out even where it was changed by hand",
@@ -84,13 +92,36 @@ class RunCommand(Command):
         if args.progress == "text":
             listener = StageConsole(quiet=args.quiet)
         with listener as console:
-            result = self._run(args, Report(on_event=console))
+            report = Report(on_event=console)
+            if args.preview is not None:
+                return self._preview(args, report)
+            result = self._run(args, report)
         if not args.quiet:
             from edit3r.pipeline.summary import summary
 
             print(summary(Path(args.out), result))
         if args.strict and result.verdict.label == "failed":
             raise RunError(f"the verdict is failed: {result.verdict.reason}")
+        return 0
+
+    def _preview(self, args: argparse.Namespace, report: "Report") -> int:
+        """Write the sheet of the 2D edit."""
+        from edit3r.reporting import collecting
+
+        with collecting(report), report.stage("start"):
+            import numpy as np
+
+            from edit3r.io.images import save_pixels
+            from edit3r.pipeline.run import preview
+            from edit3r.pipeline.write import preview_sheet
+            from edit3r.plugins.registry import default_registry
+
+            job = _job(args)
+            registry = default_registry(tuple(args.plugin))
+        scene = preview(job, registry, report)
+        save_pixels(np.asarray(preview_sheet(scene, job.config.prompt)), args.preview)
+        if not args.quiet:
+            print(f"look at {args.preview}; nothing is reconstructed yet")
         return 0
 
     def _run(self, args: argparse.Namespace, report: "Report") -> "RunResult":

@@ -1,5 +1,6 @@
 """One run from photos to Gaussians: the loop over the steps, and its result."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,8 +19,10 @@ from edit3r.pipeline.verdict import Verdict
 from edit3r.plugins.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting
 
-STEPS = (select, edit, reconstruct, refine, judge)
+Step = Callable[[Scene, Parts], Scene]
+STEPS: tuple[Step, ...] = (select, edit, reconstruct, refine, judge)
 """What follows `read`."""
+STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,15 +127,31 @@ def run(
     or masks that cannot be used, SettingsError and UnknownComponentError for wrong settings before
     any photo is read, and PluginError for a component that breaks its contract.
     """
-    registry = registry or default_registry()
     report = report or Report()
     cache = job.cache or Cache()
     with collecting(report), using(cache):
-        require_device(job.config.device)
-        check_components(job.config, registry, job.components)
-        note_quality(job.config)
-        scene = read(job, registry)
-        parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
-        for step in STEPS:
-            scene = step(scene, parts)
+        scene, parts = _take(job, registry or default_registry(), STEPS)
     return RunResult(scene, parts, report, cache)
+
+
+def preview(
+    job: RunJob, registry: Registry | None = None, report: Report | None = None
+) -> Scene:
+    """What is selected and how it is edited, without anything in 3D: the first steps of `run`."""
+    with collecting(report or Report()), using(job.cache or Cache()):
+        scene, _ = _take(job, registry or default_registry(), STEPS_OF_PREVIEW)
+    return scene
+
+
+def _take(
+    job: RunJob, registry: Registry, steps: tuple[Step, ...]
+) -> tuple[Scene, Parts]:
+    """Read the job's photos and take the steps, in order."""
+    require_device(job.config.device)
+    check_components(job.config, registry, job.components)
+    note_quality(job.config)
+    scene = read(job, registry)
+    parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
+    for step in steps:
+        scene = step(scene, parts)
+    return scene, parts

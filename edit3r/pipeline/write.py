@@ -21,10 +21,11 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.export import FORMATS, export_scene
 from edit3r.io.images import Pixels, save_pixels, to_bytes
+from edit3r.io.outline import outlined
 from edit3r.io.ply import VIEWER_DEGREE, save_ply
 from edit3r.io.run_folder import (
     PluginRecord,
@@ -39,6 +40,7 @@ from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.pipeline.checks import component_name
 from edit3r.pipeline.earlier import CACHE, note_views
 from edit3r.pipeline.rendering import path_around, render_one
+from edit3r.pipeline.scene import Scene
 from edit3r.pipeline.verdict import WORST_PSNR
 from edit3r.reporting import collecting, note, track, warn
 
@@ -190,10 +192,7 @@ def _write_images(folder: RunFolder, result: "RunResult") -> None:
 
 def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"], ...]:
     """Photos, 2D edits and the scene from the photos' places."""
-    return tuple(
-        view.images[0].clamp(0, 1).cpu()
-        for view in (result.photos, result.edited, result.rendered)
-    )
+    return tuple(map(_images, (result.photos, result.edited, result.rendered)))
 
 
 def _sheet(result: "RunResult") -> Image.Image:
@@ -205,10 +204,41 @@ def _sheet(result: "RunResult") -> Image.Image:
     if result.scene.left_out is not None:
         subtitle += f"; left out: {', '.join(result.scene.left_out.names)}"
     title = result.config.prompt or "no prompt"
-    columns = dict(zip(("photo", "2D edit", "3D result"), _pictures(result)))
+    scene = result.scene
+    columns = {
+        "photo": _outlined_photos(scene),
+        "2D edit": _images(scene.edited),
+        "3D result": _images(result.rendered),
+    }
     return draw_sheet(
         columns, names=result.photos.names, title=title, subtitle=subtitle
     )
+
+
+def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
+    """The sheet of what `edit3r.pipeline.run.preview` returns: photos with the outline of what is
+    selected, and the 2D edit.
+    """
+    columns = {"photo": _outlined_photos(scene), "2D edit": _images(scene.edited)}
+    return draw_sheet(
+        columns,
+        names=scene.photos.names,
+        title=prompt or "no prompt",
+        subtitle="preview: nothing is reconstructed yet",
+    )
+
+
+def _images(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:
+    return views.images[0].clamp(0, 1).cpu()
+
+
+def _outlined_photos(scene: Scene) -> Float[Tensor, "view 3 height width"]:
+    """The photos, with the outline of what is selected."""
+    photos = _images(scene.photos)
+    if scene.masks is None:
+        return photos
+    pairs = zip(photos, scene.masks[0])
+    return torch.stack([outlined(photo, mask) for photo, mask in pairs])
 
 
 def _manifest(result: "RunResult") -> RunManifest:

@@ -13,10 +13,30 @@ def _words(text: str) -> frozenset[str]:
 
 # ---- colours ----
 
-BASIC_COLOURS = (
-    "red orange yellow green blue purple pink brown black white grey turquoise cyan magenta gold "
-    "silver beige navy teal olive maroon violet"
-).split()
+BASIC_COLOURS = [
+    "red",
+    "orange",
+    "yellow",
+    "green",
+    "blue",
+    "purple",
+    "pink",
+    "brown",
+    "black",
+    "white",
+    "grey",
+    "turquoise",
+    "cyan",
+    "magenta",
+    "gold",
+    "silver",
+    "beige",
+    "navy",
+    "teal",
+    "olive",
+    "maroon",
+    "violet",
+]
 """The colours that messages suggest; every CSS name is understood."""
 
 _EVERYDAY_COLOURS = {

@@ -115,3 +115,12 @@ def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
     ]
     given, used, _ = run(posed_photos, tmp_path / "out", *options)
     assert np.abs(used - given).max() > 1e-3
+
+
+def test_a_preview_is_one_image_file_and_nothing_in_3d(posed_photos, tmp_path, capsys):
+    photos = [str(path) for path in sorted(posed_photos.glob("?.png"))]
+    sheet = tmp_path / "preview.png"
+    words = ["--prompt", "make it darker", "--out", str(tmp_path / "out")]
+    assert main(["run", *photos, *words, "--preview", str(sheet)]) == 0
+    assert sheet.is_file() and not (tmp_path / "out").exists()
+    assert "reconstruct (" not in capsys.readouterr().err
