@@ -54,7 +54,7 @@ def fetch(
             begun.exists()
         ):  # an earlier call was killed after it had moved the weights into place
             with lock:
-                remove_abandoned(final, final.name)
+                remove_abandoned(final)
                 shutil.rmtree(begun, ignore_errors=True)
         return place
     if final.exists() and not (final / MARKER).is_file():

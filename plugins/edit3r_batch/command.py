@@ -201,7 +201,7 @@ def _run(
         jobs, function, path, workers=workers, key_name="id", on_done=tell
     )
     for id in (id for id, row in rows.items() if "failure" in row):
-        remove_abandoned(out / id, id)  # by a worker that died
+        remove_abandoned(out / id)  # by a worker that died
     return [
         {"id": id, "verdict": NO_RESULT, "reason": row["failure"]}
         if "failure" in row

@@ -1,11 +1,8 @@
-"""Writers that are killed at every step of the protocol, and several at one place: nothing lost,
-mixed or left.
-"""
+"""Writers that are killed at every step of the method, and several at one place."""
 
-import os
 import subprocess
 import sys
-import textwrap
+from itertools import count
 
 import pytest
 
@@ -14,7 +11,6 @@ from edit3r.io.atomic import MARKER, atomic_folder, atomic_write
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
-STEPS = ("open", "os.", "fcntl.", "shutil.", "ctypes.")
 FILES = ("a.txt", "b/c.txt")
 
 
@@ -30,114 +26,82 @@ def write_file(path, text):
         partial.write_text(text)
 
 
-def killed_at(step, write):
-    """Call `write` in a process that ends without a word before its `step`-th system call; False:
-    it had fewer.
-    """
-    child = os.fork()
-    if child == 0:
-        left = step
-
-        def count(event, arguments):
-            nonlocal left
-            if event.startswith(STEPS):
-                left -= 1
-                if left < 0:
-                    os._exit(9)
-
-        sys.addaudithook(count)
-        try:
-            write()
-        finally:
-            os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
-
-
 def content(out):
-    """The one text that all files of a whole folder hold; None where there is no folder."""
-    if not out.exists():
-        return None
-    (text,) = {(out / name).read_text() for name in FILES}
-    return text
+    """The one text that a file, or all files of a whole folder, hold; None where nothing is."""
+    files = [out / name for name in FILES] if out.is_dir() else [out]
+    texts = {file.read_text() for file in files if out.exists()}
+    assert len(texts) <= 1, texts
+    return texts.pop() if texts else None
 
 
-@pytest.mark.parametrize("in_one_step", [True, False])
+def left_in(folder):
+    return {path.name for path in folder.iterdir()}
+
+
 @pytest.mark.parametrize("earlier", [None, "old"])
-def test_a_folder_killed_at_every_step(tmp_path, monkeypatch, earlier, in_one_step):
-    if not in_one_step:
-        monkeypatch.setattr(atomic, "_exchange_in_one_step", lambda new, old: False)
-    seen, step = set(), 0
-    while True:
-        place = tmp_path / str(step)
-        place.mkdir()
-        out = place / "out"
+@pytest.mark.parametrize("way", ["one step", "renames", "file"])
+def test_a_writer_killed_at_every_step(tmp_path, monkeypatch, killed_at, earlier, way):
+    if way == "renames":
+        monkeypatch.setattr(atomic, "_swap_in_one_step", lambda new, old: False)
+    write = write_file if way == "file" else write_folder
+    seen = set()
+    for step in count():
+        out = tmp_path / str(step) / "out"
+        out.parent.mkdir()
         if earlier:
-            write_folder(out, earlier)
-        killed = killed_at(step, lambda: write_folder(out, "new"))  # noqa: B023
+            write(out, earlier)
+        killed = killed_at(step, out.parent, lambda: write(out, "new"))  # noqa: B023
         seen.add(content(out))
-        atomic.remove_abandoned(out, "out", "")  # what the next start does first
-        assert content(out) in (earlier, "new") and {
-            path.name for path in place.iterdir()
-        } <= {"out"}, step
-        write_folder(out, "next")
-        assert content(out) == "next" and [path.name for path in place.iterdir()] == [
-            "out"
-        ], step
+        atomic.remove_abandoned(out)  # what the next start does first
+        assert content(out) in (earlier, "new"), step
+        assert left_in(out.parent) <= {"out"}, step
         if not killed:
             break
-        step += 1
-    between = (
-        set() if in_one_step else {None}
-    )  # three renames, and an instant without a folder of that name
-    assert seen == {earlier, "new"} | between and step > 10
+    # With renames there is an instant in which nothing has the name.
+    instant = {None} if way == "renames" else set()
+    assert step > 5 and seen | instant == {earlier, "new"} | instant
 
 
-@pytest.mark.parametrize("earlier", [None, "old"])
-def test_a_file_killed_at_every_step(tmp_path, earlier):
-    step, killed = 0, True
-    while killed:
-        place = tmp_path / str(step)
-        place.mkdir()
-        if earlier:
-            write_file(place / "a.txt", earlier)
-        killed = killed_at(step, lambda: write_file(place / "a.txt", "new"))  # noqa: B023
-        found = (place / "a.txt").read_text() if (place / "a.txt").exists() else None
-        assert found in (earlier, "new"), step
-        write_file(place / "a.txt", "next")
-        assert [path.name for path in place.iterdir()] == ["a.txt"], step
-        step += 1
-    assert step > 5
+@pytest.mark.parametrize("write", [write_file, write_folder])
+def test_the_next_writer_removes_what_a_killed_one_left(tmp_path, killed_at, write):
+    out = tmp_path / "out"
+    assert killed_at(4, tmp_path, lambda: write(out, "new"))
+    assert left_in(tmp_path) not in (set(), {"out"})
+    write(out, "next")
+    assert content(out) == "next" and left_in(tmp_path) == {"out"}
 
 
 MANY = """
-    import sys
-    from edit3r.io.atomic import atomic_folder
-    for round in range(40):
-        with atomic_folder(sys.argv[1]) as folder:
-            for name in ("a.txt", "c.txt"):
-                (folder / name).write_text(sys.argv[2])
+import sys
+from edit3r.io.atomic import atomic_folder
+for round in range(40):
+    with atomic_folder(sys.argv[1]) as folder:
+        for name in ("a.txt", "c.txt"):
+            (folder / name).write_text(sys.argv[2])
 """
 
 
 def test_six_processes_at_one_folder(tmp_path):
     out = tmp_path / "out"
-    program = [sys.executable, "-c", textwrap.dedent(MANY), str(out)]
     processes = [
-        subprocess.Popen([*program, str(index)], stderr=subprocess.PIPE)
+        subprocess.Popen(
+            [sys.executable, "-c", MANY, out, str(index)], stderr=subprocess.PIPE
+        )
         for index in range(6)
     ]
     errors = [process.communicate()[1].decode() for process in processes]
     assert not any(errors), errors
     assert len({(out / name).read_text() for name in ("a.txt", "c.txt")}) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert left_in(tmp_path) == {"out"}
 
 
 def test_the_folder_of_a_living_run_and_names_of_others_stay(tmp_path):
-    (tmp_path / ".out.partial-12345678").mkdir()  # nobody's lock says that this is ours
-    (tmp_path / ".other.partial-12345678").mkdir()
-    (tmp_path / ".other.partial-12345678.lock").touch()
+    others = [".out.partial-12345678", ".other.partial-12345678", ".out.partial-mine"]
+    for name in others:
+        (tmp_path / name).mkdir()
+    (tmp_path / others[0] / "thesis.tex").touch()  # no lock says that this is ours
     with atomic_folder(tmp_path / "out") as folder:
-        atomic.remove_abandoned(tmp_path / "out", "out", "")
+        atomic.remove_abandoned(tmp_path / "out")
         assert folder.exists()
-    assert [path.name for path in (tmp_path / "out").iterdir()] == [MARKER]
-    assert len(list(tmp_path.iterdir())) == 4
+    assert left_in(tmp_path / "out") == {MARKER}
+    assert left_in(tmp_path) == {"out", *others}

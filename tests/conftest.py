@@ -1,0 +1,50 @@
+"""What tests of several rooms share."""
+
+import os
+import sys
+
+import pytest
+import torch
+
+
+def _changes(folder, event, arguments):
+    """Whether an audit event of Python is a change of `folder` on the disk."""
+    if event == "ctypes.call_function":
+        return True
+    if not (arguments and str(folder) in str(arguments[0])):
+        return False
+    if event == "open":
+        return bool(arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+    return event.startswith(("os.", "shutil."))
+
+
+@pytest.fixture
+def killed_at():
+    """Call `act` in a process that ends, without a word, before its `step`-th change of `folder`.
+
+    Returns False where it ended by itself, with fewer changes.
+    """
+
+    def run(step, folder, act):
+        child = os.fork()
+        if child:
+            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+        left = step
+
+        def count(event, arguments):
+            nonlocal left
+            left -= _changes(folder, event, arguments)
+            if left < 0:
+                os._exit(9)
+
+        torch.set_num_threads(1)
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        sys.addaudithook(count)
+        try:
+            act()
+        finally:
+            os._exit(0)
+
+    return run
