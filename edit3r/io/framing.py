@@ -1,5 +1,6 @@
-"""Which part of each photo is used, so that photos of any sizes share one, and what that does to
-the intrinsics.
+"""Which part of each photo is used, so that photos of any sizes share one.
+
+Also what that does to the intrinsics.
 """
 
 import math
@@ -15,28 +16,29 @@ from torch import Tensor
 
 from edit3r.errors import InputError
 
-MOST_DISTORTION = 100.0
-MOST_SIDE = 32766  # of a picture that OpenCV remaps [pixels]
+MAX_DISTORTION = 100.0
+MAX_SIDE = 32766  # of an image that OpenCV remaps [pixels]
+MIN_SHARE = 0.5  # of a photo's sides that is kept where a lens leaves dark corners
+BORDER_SAMPLES = 65  # places on each side of a box
+
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens that bends straight lines, in OpenCV's model; shares of the photo's width and
-    height.
-    """
+    """A lens that bends straight lines, in OpenCV's model; shares of the photo's sides."""
 
     focal: tuple[float, float]
     centre: tuple[float, float]
     distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
 
     def __post_init__(self) -> None:
-        if not all(abs(value) <= MOST_DISTORTION for value in self.distortion):
+        if not all(abs(value) <= MAX_DISTORTION for value in self.distortion):
             raise ValueError(
-                f"lens distortion {self.distortion}, expected at most {MOST_DISTORTION:g}"
+                f"lens distortion {self.distortion}, expected at most {MAX_DISTORTION:g}"
             )
-        if not (
-            all(map(math.isfinite, (*self.focal, *self.centre))) and min(self.focal) > 0
-        ):
+        if not np.isfinite(self.focal + self.centre).all() or min(self.focal) <= 0:
             raise ValueError(
                 f"focal lengths {self.focal} and centre {self.centre}, expected finite numbers "
                 "above 0"
@@ -44,56 +46,43 @@ class Lens:
 
     def straightened(self, image: Image.Image) -> Image.Image:
         """The image (of any size of the photo's shape) as a plain pinhole would have taken it."""
-        if max(image.size) > MOST_SIDE:
+        width, height = image.size
+        if max(image.size) > MAX_SIDE:
             raise InputError(
-                f"a photo of {image.width}x{image.height} pixels cannot be straightened; make it "
-                "smaller."
+                f"a photo of {width}x{height} pixels cannot be straightened; make it smaller."
             )
-        return Image.fromarray(
-            cv2.undistort(
-                np.asarray(image), self._matrix(image.size), np.array(self.distortion)
-            )
-        )
+        stretch = np.array([[width], [height], [1.0]])
+        matrix = self._matrix() * stretch
+        matrix[:2, 2] -= 0.5  # OpenCV counts from the centre of the first pixel
+        pixels = cv2.undistort(np.asarray(image), matrix, np.array(self.distortion))
+        return Image.fromarray(pixels)
 
     def straightened_place(self, x: float, y: float) -> tuple[float, float]:
         """Where a place on the photo lies on the straightened one; both in shares of the sides."""
-        matrix = self._matrix((1, 1)) + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        matrix = self._matrix()
         place = cv2.undistortPoints(
             np.array([[[x, y]]]), matrix, np.array(self.distortion), P=matrix
         )
         return float(place[0, 0, 0]), float(place[0, 0, 1])
 
-    def is_shown(self, box: tuple[float, float, float, float]) -> bool:
-        """Whether the photo shows all of a box (left, top, right, bottom; shares) of the
-        straightened one.
-        """
-        x, y = (np.linspace(low, high, 65) for low, high in zip(box[:2], box[2:]))
-        sides = [
-            (x, np.full(65, y[0])),
-            (x, np.full(65, y[-1])),
-            (np.full(65, x[0]), y),
-            (np.full(65, x[-1]), y),
-        ]
-        rays = (np.concatenate(sides, 1).T - self.centre) / self.focal
-        points = np.concatenate((rays, np.ones((len(rays), 1))), 1)
-        matrix = self._matrix((1, 1)) + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-        places = cv2.projectPoints(
-            points, np.zeros(3), np.zeros(3), matrix, np.array(self.distortion)
-        )[0]
+    def is_shown(self, box: Box) -> bool:
+        """Whether the photo shows all of a box of the straightened one; shares of the sides."""
+        corner, opposite = np.array(box[:2]), np.array(box[2:])
+        along = np.linspace(0, 1, BORDER_SAMPLES)
+        x, y = np.meshgrid(along, along)
+        on_border = (x % 1 == 0) | (y % 1 == 0)
+        border = np.stack((x[on_border], y[on_border]), 1)
+        rays = (corner + border * (opposite - corner) - self.centre) / self.focal
+        points = np.pad(rays, ((0, 0), (0, 1)), constant_values=1.0)
+        places, _ = cv2.projectPoints(
+            points, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)
+        )
         return bool((np.abs(places - 0.5) <= 0.5 + 1e-9).all())
 
-    def _matrix(self, size: tuple[int, int]) -> np.ndarray:
-        """Intrinsics [pixels] of an image of (width, height) in OpenCV's way, which counts from
-        pixel centres.
-        """
-        (fx, fy), (cx, cy), (width, height) = self.focal, self.centre, size
-        return np.array(
-            [
-                [fx * width, 0, cx * width - 0.5],
-                [0, fy * height, cy * height - 0.5],
-                [0, 0, 1],
-            ]
-        )
+    def _matrix(self) -> np.ndarray:
+        """Intrinsics of a photo whose sides are 1."""
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -101,9 +90,7 @@ class Frame:
     """A centred crop of an image and the size it is resampled to."""
 
     source: tuple[int, int]  # (height, width) of the image [pixels]
-    box: tuple[
-        float, float, float, float
-    ]  # left, top, right, bottom of the crop [pixels of the image]
+    box: Box  # the crop [pixels of the image]
     target: tuple[int, int]  # (height, width) after resampling [pixels]
     lens: Lens | None = None  # straightened before the crop
 
@@ -117,58 +104,56 @@ class Frame:
     def cropped(self) -> float:
         """Share of the image's area that is lost, in [0, 1)."""
         left, top, right, bottom = self.box
-        return 1 - (right - left) * (bottom - top) / (self.source[0] * self.source[1])
+        return 1 - (right - left) * (bottom - top) / math.prod(self.source)
 
     def cut(
         self, image: Image.Image, smooth: Image.Resampling = Image.Resampling.LANCZOS
     ) -> Image.Image:
-        """Crop and resample in one step, antialiased, on sRGB values. The image may be of any size
-        of the source's shape; a crop that changes nothing returns the very pixels.
+        """Crop and resample in one step, antialiased, on sRGB values.
+
+        The image may be of any size of the source's shape. A crop that changes nothing returns the
+        very pixels.
         """
-        image = image if self.lens is None else self.lens.straightened(image)
+        if self.lens is not None:
+            image = self.lens.straightened(image)
         height, width = self.source
-        x, y = image.width / width, image.height / height
+        scale_x = image.width / width
+        scale_y = image.height / height
         left, top, right, bottom = self.box
         # Rounding must not push the box over the edge.
         box = (
-            left * x,
-            top * y,
-            min(right * x, image.width),
-            min(bottom * y, image.height),
+            left * scale_x,
+            top * scale_y,
+            min(right * scale_x, image.width),
+            min(bottom * scale_y, image.height),
         )
         shrinks = self.target[1] < box[2] - box[0]
-        return image.resize(
-            self.target[::-1], smooth if shrinks else Image.Resampling.BICUBIC, box=box
-        )
+        resampling = smooth if shrinks else Image.Resampling.BICUBIC
+        return image.resize(self.target[::-1], resampling, box=box)
 
     def through(self, lens: Lens | None) -> "Frame":
-        """The frame of a photo that `lens` took: smaller where corners would be dark that the lens
-        did not show.
+        """The frame of a photo that `lens` took.
+
+        It is smaller where the lens did not show the corners, which would be dark.
         """
-        centre, half = (
-            np.add(self.box[:2], self.box[2:]) / 2,
-            np.subtract(self.box[2:], self.box[:2]) / 2,
-        )
+        if lens is None:
+            return replace(self, lens=None)
+        low, high = np.array(self.box[:2]), np.array(self.box[2:])
+        centre = (low + high) / 2
+        half = (high - low) / 2
         sides = np.array(self.source[::-1] * 2)
-        boxes = (
-            np.concatenate((centre - share * half, centre + share * half))
-            for share in np.linspace(1, 0.5, 101)
-        )
-        shown = (
-            box for box in boxes if lens is None or lens.is_shown(tuple(box / sides))
-        )
-        return replace(
-            self, box=tuple(next(shown, np.array(self.box)).tolist()), lens=lens
-        )
+        for share in np.linspace(1, MIN_SHARE, 101):
+            box = np.concatenate((centre - share * half, centre + share * half))
+            if lens.is_shown(tuple(box / sides)):
+                return replace(self, box=tuple(box.tolist()), lens=lens)
+        return replace(self, lens=lens)
 
     def follow(self, intrinsics: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
         """Normalised intrinsics of the crop, from those of the image."""
         height, width = self.source
         left, top, right, bottom = self.box
-        stretch = intrinsics.new_tensor(
-            [[width / (right - left)], [height / (bottom - top)], [1.0]]
-        )
-        result = intrinsics * stretch
+        stretch = [[width / (right - left)], [height / (bottom - top)], [1.0]]
+        result = intrinsics * intrinsics.new_tensor(stretch)
         result[0, 2] -= left / (right - left)
         result[1, 2] -= top / (bottom - top)
         return result
@@ -183,41 +168,38 @@ def common_size(
     middle; the longer side is the (lower) median of what the photos offer in that shape, at most
     `longest`.
     """
-    aspect = math.exp(
-        statistics.median(math.log(width / height) for height, width in sizes)
-    )
-    offered = [_longer_side(size, aspect) for size in sizes]
-    longer = statistics.median_low(offered)
-    return _in_shape(
-        aspect, max(1, round(longer if longest is None else min(longer, longest)))
-    )
+    logs = [math.log(width / height) for height, width in sizes]
+    aspect = math.exp(statistics.median(logs))
+    longer = statistics.median_low(_longer_side(size, aspect) for size in sizes)
+    if longest is not None:
+        longer = min(longer, longest)
+    return _in_shape(aspect, max(1, round(longer)))
 
 
 def frame_for(size: tuple[int, int], target: tuple[int, int]) -> Frame:
-    """The largest centred part of a photo with the target's shape; all of it where only rounding
-    tells them apart.
+    """The largest centred part of a photo with the target's shape.
+
+    All of it where only rounding tells the shapes apart.
     """
     height, width = size
     if _in_shape(width / height, max(target)) == target:
         return Frame(size, (0.0, 0.0, float(width), float(height)), target)
     scale = max(target[0] / height, target[1] / width)
-    used_height, used_width = (
-        min(height, target[0] / scale),
-        min(width, target[1] / scale),
-    )
-    left, top = (width - used_width) / 2, (height - used_height) / 2
+    used_height = min(height, target[0] / scale)
+    used_width = min(width, target[1] / scale)
+    left = (width - used_width) / 2
+    top = (height - used_height) / 2
     return Frame(size, (left, top, left + used_width, top + used_height), target)
 
 
 def _in_shape(aspect: float, longer: int) -> tuple[int, int]:
-    """(height, width) of `longer` pixels and the shorter side that `aspect` (width / height)
-    gives.
-    """
+    """(height, width) with a longer side of `longer` pixels; `aspect` is width / height."""
     shorter = max(1, round(longer * min(aspect, 1 / aspect)))
     return (shorter, longer) if aspect >= 1 else (longer, shorter)
 
 
 def _longer_side(size: tuple[int, int], aspect: float) -> float:
+    """Longer side of the largest part of a photo that has the shape `aspect`."""
     height, width = size
     used_width = min(width, height * aspect)
     return max(used_width, used_width / aspect)

@@ -31,7 +31,7 @@ def test_every_view_shows_photo_edit_and_result_at_one_size(views, size):
     assert max(sheet.size) < 2900
 
 
-def test_pictures_keep_their_shape():
+def test_images_keep_their_shape():
     sheet = np.asarray(drawn(1, (100, 300)))
     red = (sheet == [255, 0, 0]).all(-1)
     assert red.any(0).sum() == pytest.approx(3 * red.any(1).sum(), abs=2)

@@ -208,9 +208,9 @@ def test_page_starts_at_the_first_camera_and_stands_upright(tmp_path):
     meta, _ = opened(tmp_path / "v.html")
     assert [view["name"] for view in meta["views"]] == ["left", "right"]
     assert meta["views"][0]["c2w"] == torch.eye(4).tolist()
-    assert meta["views"][0]["lens"] == pytest.approx(
-        dict(fx=360, fy=360, cx=200, cy=150, width=400, height=300)
-    )
+    (fx, _, cx), (_, fy, cy), _ = meta["views"][0]["K"]
+    assert meta["size"] == [300, 400]
+    assert (fx, fy, cx, cy) == pytest.approx((360, 360, 200, 150))
     assert meta["up"] == [0, -1, 0]
     assert 4 < meta["distance"] < 6
 
