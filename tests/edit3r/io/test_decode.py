@@ -1,19 +1,17 @@
-import io
 import re
 import struct
+import time
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import ExifTags, Image, ImageCms
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError
-from edit3r.io.decode import MAX_PIXELS, decode, image_size, read_image
+from edit3r.io.decode import decode, image_size, read_image
 from edit3r.reporting import Report, collecting
 
 
@@ -28,16 +26,16 @@ def difference(path, expected):
     return np.abs(np.asarray(read_image(path)).astype(int) - expected.astype(int)).max()
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.bmp", "a.ppm"])
-def test_lossless_formats_come_back_bit_equal(tmp_path, pattern, name):
-    Image.fromarray(pattern).save(tmp_path / name)
-    assert difference(tmp_path / name, pattern) == 0
-
-
-@pytest.mark.parametrize("name", ["a.jpg", "a.webp", "a.avif"])
-def test_lossy_formats_come_back_close(tmp_path, pattern, name):
-    Image.fromarray(pattern).save(tmp_path / name, quality=98)
-    assert difference(tmp_path / name, pattern) < 30
+@pytest.mark.parametrize(
+    ("suffix", "wrong"),
+    {"png": 0, "tif": 0, "bmp": 0, "ppm": 0, "jpg": 30, "webp": 30, "avif": 30}.items(),
+)
+def test_every_format_comes_back_and_content_decides_not_the_name(
+    tmp_path, pattern, suffix, wrong
+):
+    Image.fromarray(pattern).save(tmp_path / f"a.{suffix}", quality=98)
+    (tmp_path / f"a.{suffix}").rename(tmp_path / "photo.jpg")
+    assert difference(tmp_path / "photo.jpg", pattern) <= wrong
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -60,18 +58,23 @@ def test_all_exif_orientations_come_back_upright(tmp_path, pattern, orientation)
     assert image_size(tmp_path / "a.png") == (12, 20)
 
 
+@pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_sixteen_bit_colour_keeps_its_high_byte(tmp_path, pattern, suffix):
+def test_sixteen_bits_keep_their_high_byte_or_are_those_of_eight(
+    tmp_path, pattern, suffix, channels
+):
     path = tmp_path / f"a.{suffix}"
-    cv2.imwrite(str(path), (pattern[..., ::-1].astype(np.uint16) << 8) + 77)
-    assert difference(path, pattern) == 0
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_sixteen_bit_grey_keeps_its_high_byte(tmp_path, pattern, suffix):
-    path = tmp_path / f"a.{suffix}"
-    cv2.imwrite(str(path), (pattern[..., 0].astype(np.uint16) << 8) + 255)
-    assert difference(path, pattern[..., :1].repeat(3, -1)) == 0
+    alpha = np.full_like(pattern[..., :1], 255)
+    pixels = np.concatenate((pattern, alpha), 2)[..., [2, 1, 0, 3][:channels]]
+    shown = pattern if channels > 1 else pattern[..., 2:].repeat(3, -1)
+    deep = pixels.astype(np.uint16)
+    for values in (deep * 257, (deep << 8) + 77, deep):
+        if channels == 4:
+            values[..., 3] = 65535 if values.max() > 255 else 255
+        cv2.imwrite(str(path), values)
+        with collecting(Report()) as report:
+            assert difference(path, shown) == 0
+        assert bool(report.warnings) == (values.max() <= 255)
 
 
 @pytest.mark.parametrize("mode", ["L", "1", "P"])
@@ -87,9 +90,7 @@ def test_alpha_is_laid_over_white(tmp_path, mode):
     image.putpixel((1, 0), (0, 0, 0, 0))
     image.putpixel((2, 0), (100, 100, 100, 128))
     image.convert(mode).save(tmp_path / "a.png")
-    np.testing.assert_allclose(
-        np.asarray(read_image(tmp_path / "a.png"))[0, :, 0], [0, 255, 177], atol=1
-    )
+    assert difference(tmp_path / "a.png", np.array([[[0], [255], [177]]])) <= 1
 
 
 def test_transparent_palette_entry_is_white(tmp_path):
@@ -97,33 +98,24 @@ def test_transparent_palette_entry_is_white(tmp_path):
     image.putpalette([10, 20, 30, 200, 0, 0])
     image.putpixel((1, 0), 1)
     image.save(tmp_path / "a.png", transparency=1)
-    assert np.asarray(read_image(tmp_path / "a.png")).tolist() == [
-        [[10, 20, 30], [255, 255, 255]]
-    ]
+    assert difference(tmp_path / "a.png", np.array([[[10, 20, 30], [255] * 3]])) == 0
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif"])
 def test_cmyk_shows_the_right_colours(tmp_path, suffix):
-    Image.new("CMYK", (16, 16), (0, 255, 255, 0)).save(
-        tmp_path / f"a.{suffix}", quality=95
-    )
-    red = np.asarray(read_image(tmp_path / f"a.{suffix}"))[8, 8]
-    assert red[0] > 240 and red[1] < 15 and red[2] < 15
+    path = tmp_path / f"a.{suffix}"
+    Image.new("CMYK", (16, 16), (0, 255, 255, 0)).save(path, quality=95)
+    assert difference(path, np.array([255, 0, 0])) < 15
 
 
 def test_colour_profile_is_converted_to_srgb(tmp_path):
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     # The same space with its red and green primaries swapped, under another name.
     swapped = srgb.replace("sRGB".encode("utf-16-be"), "tRGB".encode("utf-16-be"))
-    swapped = (
-        swapped.replace(b"rXYZ", b"????")
-        .replace(b"gXYZ", b"rXYZ")
-        .replace(b"????", b"gXYZ")
-    )
+    for old, new in ((b"rXYZ", b"????"), (b"gXYZ", b"rXYZ"), (b"????", b"gXYZ")):
+        swapped = swapped.replace(old, new)
     Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "a.png", icc_profile=swapped)
-    np.testing.assert_allclose(
-        np.asarray(read_image(tmp_path / "a.png"))[0, 0], [0, 255, 0], atol=3
-    )
+    assert difference(tmp_path / "a.png", np.array([0, 255, 0])) <= 3
 
 
 def test_srgb_profile_changes_nothing_and_a_broken_one_is_warned_of(tmp_path, pattern):
@@ -136,18 +128,17 @@ def test_srgb_profile_changes_nothing_and_a_broken_one_is_warned_of(tmp_path, pa
     assert "b.png: its colour profile cannot be used" in report.warnings[0]
 
 
-def test_content_decides_not_the_name(tmp_path, pattern):
-    Image.fromarray(pattern).save(tmp_path / "a.png")
-    (tmp_path / "a.png").rename(tmp_path / "a.jpg")
-    assert difference(tmp_path / "a.jpg", pattern) == 0
-
-
-def test_first_of_several_frames_is_used_with_a_warning(tmp_path):
-    frames = [Image.new("RGB", (4, 4), colour) for colour in ("red", "blue")]
-    frames[0].save(tmp_path / "a.tif", save_all=True, append_images=frames[1:])
+def test_the_first_of_several_images_is_used_and_the_others_are_not_counted(
+    tmp_path, monkeypatch
+):
+    """Counting the pages of a TIFF can take minutes."""
+    counted = property(lambda _: pytest.fail("counted the pages"))
+    monkeypatch.setattr("PIL.TiffImagePlugin.TiffImageFile.n_frames", counted)
+    first, second = (Image.new("RGB", (4, 4), colour) for colour in ("red", "blue"))
+    first.save(tmp_path / "a.tif", save_all=True, append_images=[second])
     with collecting(Report()) as report:
         assert read_image(tmp_path / "a.tif").getpixel((0, 0)) == (255, 0, 0)
-    assert "holds 2 pictures" in report.warnings[0]
+    assert "holds several images" in report.warnings[0]
 
 
 def complain(path):
@@ -166,38 +157,62 @@ def test_truncated_file_is_one_sentence(tmp_path, suffix, share):
     path = tmp_path / f"a.{suffix}"
     Image.fromarray(noise).save(path)
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    assert "damaged" in complain(path) or "not a picture" in complain(path)
+    assert "damaged" in complain(path) or "not an image" in complain(path)
 
 
 def test_empty_file_text_folder_and_missing_file_are_one_sentence_each(tmp_path):
     (tmp_path / "empty.jpg").touch()
     assert "empty" in complain(tmp_path / "empty.jpg")
     (tmp_path / "text.jpg").write_text("These are not pixels. " * 100)
-    assert "not a picture" in complain(tmp_path / "text.jpg")
+    assert "not an image" in complain(tmp_path / "text.jpg")
     assert "folder" in complain(tmp_path)
     assert "no such file" in complain(tmp_path / "none.jpg")
 
 
-def chunk(name, data):
-    return (
-        struct.pack(">I", len(data))
-        + name
-        + data
-        + struct.pack(">I", zlib.crc32(name + data))
-    )
-
-
-@pytest.mark.parametrize("side", [12_000, 60_000])
-def test_decompression_bomb_is_refused_before_it_is_unpacked(tmp_path, side):
+def png_of(side):
+    """A PNG whose header promises side x side pixels."""
     header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
-    data = (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(bytes(1000)))
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b""))
+    content = b"\x89PNG\r\n\x1a\n"
+    for name, data in chunks:
+        checksum = struct.pack(">I", zlib.crc32(name + data))
+        content += struct.pack(">I", len(data)) + name + data + checksum
+    return content
+
+
+def tiff_of_strips(side, count):
+    """A grey TIFF of many strips, each half of the image, that are all the same bytes."""
+    end = 8 + 2 + 8 * 12 + 4
+    long, short = 4, 3
+    tags = (
+        (256, short, 1, side),
+        (257, short, 1, side),
+        (258, short, 1, 8),
+        (262, short, 1, 1),
+        (273, long, count, end),
+        (277, short, 1, 1),
+        (278, short, 1, side // 2),
+        (279, long, count, end),
     )
-    (tmp_path / "bomb.png").write_bytes(data + chunk(b"IEND", b""))
-    assert side * side > MAX_PIXELS
-    assert "megapixels" in complain(tmp_path / "bomb.png")
+    content = b"II*\0" + struct.pack("<IH", 8, len(tags))
+    content += b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    return content + struct.pack("<I", 8) * count
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (png_of(12_000), "megapixels"),
+        (png_of(60_000), "megapixels"),
+        (tiff_of_strips(1000, 100_000), "pieces that cover each other"),
+    ],
+    ids=["pixels", "more pixels", "strips"],
+)
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, content, sentence):
+    (tmp_path / "bomb").write_bytes(content)
+    start = time.monotonic()
+    assert sentence in complain(tmp_path / "bomb")
+    assert time.monotonic() - start < 2
 
 
 def test_heic_without_the_package_says_how_to_get_it(tmp_path, monkeypatch):
@@ -221,50 +236,26 @@ def exif_photo(tmp_path, size=(400, 300), **tags):
 
 
 def test_focal_from_the_35_mm_equivalent_goes_by_the_diagonal(tmp_path):
-    picture = exif_photo(tmp_path, FocalLengthIn35mmFilm=43)
-    assert picture.focal == pytest.approx(500 * 43 / 43.2666, rel=1e-4)
-    assert picture.focal_source == "EXIF 35 mm equivalent (43 mm)"
+    image = exif_photo(tmp_path, FocalLengthIn35mmFilm=43)
+    assert image.focal == pytest.approx(500 * 43 / 43.2666, rel=1e-4)
+    assert image.focal_source == "EXIF 35 mm equivalent (43 mm)"
 
 
 def test_focal_from_focal_length_and_sensor_resolution(tmp_path):
-    # 4000 pixels recorded on a sensor of 100 pixels per mm; the file was scaled to a tenth since.
-    tags = dict(
+    image = exif_photo(
+        tmp_path,
         FocalLength=20.0,
-        FocalPlaneXResolution=1000.0,
+        FocalPlaneXResolution=1000.0,  # 100 pixels per mm
         FocalPlaneResolutionUnit=3,
-        ExifImageWidth=4000,
+        ExifImageWidth=4000,  # the file was scaled to a tenth since
     )
-    picture = exif_photo(tmp_path, **tags)
-    assert picture.focal == pytest.approx(20 * 100 / 10)
-    assert "sensor" in picture.focal_source
+    assert image.focal == pytest.approx(20 * 100 / 10)
+    assert "sensor" in image.focal_source
 
 
 @pytest.mark.parametrize("value", [0, 60000])
 def test_impossible_exif_focal_is_ignored(tmp_path, value):
     assert exif_photo(tmp_path, FocalLengthIn35mmFilm=value).focal is None
-
-
-@given(st.data())
-@settings(max_examples=60, deadline=None)
-def test_damaged_files_never_raise_anything_but_input_errors(tmp_path_factory, data):
-    buffer = io.BytesIO()
-    exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 28
-    kind = data.draw(st.sampled_from(["JPEG", "PNG", "WEBP", "TIFF"]))
-    Image.linear_gradient("L").resize((24, 24)).convert("RGB").save(
-        buffer, kind, exif=exif
-    )
-    content = bytearray(buffer.getvalue())
-    for _ in range(data.draw(st.integers(1, 8))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(
-            st.integers(0, 255)
-        )
-    path = tmp_path_factory.mktemp("damaged") / "a.jpg"
-    path.write_bytes(content)
-    try:
-        decode(path)
-    except InputError as error:
-        assert str(path) in str(error)
 
 
 def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(
@@ -276,18 +267,13 @@ def test_a_file_that_would_start_another_program_is_not_read_whatever_its_name(
     )
     path = tmp_path / "a.jpg"
     Image.new("RGB", (4, 4)).save(path, "EPS")
-    assert "not a picture" in complain(path)
+    assert "not an image" in complain(path)
 
 
 def test_pillow_is_always_told_what_a_file_may_be():
     """For a file that it takes for EPS it would start Ghostscript."""
     root = Path(edit3r.__file__).parents[1]
-    calls = [
-        (file, call)
-        for folder in ("edit3r", "plugins")
-        for file in (root / folder).rglob("*.py")
-        for call in re.findall(r"Image\.open\(.*", file.read_text(encoding="utf-8"))
-    ]
-    assert calls and not [
-        (file, call) for file, call in calls if "formats=" not in call
-    ]
+    files = [*(root / "edit3r").rglob("*.py"), *(root / "plugins").rglob("*.py")]
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
+    calls = re.findall(r"Image\.open\(.*", source)
+    assert calls and all("formats=" in call for call in calls), calls
