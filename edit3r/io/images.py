@@ -1,10 +1,10 @@
-"""Photos in and images out: files and folders to `Views`, with a record of where every intrinsics
-value came from.
+"""Photos in and images out: files and folders to `Views`, with a record of each photo.
 
 Photos of one run may differ in size, shape and camera. Each is scaled to cover a common size and
 cropped around its middle; intrinsics follow exactly.
 """
 
+import itertools
 import re
 import unicodedata
 from collections import Counter
@@ -36,6 +36,7 @@ from edit3r.io.intrinsics import DEFAULT_FOV, Intrinsics, IntrinsicsFinder, know
 from edit3r.reporting import say, track, warn
 
 __all__ = [
+    "SUFFIXES",
     "LoadedPhotos",
     "Photo",
     "Pixels",
@@ -54,38 +55,20 @@ __all__ = [
 ]
 
 Pixels = UInt8[np.ndarray, "height width 3"]
-
 Item = TypeVar("Item")
 
-SUFFIXES = (
-    *(
-        ".jpg",
-        ".jpeg",
-        ".jpe",
-        ".jfif",
-        ".mpo",
-        ".png",
-        ".webp",
-        ".tif",
-        ".tiff",
-        ".heic",
-        ".heif",
-        ".avif",
-    ),
-    *(".bmp", ".ppm", ".pgm", ".jp2"),
+SUFFIXES = tuple(
+    ".jpg .jpeg .jpe .jfif .mpo .png .webp .tif .tiff .heic .heif .avif .bmp .ppm .pgm .jp2".split()
 )
 """Files taken from a folder; a file given by itself may be called anything."""
 
-MOST_CHARACTERS, MOST_BYTES = (
-    100,
-    200,
-)  # of a name from `unique_names`; file systems allow 255 bytes with the suffix
-_UNSAFE = re.compile(
-    r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+'
-)  # surrogates: a file name that is no UTF-8
-_RESERVED = re.compile(
-    r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE
-)  # Windows; frames of the video
+MAX_CHARACTERS = 100  # of a name from `unique_names`
+MAX_BYTES = 200  # file systems allow 255 with the suffix
+
+# Surrogates stand for the bytes of a file name that is no UTF-8.
+_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+')
+# Names that Windows reserves, and those of the video's frames.
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -148,70 +131,69 @@ def load_photos(
     files = choose_photos(find_photos(paths, max(USUAL_FRAMES, most or 0)), most)
     finder = IntrinsicsFinder(cameras, fov)
     finder.check_all_used(files)
+    names = _names(files, names)
     # Headers first, so that no more than one photo is ever in memory at full size.
     sizes = [image_size(file) for file in files]
     target = common_size(sizes, size)
-    frames = [frame_for(photo_size, target) for photo_size in sizes]
-    images, found = [], []
-    for file, frame in track(list(zip(files, frames)), "read photos"):
+    images, photos, found = [], [], []
+    for name, file, photo_size in track(list(zip(names, files, sizes)), "read photos"):
         decoded = decode(file)
-        found.append(finder.find(file, decoded))
-        frames[len(images)] = frame = frame.through(found[-1].lens)
+        intrinsics = finder.find(file, decoded)
+        frame = frame_for(photo_size, target).through(intrinsics.lens)
         images.append(_to_tensor(frame.cut(decoded.pixels)))
-    names = _names(files, names)
-    photos = tuple(map(_record, names, files, frames, found))
-    assumed = tuple(i.assumed for i in found)
+        photos.append(_record(name, file, frame, intrinsics))
+        found.append(intrinsics)
+    assumed = tuple(intrinsics.assumed for intrinsics in found)
     _warn_of_losses(photos, assumed)
-    intrinsics = torch.stack(
-        [frame.follow(i.normalised) for frame, i in zip(frames, found)]
-    )
+    normalised = [
+        photo.frame.follow(intrinsics.normalised)
+        for photo, intrinsics in zip(photos, found)
+    ]
     poses = known_poses(found)
-    c2w = None if poses is None else poses[None].float()
-    loaded = LoadedPhotos(
-        Views(torch.stack(images)[None], intrinsics[None].float(), names, c2w, assumed),
-        photos,
+    views = Views(
+        images=torch.stack(images)[None],
+        intrinsics=torch.stack(normalised)[None].float(),
+        names=names,
+        c2w=None if poses is None else poses[None].float(),
+        assumed=assumed,
     )
-    one_lens = len(set(sizes)) == 1 and all(assumed) and read_lens is not None
-    return _straightened(loaded, files, read_lens(loaded.views)) if one_lens else loaded
+    loaded = LoadedPhotos(views, tuple(photos))
+    if len(set(sizes)) > 1 or not all(assumed) or read_lens is None:
+        return loaded
+    lens = read_lens(views)
+    return loaded if lens is None else _straightened(loaded, files, lens)
 
 
 def _straightened(
-    loaded: LoadedPhotos, files: Sequence[Path], lens: Lens | None
+    loaded: LoadedPhotos, files: Sequence[Path], lens: Lens
 ) -> LoadedPhotos:
-    """The photos as a plain pinhole would have taken them; as they are where `lens` is None."""
-    if lens is None:
-        return loaded
+    """Photos of one size and lens as a plain pinhole would have taken them."""
     say(
         "lens.straightened",
         f"it bends straight lines (k1 {lens.distortion[0]:.3f}); the photos are straightened",
     )
-    photos = tuple(
-        replace(photo, frame=photo.frame.through(lens)) for photo in loaded.photos
-    )
-    images = [
-        _to_tensor(photo.frame.cut(decode(file).pixels))
-        for photo, file in zip(photos, files)
-    ]
-    # One lens means photos of one size, of which the frames were all.
-    intrinsics = (
-        photos[0]
-        .frame.follow(loaded.views.intrinsics[0, 0].double())
-        .to(loaded.views.intrinsics)
-    )
+    views = loaded.views
+    # Photos of one size: the frame of each is all of it.
+    frame = loaded.photos[0].frame.through(lens)
+    images = [_to_tensor(frame.cut(decode(file).pixels)) for file in files]
+    intrinsics = frame.follow(views.intrinsics[0, 0].double()).to(views.intrinsics)
     views = replace(
-        loaded.views,
+        views,
         images=torch.stack(images)[None],
-        intrinsics=intrinsics.expand(1, len(images), 3, 3),
+        intrinsics=intrinsics.expand_as(views.intrinsics),
     )
+    photos = tuple(replace(photo, frame=frame) for photo in loaded.photos)
     return LoadedPhotos(views, photos)
 
 
 def find_photos(
     paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES
 ) -> list[Path]:
-    """The image files named by `paths`; each folder stands for its images in natural order (img2
-    before img10), or for those of its `images` folder when it has none itself; a video for at most
-    `frames` of its frames. Raises InputError when a path is not there.
+    """The image files named by `paths`.
+
+    A folder stands for its images in natural order (img2 before img10), or for those of its
+    `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
+    InputError when a path is not there.
     """
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     files: list[Path] = []
@@ -226,15 +208,13 @@ def find_photos(
             raise InputError(f"{path}: no such file or folder.")
     if not files:
         raise InputError(
-            "No photos given: name two or more picture files, or a folder of them."
+            "No photos given: name two or more image files, or a folder of them."
         )
     return files
 
 
 def packaged_pair() -> tuple[list[str], Path]:
-    """The real photo pair that scikit-image ships (Middlebury 2014, Motorcycle), and its published
-    calibration.
-    """
+    """The photo pair that scikit-image ships (Middlebury 2014, Motorcycle), and its calibration."""
     import skimage
 
     folder = Path(skimage.__file__).parent / "data"
@@ -243,20 +223,18 @@ def packaged_pair() -> tuple[list[str], Path]:
 
 
 def evenly(items: Sequence[Item], most: int | None) -> list[Item]:
-    """At most `most` of the items, spread evenly from the first to the last; all of them for
-    None.
-    """
+    """At most `most` of the items, spread evenly from the first to the last; all for None."""
     if most is None or len(items) <= most:
         return list(items)
-    return [
-        items[index]
-        for index in np.linspace(0, len(items) - 1, most).round().astype(int)
-    ]
+    places = np.linspace(0, len(items) - 1, most).round().astype(int)
+    return [items[place] for place in places]
+
+
+# Names that become files
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """File names without suffix made from any texts, one for each: valid on every system, no two
-    alike.
+    """File names without suffix from any texts: valid on every system, no two alike.
 
     A safe name that nobody else has is kept. Otherwise characters that a file system may refuse
     become "_", names that Windows or the frames of the video use get "_" in front, names above 100
@@ -264,25 +242,20 @@ def unique_names(names: Sequence[str]) -> list[str]:
     case count as equal, as some file systems take them.
     """
     safe = [_safe_name(name) for name in names]
-    count = Counter(map(_same_file, safe))
-    taken = {name for name, times in count.items() if times == 1}
+    counts = Counter(map(_same_file, safe))
+    alone = {folded for folded, count in counts.items() if count == 1}
+    taken = set(alone)
     result = []
     for name in safe:
-        unique, number = name, 0
-        while (number == 0 and count[_same_file(name)] > 1) or (
-            number > 0 and _same_file(unique) in taken
-        ):
-            number += 1
-            unique = f"{_cut(name, len(str(number)) + 1)}-{number}"
-        taken.add(_same_file(unique))
-        result.append(unique)
+        if _same_file(name) not in alone:
+            name = _numbered(name, taken)
+            taken.add(_same_file(name))
+        result.append(name)
     return result
 
 
 def is_plain_name(name: object) -> bool:
-    """Whether a name from a file of strangers is the name of a file or folder, and no path that
-    leads elsewhere.
-    """
+    """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
     return (
         isinstance(name, str)
         and 0 < len(name) <= 120
@@ -296,10 +269,19 @@ def _safe_name(name: str) -> str:
     return _cut(f"_{name}" if _RESERVED.fullmatch(name) else name)
 
 
+def _numbered(name: str, taken: set[str]) -> str:
+    for number in itertools.count(1):
+        ending = f"-{number}"
+        unique = _cut(name, len(ending)) + ending
+        if _same_file(unique) not in taken:
+            return unique
+    raise AssertionError
+
+
 def _cut(name: str, room: int = 0) -> str:
     """The name without what is too long for a file name that ends with `room` more characters."""
-    name = name[: MOST_CHARACTERS - room]
-    while len(name.encode()) + room > MOST_BYTES:
+    name = name[: MAX_CHARACTERS - room]
+    while len(name.encode()) + room > MAX_BYTES:
         name = name[:-1]
     return name.rstrip(". ")
 
@@ -309,10 +291,14 @@ def _same_file(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
+# Images out
+
+
 def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None:
-    """Write an image as 8-bit PNG (by suffix also JPEG or WebP): clipped to [0, 1], times 255, to
-    nearest, half to even. An image read at its own size comes back as the very same bytes per
-    pixel.
+    """Write an image as 8-bit PNG (by suffix also JPEG or WebP).
+
+    It is clipped to [0, 1], times 255, to nearest, half to even. An image read at its own size
+    comes back as the very same bytes per pixel.
     """
     if image.dim() != 3 or image.shape[0] != 3:
         raise ValueError(
@@ -320,7 +306,7 @@ def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None
         )
     if not torch.isfinite(image).all():
         raise ValueError(
-            f"save_image: the picture for {path} holds values that are not finite"
+            f"save_image: the image for {path} holds values that are not finite"
         )
     save_pixels(to_bytes(image), path)
 
@@ -336,13 +322,8 @@ def save_pixels(pixels: Pixels, path: str | Path) -> None:
 
 def to_bytes(image: Float[Tensor, "3 height width"]) -> Pixels:
     """uint8 `[height, width, 3]` of an sRGB image, rounded as `save_image` states."""
-    by_pixel = (
-        image.detach()
-        .to("cpu", torch.float32)
-        .permute(1, 2, 0)
-        .clone(memory_format=torch.contiguous_format)
-    )
-    return by_pixel.clamp_(0, 1).mul_(255).round_().to(torch.uint8).numpy()
+    levels = image.detach().cpu().float().clamp(0, 1).mul_(255).round_()
+    return levels.to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
 
 
 def encode_png(pixels: Pixels) -> bytes:
@@ -359,11 +340,11 @@ def encode_png(pixels: Pixels) -> bytes:
 
 
 def _to_tensor(image: Image.Image) -> Float[Tensor, "3 height width"]:
-    return (
-        torch.from_numpy(np.array(image, dtype=np.float32) / 255)
-        .permute(2, 0, 1)
-        .contiguous()
-    )
+    pixels = np.array(image, dtype=np.float32) / 255
+    return torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
+
+
+# Photos in
 
 
 def _check_arguments(fov: float | None, size: int | None) -> None:
@@ -375,48 +356,47 @@ def _check_arguments(fov: float | None, size: int | None) -> None:
 
 def _images_in(folder: Path) -> list[Path]:
     for place in (folder, folder / "images"):
-        if place.is_dir():
-            found = [
-                p
-                for p in place.iterdir()
-                if p.suffix.lower() in SUFFIXES and p.is_file()
-            ]
-            found = [
-                p for p in found if not p.name.startswith(".")
-            ]  # such as macOS's ._IMG_0001.jpg
-            if found:
-                return sorted(found, key=_natural)
-    raise InputError(f"{folder}: no pictures in this folder.")
+        found = []
+        for path in place.iterdir() if place.is_dir() else ():
+            hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
+            if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+                found.append(path)
+        if found:
+            return sorted(found, key=_natural)
+    raise InputError(f"{folder}: no images in this folder.")
 
 
 def _natural(path: Path) -> tuple:
     """Sort key in which digits count as numbers; the plain name decides between equals."""
-    parts = re.split(r"(\d+)", path.name.casefold())
-    return [
-        (part.isdecimal(), int(part) if part.isdecimal() else part) for part in parts
-    ], path.name
+    key = []
+    for part in re.split(r"(\d+)", path.name.casefold()):
+        is_number = part.isdecimal()
+        key.append((is_number, int(part) if is_number else part))
+    return key, path.name
 
 
 def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...]:
     """The given names, or the files' own without suffix, each usable as a file name."""
-    if names is not None and len(names) != len(files):
+    if names is None:
+        names = [file.stem for file in files]
+    if len(names) != len(files):
         raise InputError(
             f"names: expected one per photo ({len(files)}), got {len(names)}."
         )
-    return tuple(
-        unique_names([file.stem for file in files] if names is None else names)
-    )
+    return tuple(unique_names(names))
 
 
 def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
     height, width = frame.source
-    focal = (
-        float(intrinsics.normalised[0, 0]) * width,
-        float(intrinsics.normalised[1, 1]) * height,
-    )
-    named = origin(file)
+    fx, fy = intrinsics.normalised.diagonal()[:2].tolist()
     return Photo(
-        name, named, sha256_of(file), frame.source, frame, intrinsics.source, focal
+        name=name,
+        file=origin(file),
+        sha256=sha256_of(file),
+        size=frame.source,
+        frame=frame,
+        intrinsics_source=intrinsics.source,
+        focal=(fx * width, fy * height),
     )
 
 
@@ -425,22 +405,17 @@ def _warn_of_losses(photos: Sequence[Photo], assumed: Sequence[bool]) -> None:
     if guessed:
         warn(
             f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across "
-            "the longer side are "
-            "assumed unless the photos themselves tell; --fov or --cameras tells better."
+            "the longer side are assumed unless the photos themselves tell; --fov or --cameras "
+            "tells better."
         )
     first: dict[str, str] = {}
     for photo in photos:
         height, width = photo.frame.target
+        so_that = f"so that all photos are {width}x{height}."
         if photo.frame.cropped > 0.02:
-            warn(
-                f"{photo.file}: {photo.frame.cropped:.0%} is cropped away, so that all photos "
-                f"are {width}x{height}."
-            )
+            warn(f"{photo.file}: {photo.frame.cropped:.0%} is cropped away, {so_that}")
         if photo.frame.scale > 1.05:
-            warn(
-                f"{photo.file}: enlarged {photo.frame.scale:.1f} times, so that all photos are "
-                f"{width}x{height}."
-            )
+            warn(f"{photo.file}: enlarged {photo.frame.scale:.1f} times, {so_that}")
         twin = first.setdefault(photo.sha256, photo.file)
         if twin != photo.file:
-            warn(f"{twin} and {photo.file} are the same picture.")
+            warn(f"{twin} and {photo.file} are the same image.")

@@ -95,7 +95,7 @@ def test_scene_folder_stands_for_its_images_folder(tmp_path):
 def test_no_photos_empty_folder_and_missing_path_are_errors(tmp_path):
     with pytest.raises(InputError, match="No photos given"):
         load_views([])
-    with pytest.raises(InputError, match="no pictures in this folder"):
+    with pytest.raises(InputError, match="no images in this folder"):
         load_views(tmp_path)
     with pytest.raises(InputError, match=r"none\.jpg: no such file"):
         load_views([tmp_path / "none.jpg"])
@@ -264,7 +264,7 @@ def test_same_picture_twice_is_warned_of(tmp_path):
     paths = [photo(tmp_path / "a.png"), photo(tmp_path / "b.png")]
     with collecting(Report()) as report:
         load_photos(paths, fov=60)
-    assert any("are the same picture" in warning for warning in report.warnings)
+    assert any("are the same image" in warning for warning in report.warnings)
 
 
 def test_files_of_one_name_get_numbered_names_and_given_names_must_fit(tmp_path):
