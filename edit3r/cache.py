@@ -5,8 +5,9 @@ cache in the folder `cache/` of the results, so that `--from` finds the answers 
 that stays open keeps one `Cache` and passes it to every run. Without a cache, `@remembered` does
 nothing.
 
-Entries are safetensors files, so opening a stranger's folder runs no code. An entry that cannot be
-read is an error that names the file: deleting `cache/` is always safe.
+Entries are safetensors files, so opening a stranger's folder runs no code. Each holds its own
+checksum. An entry that cannot be read or was changed is an error that names the file: deleting
+`cache/` is always safe.
 """
 
 import dataclasses
@@ -29,7 +30,8 @@ from edit3r.plugins.weights import at_hand
 from edit3r.reporting import note
 
 Method = TypeVar("Method", bound=Callable)
-SUFFIX = ".safetensors"
+Entry = tuple[Any, dict[str, Tensor]]
+"""An answer as JSON data, and the tensors that stand in it as numbers; see `_pack`."""
 
 
 class Cache:
@@ -37,29 +39,25 @@ class Cache:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._folder = folder
-        self._entries: dict[str, tuple[dict[str, Tensor], str]] = {}
+        self._entries: dict[str, Entry] = {}
         self.reused: list[str] = []
         self.computed: list[str] = []
 
     def recall(self, name: str, key: str, compute: Callable[[], Any]) -> Any:
-        """Return the answer called `name` that is kept under `key`, computing it where it is not
-        known.
-        """
-        entry = f"{name}-{key}"
-        known = self._entries.get(entry) or self._read(entry)
-        if known is not None:
-            self._entries[entry] = known
-            self._count(self.reused, name)
-            return _unpack(json.loads(known[1]), known[0])
-        answer = compute()
-        tensors: dict[str, Tensor] = {}
-        tree = _pack(answer, tensors)
-        # Copies: whoever gets the answer may write into it.
-        self._entries[entry] = (
-            {key: value.detach().clone() for key, value in tensors.items()},
-            json.dumps(tree),
-        )
-        self._count(self.computed, name)
+        """Return the answer `name` that is kept under `key`, or compute and keep it."""
+        file_name = f"{name}-{key}.safetensors"
+        entry = self._entries.get(file_name) or self._read(file_name)
+        if entry is None:
+            answer = compute()
+            tensors: dict[str, Tensor] = {}
+            entry = _pack(answer, tensors), tensors
+            self.computed.append(name)
+        else:
+            answer = _unpack(*entry)
+            self.reused.append(name)
+        self._entries[file_name] = entry
+        note("cache.reused", list(self.reused))
+        note("cache.computed", list(self.computed))
         return answer
 
     def save(self, folder: Path) -> None:
@@ -67,37 +65,36 @@ class Cache:
         from safetensors.torch import save
 
         folder.mkdir(parents=True, exist_ok=True)
-        for entry, (tensors, tree) in self._entries.items():
-            contiguous = {
+        for file_name, (tree, tensors) in self._entries.items():
+            content = {
                 name: value.cpu().contiguous() for name, value in tensors.items()
             }
             # The answer's structure travels as text in a tensor of bytes.
-            contiguous["tree"] = torch.frombuffer(
-                bytearray(tree.encode()), dtype=torch.uint8
+            text = json.dumps({"tree": tree, "checksum": fingerprint(tree, content)})
+            content["tree"] = torch.frombuffer(
+                bytearray(text.encode()), dtype=torch.uint8
             )
-            (folder / f"{entry}{SUFFIX}").write_bytes(save(contiguous))
+            (folder / file_name).write_bytes(save(content))
 
-    def _read(self, entry: str) -> tuple[dict[str, Tensor], str] | None:
+    def _read(self, file_name: str) -> Entry | None:
         from safetensors.torch import load
 
-        file = self._folder / f"{entry}{SUFFIX}" if self._folder is not None else None
+        file = None if self._folder is None else self._folder / file_name
         if file is None or not file.is_file():
             return None
         try:
             tensors = load(file.read_bytes())
-            tree = bytes(tensors.pop("tree").tolist()).decode()
-            _unpack(json.loads(tree), tensors)
+            content = json.loads(bytes(tensors.pop("tree").tolist()))
+            tree = content["tree"]
+            if fingerprint(tree, tensors) != content["checksum"]:
+                raise ValueError("its checksum is another one")
+            _unpack(tree, tensors)
         except Exception as error:  # safetensors has no error class of its own
             reason = " ".join(str(error).split())
             raise InputError(
                 f"{file}: cannot be read ({reason}); delete it, and its content is computed again."
             ) from None
-        return tensors, tree
-
-    def _count(self, names: list[str], name: str) -> None:
-        names.append(name)
-        note("cache.reused", list(self.reused))
-        note("cache.computed", list(self.computed))
+        return tree, tensors
 
 
 _current: ContextVar[Cache | None] = ContextVar("edit3r_cache", default=None)
@@ -123,37 +120,26 @@ def remembered(method: Method) -> Method:
 
     @functools.wraps(method)
     def wrapper(component: Any, *args: Any, **kwargs: Any) -> Any:
-        cache = _current.get()
-        if cache is None:
-            return method(component, *args, **kwargs)
-        key = fingerprint(identity(component), method.__qualname__, args, kwargs)
-        return cache.recall(
-            method.__name__, key, lambda: method(component, *args, **kwargs)
-        )
+        arguments = (method.__qualname__, args, kwargs)
+        compute = functools.partial(method, component, *args, **kwargs)
+        return recall(method.__name__, component, arguments, compute)
 
-    return wrapper
+    return wrapper  # type: ignore[return-value]
 
 
 def recall(
     name: str, component: Any, arguments: Any, compute: Callable[[], Any]
 ) -> Any:
-    """Return what `compute` gives for a component and its arguments, by the current run's cache
-    where there is one.
-    """
+    """Return what `compute` gives for a component and its arguments, by the run's cache if any."""
     cache = _current.get()
-    return (
-        compute()
-        if cache is None
-        else cache.recall(
-            name, fingerprint(identity(component), name, arguments), compute
-        )
-    )
+    if cache is None:
+        return compute()
+    key = fingerprint(identity(component), name, arguments)
+    return cache.recall(name, key, compute)
 
 
 def fingerprint(*things: Any) -> str:
-    """Return the hex digest of tensors, data classes, texts, numbers, None, and sequences and
-    mappings of them.
-    """
+    """Return the hex digest of tensors, data classes and JSON data, in sequences and mappings."""
     digest = hashlib.blake2b(digest_size=16)
     for thing in things:
         _add(digest, thing)
@@ -164,42 +150,36 @@ def identity(component: Any) -> str:
     """Return a digest of all that a component's answers depend on besides its arguments.
 
     These are its name, plugin and version, its source file, settings, parts, the weights of its
-    network, and which of the weights that it declares are at hand. A change in another file of the
-    plugin, without a new version, goes unnoticed.
+    network, and which of the weights that it declares are on this machine. A change in another file
+    of the plugin, without a new version, goes unnoticed.
     """
+    cls = type(component)
+    known = [edit3r.__version__, cls.__qualname__, _source_digest(cls)]
     offer = getattr(component, "offer", None)
-    who = (
-        (offer.qualified_name, offer.version)
-        if offer is not None
-        else (type(component).__qualname__, "")
-    )
-    learned = (
-        []
-        if offer is None
-        else [one.name for one in offer.component.weights if at_hand(one) is not None]
-    )
+    if offer is not None:
+        weights = [one.name for one in offer.component.weights if at_hand(one)]
+        known += [offer.qualified_name, offer.version, weights]
     settings = getattr(component, "settings", None)
-    values = settings.model_dump_json() if settings is not None else ""
-    parts = sorted((getattr(component, "parts", None) or {}).items())
-    inner = [(kind, identity(part)) for kind, part in parts]
-    source = _source_digest(type(component))
-    return fingerprint(
-        edit3r.__version__, who, source, values, inner, learned, _weight_sums(component)
-    )
+    if settings is not None:
+        known.append(settings.model_dump_json())
+    parts = getattr(component, "parts", None) or {}
+    inner = {kind: identity(part) for kind, part in parts.items()}
+    return fingerprint(known, inner, _weight_sums(component))
 
 
 def _add(digest: "hashlib._Hash", thing: Any) -> None:
     if isinstance(thing, Tensor):
         values = thing.detach().cpu().contiguous()
         digest.update(f"{values.dtype}{list(values.shape)}".encode())
-        digest.update(
-            values.flatten().view(torch.uint8).numpy() if values.numel() else b""
-        )
+        if values.numel():
+            digest.update(values.flatten().view(torch.uint8).numpy())
     elif dataclasses.is_dataclass(thing):
-        fields = [
-            field.name for field in dataclasses.fields(thing) if field.name != "names"
-        ]  # names change no answer
-        _add(digest, {name: getattr(thing, name) for name in fields})
+        values = {
+            field.name: getattr(thing, field.name)
+            for field in dataclasses.fields(thing)
+        }
+        values.pop("names", None)  # names change no answer
+        _add(digest, values)
     elif isinstance(thing, Mapping):
         _add(digest, sorted(thing.items()))
     elif isinstance(thing, list | tuple):
@@ -213,38 +193,28 @@ def _add(digest: "hashlib._Hash", thing: Any) -> None:
 @functools.cache
 def _source_digest(cls: type) -> str:
     try:
-        return hashlib.blake2b(
-            Path(inspect.getfile(cls)).read_bytes(), digest_size=16
-        ).hexdigest()
+        return fingerprint(Path(inspect.getfile(cls)).read_text(encoding="utf-8"))
     except (OSError, TypeError):  # a class made in a console has no file
         return ""
 
 
 def _weight_sums(component: Any) -> list[tuple[str, float, float]]:
-    """Two sums per tensor of the network: training changes them, and a large network is read in a
-    second.
-    """
+    """Two sums per tensor of the network: training changes them, and they take a second at most."""
     network = getattr(component, "network", None)
-    if network is None:
-        return []
-    floats = (
-        (name, value.detach())
-        for name, value in network.state_dict().items()
-        if value.is_floating_point()
-    )
-    return [
-        (name, float(v.sum(dtype=torch.float64)), float(v.double().square().sum()))
-        for name, v in floats
-    ]
+    sums = []
+    for name, value in network.state_dict().items() if network is not None else ():
+        if value.is_floating_point():
+            value = value.detach().double()
+            sums.append((name, float(value.sum()), float(value.square().sum())))
+    return sums
 
 
 def _pack(value: Any, tensors: dict[str, Tensor]) -> Any:
-    """Turn an answer into JSON data; its tensors go into `tensors`, under numbers that stand in
-    their place.
-    """
+    """Turn an answer into JSON data; copies of its tensors go into `tensors`, by a number each."""
     if isinstance(value, Tensor):
-        tensors[str(len(tensors))] = value
-        return {"tensor": str(len(tensors) - 1)}
+        number = str(len(tensors))
+        tensors[number] = value.detach().clone()
+        return {"tensor": number}
     if dataclasses.is_dataclass(value):
         fields = {
             field.name: _pack(getattr(value, field.name), tensors)
@@ -264,9 +234,8 @@ def _unpack(tree: Any, tensors: dict[str, Tensor]) -> Any:
         return tensors[tree["tensor"]].clone()
     if "tuple" in tree:
         return tuple(_unpack(item, tensors) for item in tree["tuple"])
-    return _storable()[tree["class"]](
-        **{name: _unpack(item, tensors) for name, item in tree["fields"].items()}
-    )
+    fields = {name: _unpack(item, tensors) for name, item in tree["fields"].items()}
+    return _storable()[tree["class"]](**fields)
 
 
 @functools.cache
@@ -274,10 +243,9 @@ def _storable() -> dict[str, type]:
     """The data classes that an answer may hold, by name: those of the contract."""
     from edit3r.contract import interfaces, types
 
-    found = [
-        value
-        for module in (types, interfaces)
-        for value in vars(module).values()
-        if isinstance(value, type)
-    ]
-    return {cls.__name__: cls for cls in found if dataclasses.is_dataclass(cls)}
+    known = {**vars(types), **vars(interfaces)}
+    return {
+        name: cls
+        for name, cls in known.items()
+        if isinstance(cls, type) and dataclasses.is_dataclass(cls)
+    }

@@ -2,6 +2,8 @@
 anything differs.
 """
 
+import json
+
 import pytest
 import torch
 from pydantic import Field
@@ -78,12 +80,10 @@ def test_fetched_weights_make_another_component(tmp_path, monkeypatch):
     component = edit3r.build("segmenter", "classical")
     without = identity(component)
     assert identity(component) == without
-    (tmp_path / "u2netp").mkdir()
-    (
-        tmp_path
-        / "u2netp"
-        / component.offer.component.weights[0].files[0][0].rpartition("/")[2]
-    ).write_bytes(b"")
+    weights = component.offer.component.weights[0]
+    (tmp_path / weights.name).mkdir()
+    for path, _ in weights.files:
+        (tmp_path / weights.name / weights.stored(path)).touch()
     assert identity(component) != without
 
 
@@ -141,21 +141,38 @@ def test_only_what_was_asked_for_is_written_again(tmp_path):
     ]
 
 
+def kept(folder):
+    """The file of one answer."""
+    cache = Cache()
+    cache.recall("stage", "key", lambda: (torch.arange(64.0), "text"))
+    cache.save(folder)
+    return folder / "stage-key.safetensors"
+
+
+def refused(folder, told):
+    expected = rf"stage-key.safetensors: cannot be read .*{told}.* delete it"
+    with pytest.raises(InputError, match=expected):
+        Cache(folder).recall("stage", "key", lambda: None)
+
+
 @pytest.mark.parametrize("content", [b"", b"nothing", b"\xff" * 100])
 def test_a_damaged_entry_is_one_sentence_that_names_the_file(content, tmp_path):
-    (tmp_path / "stage-key.safetensors").write_bytes(content)
-    with pytest.raises(
-        InputError, match=r"stage-key.safetensors: cannot be read .* delete it"
-    ):
-        Cache(tmp_path).recall("stage", "key", lambda: None)
+    kept(tmp_path).write_bytes(content)
+    refused(tmp_path, "")
+
+
+@pytest.mark.parametrize("part", [b"text", torch.arange(64.0).numpy().tobytes()])
+def test_an_entry_with_a_flipped_bit_is_not_used(part, tmp_path):
+    file = kept(tmp_path)
+    content = bytearray(file.read_bytes())
+    content[content.index(part) + len(part) - 1] ^= 1
+    file.write_bytes(content)
+    refused(tmp_path, "its checksum is another one")
 
 
 def test_an_entry_that_names_another_class_is_refused(tmp_path):
-    tree = torch.tensor(
-        list(b'{"class": "Popen", "fields": {"args": "true"}}'), dtype=torch.uint8
-    )
-    (tmp_path / "stage-key.safetensors").write_bytes(
-        save({"0": torch.ones(1), "tree": tree})
-    )
-    with pytest.raises(InputError, match="Popen"):
-        Cache(tmp_path).recall("stage", "key", lambda: None)
+    tree = {"class": "Popen", "fields": {"args": "true"}}
+    text = json.dumps({"tree": tree, "checksum": fingerprint(tree, {})})
+    content = {"tree": torch.tensor(list(text.encode()), dtype=torch.uint8)}
+    kept(tmp_path).write_bytes(save(content))
+    refused(tmp_path, "Popen")
