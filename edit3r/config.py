@@ -1,5 +1,4 @@
-"""Settings: one small frozen class per component, filled from defaults, YAML files and `--set
-key=value`.
+"""Settings: one small frozen class per component, from defaults, YAML files and `--set key=value`.
 
 Every field has a default, a range and a sentence (pydantic's `Field(default, ge=...,
 description=...)`); an unknown key or a value out of range is an error that names the key, the range
@@ -17,6 +16,12 @@ from edit3r.errors import InputError, SettingsError, suggest
 
 SettingsType = TypeVar("SettingsType", bound="Settings")
 
+MAX_VALUES = 100_000
+"""Values in a YAML document, those that aliases repeat counted each time."""
+
+_TEXT = "tag:yaml.org,2002:str"
+_MERGE = "tag:yaml.org,2002:merge"
+
 
 class Settings(BaseModel):
     """Base of every component's settings: frozen, unknown keys refused."""
@@ -25,8 +30,9 @@ class Settings(BaseModel):
 
 
 class PartChoice(Settings):
-    """Which component fills a part, and its settings: `backbone: name` or `backbone: {name: ...,
-    width: 128}`.
+    """Which component fills a part, and its settings.
+
+    `backbone: name` or `backbone: {name: ..., width: 128}`.
     """
 
     name: str
@@ -38,19 +44,15 @@ class PartChoice(Settings):
         if isinstance(value, str):
             return {"name": value}
         if isinstance(value, Mapping) and "settings" not in value:
-            return {
-                "name": value.get("name"),
-                "settings": {k: v for k, v in value.items() if k != "name"},
-            }
+            settings = dict(value)
+            return {"name": settings.pop("name", None), "settings": settings}
         return value
 
 
 def make_settings(
     cls: type[SettingsType], values: Mapping[str, Any], where: str
 ) -> SettingsType:
-    """Validate `values` into `cls`; `where` (such as 'editor') prefixes the key in error
-    sentences.
-    """
+    """Validate `values` into `cls`; error sentences begin with `where`, such as 'editor'."""
     try:
         return cls.model_validate(dict(values))
     except ValidationError as error:
@@ -62,22 +64,20 @@ def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
     key = ".".join([where, *(str(part)[:60] for part in first["loc"])])
     if first["type"] == "extra_forbidden":
         known = sorted(cls.model_fields)
+        hint = suggest(str(first["loc"][-1]), known)
         listed = ", ".join(known) or "none"
-        return f"{key}: unknown setting.{suggest(str(first['loc'][-1]), known)} Known settings of {where}: {listed}."
-    given = first.get("input")
-    message = first["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    return f"{key}: {message.rstrip('.')}, got {_shortened(given)}."
+        return f"{key}: unknown setting.{hint} Known settings of {where}: {listed}."
+    message = first["msg"].removeprefix("Value error, ").rstrip(".")
+    given = _shortened(first.get("input"))
+    return f"{key}: {message[0].lower()}{message[1:]}, got {given}."
 
 
 def _shortened(value: Any, most: int = 200) -> str:
     """A value as an error shows it: its beginning, where it is long."""
     try:
         text = repr(value)
-    except (
-        ValueError,
-        RecursionError,
-    ):  # an integer of thousands of digits, a mapping nested as deep
+    except (ValueError, RecursionError):
+        # An integer of thousands of digits, a mapping nested as deep.
         return f"a {type(value).__name__} too large to show"
     return text if len(text) <= most else f"{text[:most]}..."
 
@@ -104,49 +104,57 @@ def parse_yaml(text: str) -> Any:
     """Read YAML that may come from anybody: numbers, texts, lists and mappings with text as keys.
 
     Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist,
-    numbers and nestings that Python refuses, keys that are no text.
+    numbers and nestings that Python refuses, keys that are no text, more than `MAX_VALUES` values.
     """
     try:
-        content = yaml.safe_load(text)
-        _require_text_keys(content)
+        loader = yaml.SafeLoader(text)
+        document = loader.get_single_node()
+        if document is None:
+            return None
+        _check_node(document, {})
+        return loader.construct_document(document)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
         raise ValueError(" ".join(str(error).split())) from None
-    return content
 
 
-def _require_text_keys(content: Any) -> None:
-    if isinstance(content, Mapping):
-        wrong = [key for key in content if not isinstance(key, str)]
-        if wrong:
-            raise ValueError(
-                f"the key {_shortened(wrong[0])} is no text; put it in quotes"
-            )
-    if isinstance(content, Mapping | list):
-        for item in content.values() if isinstance(content, Mapping) else content:
-            _require_text_keys(item)
+def _check_node(node: yaml.Node, counts: dict[yaml.Node, int]) -> int:
+    """Count the values of a node, each alias as what it stands for; refuse keys that are no text.
+
+    A node that several aliases name is visited once. `counts` holds what was visited.
+    """
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if node not in counts:
+        counts[node] = MAX_VALUES  # as long as it is not known: it may hold itself
+        children = node.value
+        if isinstance(node, yaml.MappingNode):
+            for key, _ in node.value:
+                if key.tag not in (_TEXT, _MERGE):
+                    raise ValueError(
+                        f"the key {_shortened(key.value)} is no text; put it in quotes"
+                    )
+            children = [value for _, value in node.value]
+        counts[node] = 1 + sum(_check_node(child, counts) for child in children)
+    if counts[node] > MAX_VALUES:
+        raise ValueError(f"it holds more than {MAX_VALUES} values")
+    return counts[node]
 
 
 def find_config(name: str) -> Path:
-    """Path of a configuration given as a file or by the name of one that ships with edit3r (without
-    `.yaml`).
-    """
+    """Path of a configuration: a file, or the name of a shipped one (without `.yaml`)."""
     given = Path(name)
     if given.is_file():
         return given
-    folders = [Path(__file__).parents[1] / "configs", Path(__file__).parent / "configs"]
     # The checkout comes first: an editable install leaves a stale copy of configs/ inside the
     # package.
-    folder = next((f for f in folders if f.is_dir()), None)
-    shipped = (
-        {
-            str(p.relative_to(folder).with_suffix("")): p
-            for p in sorted(folder.rglob("*.yaml"))
-        }
-        if folder
-        else {}
-    )
+    folders = (Path(__file__).parents[1] / "configs", Path(__file__).parent / "configs")
+    folder = next(filter(Path.is_dir, folders), folders[0])
+    shipped = {
+        file.relative_to(folder).with_suffix("").as_posix(): file
+        for file in sorted(folder.rglob("*.yaml"))
+    }
     if name in shipped:
         return shipped[name]
     listed = ", ".join(shipped) or "none"
@@ -157,9 +165,7 @@ def find_config(name: str) -> Path:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML (numbers, true, [1,
-    2], text).
-    """
+    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML."""
     result: dict[str, Any] = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
