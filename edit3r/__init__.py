@@ -5,7 +5,8 @@ declaration module can import `Component` and `hookimpl` without paying for anyt
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+
+TYPE_CHECKING = False  # as in typing, which takes a while to import
 
 __version__ = "0.1.0"
 

@@ -1,5 +1,4 @@
-"""Errors a user can act on: each message says what was given, what was expected, where, and what to
-do.
+"""Errors a user can act on: what was given, what was expected, where, and what to do.
 
 The command line prints the message as one sentence and exits with `exit_code`; a traceback needs
 `--debug`.
@@ -11,7 +10,7 @@ from collections.abc import Iterable
 
 
 class Edit3rError(Exception):
-    """Base of every error meant for the user. Exit code 2: the input or the wish was wrong."""
+    """Base of every error meant for the user. Exit code 2: the input or the request was wrong."""
 
     exit_code = 2
 
@@ -47,9 +46,7 @@ class MatchingError(Edit3rError):
 
 
 class RunError(Edit3rError):
-    """The wish was fine but carrying it out failed: out of memory, a device or a service gave
-    up.
-    """
+    """The request was fine, but memory, a device or a service failed."""
 
     exit_code = 1
 
@@ -67,6 +64,13 @@ def is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or any(words in text for words in told)
 
 
+_DISK_FULL = {
+    errno.ENOSPC: "no space is left on the disk",
+    errno.EDQUOT: "the quota of the disk is used up",
+    errno.EFBIG: "the file became larger than this disk or its limits allow",
+}
+
+
 def as_known(error: Exception) -> Edit3rError:
     """The error itself where it is ours, else one with a sentence for it."""
     if isinstance(error, Edit3rError):
@@ -76,14 +80,15 @@ def as_known(error: Exception) -> Edit3rError:
             "out of memory; lower --size, give fewer views, or choose a smaller --set "
             "reconstructor.* configuration."
         )
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+    if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        return RunError(
-            f"{where}no space is left on the disk; free some, or give --out a folder on another "
-            "disk."
-        )
-    if isinstance(error, OSError) and error.filename:
-        return Edit3rError(f"{error.filename}: {error.strerror}.")
+        if error.errno in _DISK_FULL:
+            return RunError(
+                f"{where}{_DISK_FULL[error.errno]}; free some, or give --out a folder on another "
+                "disk."
+            )
+        if where:
+            return Edit3rError(f"{where}{error.strerror}.")
     return RunError(
         f"unexpected {type(error).__name__}: {error}. Run again with --debug for the traceback."
     )

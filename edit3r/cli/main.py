@@ -1,23 +1,23 @@
-"""Entry point of `edit3r`: find the command, parse its arguments, turn errors into one sentence and
-an exit code.
-"""
+"""Find the command, parse its arguments, turn errors into one sentence and an exit code."""
 
 import argparse
-import gc
 import importlib
 import os
 import re
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import edit3r
+from edit3r.__main__ import program
 from edit3r.cli import COMMANDS
 from edit3r.errors import Edit3rError, as_known, suggest
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
+
+__all__ = ["main", "program"]
 
 
 class UsageError(Edit3rError):
@@ -27,74 +27,49 @@ class UsageError(Edit3rError):
 class Parser(argparse.ArgumentParser):
     """An argument parser that raises instead of exiting, and suggests the option that was meant."""
 
-    def error(self, message: str) -> None:
-        options = [
-            option for action in self._actions for option in action.option_strings
-        ]
-        given = message.removeprefix("unrecognized arguments: ").split(" ")[0]
-        hint = (
-            suggest(given.split("=")[0], options)
-            if message.startswith("unrecognized")
-            else ""
-        )
+    def error(self, message: str) -> NoReturn:
+        hint = ""
+        if unknown := re.match("unrecognized arguments: ([^ =]*)", message):
+            options = [one for action in self._actions for one in action.option_strings]
+            hint = suggest(unknown[1], options)
         if wrong := re.search("invalid choice: '([^']*)'", message):
-            hint = suggest(
-                wrong[1],
-                [
-                    str(choice)
-                    for action in self._actions
-                    for choice in action.choices or ()
-                ],
-            )
+            choices = [one for action in self._actions for one in action.choices or ()]
+            hint = suggest(wrong[1], map(str, choices))
         raise UsageError(f"{message}.{hint} See '{self.prog} --help'.")
 
 
-def program() -> int:
-    """`main` as all that a process does: the command `edit3r`.
+def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -> int:
+    """Run one command and return the exit code.
 
-    Python looks for cycles among what importing torch leaves dozens of times, though all of it
-    stays, and once more on leaving: 0.7 of the 2.7 seconds of a process that only imports it.
-    """
-    gc.set_threshold(10_000)
-    try:
-        return main()
-    finally:
-        gc.freeze()
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 failed, 2 wrong use or unusable input, 130
-    interrupted.
+    0: done, 1: failed, 2: wrong use or unusable input, 130: interrupted. `interruptions` fills when
+    the user presses Ctrl-C; any error after that is taken for its consequence.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in argv
     try:
         code = _dispatch(argv)
         sys.stdout.flush()
         return code
-    except KeyboardInterrupt:
-        print(
-            "edit3r: interrupted; nothing half-written was left under its final name.",
-            file=sys.stderr,
-        )
-        return 130
-    except (
-        BrokenPipeError
-    ):  # the reader of our output went away: `edit3r list-plugins | head`
-        # Python writes what is left once more on leaving, which would fail again.
+    except BrokenPipeError:
+        # The reader of our output went away: `edit3r list-plugins | head`. Python writes what is
+        # left once more on leaving, which would fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception as error:
-        if debug:
+    except (Exception, KeyboardInterrupt) as error:
+        if "--debug" in argv:
             traceback.print_exc()
+        if interruptions or not isinstance(error, Exception):
+            _tell("interrupted; nothing half-written was left under its final name.")
+            return 130
         known = as_known(error)
-        sentence = " ".join(str(known).split())
-        # A file name may be no UTF-8, and whoever reads our errors may take nothing else.
-        print(
-            f"edit3r: {sentence.encode(errors='backslashreplace').decode()}",
-            file=sys.stderr,
-        )
+        _tell(str(known))
         return known.exit_code
+
+
+def _tell(sentence: str) -> None:
+    line = " ".join(sentence.split())
+    # A file name may be no UTF-8, and whoever reads our errors may take nothing else.
+    line = line.encode(errors="backslashreplace").decode()
+    print(f"edit3r: {line}", file=sys.stderr)
 
 
 def _dispatch(argv: list[str]) -> int:
@@ -116,9 +91,7 @@ def _dispatch(argv: list[str]) -> int:
 
 
 def find_command(name: str) -> "Command":
-    """Build the command called `name`; plugins are loaded only for one that the core does not
-    have.
-    """
+    """Build the command called `name`; plugins are loaded only for one that the core lacks."""
     from edit3r.config import Settings
     from edit3r.plugins.registry import default_registry
 
@@ -129,53 +102,41 @@ def find_command(name: str) -> "Command":
     registry = default_registry()
     known = [*own, *(offer.component.name for offer in registry.offers("command"))]
     if name not in known and ":" not in name:
-        failed = "".join(
-            f" Plugin {f.plugin!r} did not load: {f.reason}." for f in registry.failures
-        )
         raise UsageError(
             f"no command {name!r}.{suggest(name, known)} Commands: "
-            f"{', '.join(sorted(known))}.{failed}"
+            f"{', '.join(sorted(known))}.{registry.failed()}"
         )
     return registry.build("command", name)
 
 
 def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """Parse with options and positionals in any order; commands with steps of their own cannot have
-    that.
-    """
-    steps = any(
-        isinstance(action, argparse._SubParsersAction) for action in parser._actions
-    )
-    return (
-        parser.parse_args(arguments)
-        if steps
-        else parser.parse_intermixed_args(arguments)
-    )
+    """Parse with options and positionals in any order, but for commands with steps of their own."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return parser.parse_args(arguments)
+    return parser.parse_intermixed_args(arguments)
 
 
 def _overview() -> str:
     """The text of `edit3r --help`: every command with its summary."""
-    from edit3r.plugins.load import (
-        load_plugins,  # not the registry, whose settings take a tenth of a second to load
-    )
+    # Not the registry, whose settings take a tenth of a second to load.
+    from edit3r.plugins.load import load_plugins
 
-    offers = [offer for offer in load_plugins().offers if offer.kind == "command"]
-    rows = sorted(
-        {
-            (c.name, c.summary)
-            for c in (*COMMANDS, *(offer.component for offer in offers))
-        }
+    summaries = {one.name: one.summary for one in COMMANDS}
+    for offer in load_plugins().offers:
+        if offer.kind == "command":
+            summaries.setdefault(offer.component.name, offer.component.summary)
+    width = max(map(len, summaries))
+    listed = [f"  {name:<{width}}  {text}" for name, text in sorted(summaries.items())]
+    return "\n".join(
+        [
+            f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.",
+            "",
+            "usage: edit3r COMMAND [options]",
+            "",
+            *listed,
+            "",
+            "Start with: edit3r run",
+            "Each command explains itself: edit3r run --help",
+        ]
     )
-    width = max(len(name) for name, _ in rows)
-    listed = "\n".join(f"  {name:<{width}}  {text}" for name, text in rows)
-    return (
-        f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.\n\n"
-        "usage: edit3r COMMAND [options]\n\n"
-        f"{listed}\n\n"
-        "Start with: edit3r run\n"
-        "Each command explains itself: edit3r run --help"
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(program())

@@ -82,13 +82,18 @@ class Registry:
                 f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
             )
         known = [offer.component.name for offer in offers]
-        failed = "".join(
-            f" Plugin {f.plugin!r} did not load: {f.reason}." for f in self.failures
-        )
         listed = ", ".join(dict.fromkeys(known)) or "none"
         raise UnknownComponentError(
-            f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{failed}"
+            f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{self.failed()}"
         )
+
+    def failed(self) -> str:
+        """A sentence for each plugin that did not load, as the end of an error."""
+        sentences = (
+            f" Plugin {failure.plugin!r} did not load: {failure.reason}."
+            for failure in self.failures
+        )
+        return "".join(sentences)
 
     def missing(self, offer: Offer) -> tuple[str, ...]:
         """The modules the component requires that are not installed."""

@@ -277,7 +277,9 @@ def _normalise(
             "mapping."
         )
     tensors = {
-        key: value for key, value in tensors.items() if isinstance(value, Tensor)
+        key: value
+        for key, value in tensors.items()
+        if isinstance(key, str) and isinstance(value, Tensor)
     }
     if any(key.startswith(PREFIX + "backbone.") for key in tensors):
         return "noposplat", {

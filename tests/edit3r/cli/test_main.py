@@ -3,6 +3,7 @@ is imported.
 """
 
 import errno
+import os
 import subprocess
 import sys
 
@@ -11,16 +12,20 @@ import pytest
 from edit3r.cli.main import main
 
 
-def test_an_unknown_command_is_one_sentence_with_a_suggestion(capsys):
-    assert main(["rn"]) == 2
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    {
+        "rn": "run",
+        "run --promt x": "--prompt",
+        "describe editr recolor": "editor",
+        "run --quiet --editor recolour --out {}/out": "recolor",
+    }.items(),
+)
+def test_wrong_use_is_one_sentence_with_a_suggestion(capsys, tmp_path, line, meant):
+    assert main(line.format(tmp_path).split()) == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "Did you mean 'run'?" in error
-
-
-def test_an_unknown_option_is_one_sentence_with_a_suggestion(capsys):
-    assert main(["run", "--promt", "x"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "Did you mean '--prompt'?" in error
+    assert error.count("\n") == 1 and f"Did you mean {meant!r}?" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
@@ -28,88 +33,106 @@ def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
     assert "run" in capsys.readouterr().out
 
 
-def test_unknown_components_end_the_run_before_anything_else(capsys, tmp_path):
-    assert main(["run", "--editor", "recolour", "--out", str(tmp_path / "out")]) == 2
-    assert "Did you mean 'recolor'?" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+def program(code, *arguments):
+    """A process that runs Python code, with `program` at its disposal."""
+    start = "import gc, sys, signal; from edit3r.__main__ import program\n"
+    return subprocess.Popen(
+        [sys.executable, "-c", start + code, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def test_the_program_is_main_and_leaves_without_a_search_for_cycles():
-    code = "import gc, sys; from edit3r.cli.main import program; print(program(), gc.get_freeze_count() > 0)"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "--version"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.startswith("edit3r ") and done.stdout.split()[-2:] == [
-        "0",
-        "True",
-    ]
+    code = "print(program(), gc.get_freeze_count() > 0)"
+    out, _ = program(code, "--version").communicate(timeout=60)
+    assert out.startswith("edit3r ") and out.split()[-2:] == ["0", "True"]
+
+
+INTERRUPTED = {
+    "at once": "sys.meta_path.insert(0, Interrupted('edit3r.cli.main'))",
+    "while torch is imported": "sys.meta_path.insert(0, Interrupted('torch'))",
+    "and a library makes an error of its own of it": """
+import edit3r.cli.run
+def main(*_):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        raise SystemError("BLAS wrapper returned with an error") from None
+edit3r.cli.run.RunCommand.main = main
+""",
+}
+
+
+@pytest.mark.parametrize("code", INTERRUPTED.values(), ids=INTERRUPTED)
+def test_ctrl_c_is_exit_code_130_and_one_line(code):
+    finder = """
+class Interrupted:
+    def __init__(self, name):
+        self.name = name
+    def find_spec(self, name, path=None, target=None):
+        if name == self.name:
+            signal.raise_signal(signal.SIGINT)
+"""
+    process = program(f"{finder}{code}\nsys.exit(program())", "run")
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130 and told.startswith("edit3r: interrupted"), told
+    assert told.count("\n") == 1
 
 
 def test_options_and_photos_may_be_mixed(capsys, tmp_path):
-    missing = str(tmp_path / "a.jpg")
-    assert (
-        main(
-            [
-                "run",
-                missing,
-                "--prompt",
-                "x",
-                str(tmp_path / "b.jpg"),
-                "--editor",
-                "none",
-            ]
-        )
-        == 2
-    )
+    line = f"run {tmp_path}/a.jpg --prompt x {tmp_path}/b.jpg --editor none"
+    assert main(line.split()) == 2
     assert "a.jpg" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["list-plugins"]])
-def test_help_and_lists_import_no_torch(arguments):
-    code = (
-        "import sys\nfrom edit3r.cli.main import main\n"
-        f"try:\n    main({arguments!r})\nexcept SystemExit:\n    pass\n"
-        "heavy = {'torch', 'numba', 'cv2', 'kornia', 'skimage'} & set(sys.modules)\n"
-        "sys.exit(f'imported {heavy}' if heavy else 0)"
+HEAVY = "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
+
+
+@pytest.mark.parametrize("line", ["--help", "run --help", "list-plugins"])
+def test_help_and_lists_import_no_torch(line):
+    process = program(
+        "from edit3r.cli.main import main\n"
+        f"try: main({line.split()!r})\nexcept SystemExit: pass\n"
+        f"heavy = {{'torch', 'numba', 'cv2', 'kornia', 'skimage'}}\n{HEAVY}"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 0, told
 
 
 def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():
-    code = (
-        "import sys, edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_matching.matchers, "
-        "edit3r_refiners.refine\n"
+    process = program(
+        "import edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_matching.matchers\n"
+        "import edit3r_refiners.refine\n"
         "from edit3r.pipeline import steps, write\n"
-        "heavy = {'kornia', 'skimage', 'scipy.optimize', 'scipy.spatial', 'scipy.ndimage'} & "
-        "set(sys.modules)\n"
-        "sys.exit(f'imported {heavy}' if heavy else 0)"
+        "heavy = {'kornia', 'skimage', 'scipy.optimize', 'scipy.spatial', 'scipy.ndimage'}\n"
+        f"{HEAVY}"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
+    _, told = process.communicate(timeout=120)
+    assert process.returncode == 0, told
 
 
 def test_a_reader_that_goes_away_is_no_error():
-    code = "import sys; from edit3r.cli.main import program; sys.exit(program())"
-    listing = subprocess.Popen(
-        [sys.executable, "-c", code, "list-plugins", "--json"], stdout=subprocess.PIPE
-    )
+    listing = program("sys.exit(program())", "list-plugins", "--json")
     listing.stdout.read(1)
     listing.stdout.close()
     assert listing.wait(timeout=60) == 0
 
 
-def test_a_full_disk_is_one_sentence_with_the_way_out(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (errno.ENOSPC, "no space is left on the disk; free some"),
+        (errno.EFBIG, "the file became larger than this disk or its limits allow"),
+    ],
+)
+def test_a_disk_that_takes_no_more_is_one_sentence_with_the_way_out(
+    capsys, monkeypatch, number, told
+):
     def full(argv):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("edit3r.cli.main._dispatch", full)
     assert main(["run"]) == 1
-    assert "no space is left on the disk; free some" in capsys.readouterr().err
+    assert told in capsys.readouterr().err

@@ -213,7 +213,8 @@ def test_damaged_files_end_in_a_sentence(tmp_path, content):
 
 def test_a_checkpoint_of_something_else_says_what_was_expected(tmp_path):
     torch.save(
-        {"state_dict": {"unet.conv.weight": torch.ones(1)}}, tmp_path / "unet.ckpt"
+        {"state_dict": {0: torch.ones(1), "unet.conv.weight": torch.ones(1)}},
+        tmp_path / "unet.ckpt",
     )
     with pytest.raises(
         InputError, match=r"neither a NoPoSplat checkpoint .* unet\.conv\.weight"
