@@ -7,7 +7,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,22 +40,17 @@ CAMERA_FILES = ("cameras.json", "transforms.json")
 TOLERANCE = 0.01
 """How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded."""
 
-FOCAL = (0.01, 1000.0)  # of the longer side
-FARTHEST = (
-    1e8  # of a position [the file's unit]: float32 would keep nothing of the rest
-)
-FARTHEST_CENTRE = 100.0  # of the principal point [image widths, heights]
+MIN_FOCAL = 0.01  # of the longer side
+MAX_FOCAL = 1000.0
+MAX_POSITION = 1e8  # [the file's unit]: float32 would keep nothing of the rest
+MAX_CENTRE = 100.0  # of the principal point [image widths, heights]
 
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-_PINHOLE_MODELS = (
-    None,
-    "PINHOLE",
-    "SIMPLE_PINHOLE",
-    "OPENCV",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-)
+_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's order
+
+Matrix3 = Float64[np.ndarray, "3 3"]
+Matrix4 = Float64[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -65,57 +60,49 @@ class PosedCamera:
     file: str  # as written, relative to the camera file's folder
     width: int  # [pixels]
     height: int  # [pixels]
-    K: (
-        Float64[np.ndarray, "3 3"] | None
-    )  # [pixels], centre of the top-left pixel at (0.5, 0.5); None: not known
-    c2w: (
-        Float64[np.ndarray, "4 4"] | None
-    )  # OpenCV axes, the file's own scale; None: not known
-    distortion: tuple[
-        float, ...
-    ] = ()  # OpenCV's k1, k2, p1, p2, k3; () for a plain pinhole
+    # [pixels], centre of the top-left pixel at (0.5, 0.5); None: not known
+    K: Matrix3 | None
+    c2w: Matrix4 | None  # OpenCV axes, the file's own scale; None: not known
+    # OpenCV's k1, k2, p1, p2, k3; () for a plain pinhole
+    distortion: tuple[float, ...] = ()
 
     @property
-    def intrinsics(self) -> Float64[np.ndarray, "3 3"] | None:
+    def intrinsics(self) -> Matrix3 | None:
         """`K` normalised as everywhere inside edit3r: fx, cx in widths, fy, cy in heights."""
-        return (
-            None
-            if self.K is None
-            else self.K / np.array([[self.width], [self.height], [1.0]])
-        )
+        if self.K is None:
+            return None
+        return self.K / np.array([[self.width], [self.height], [1.0]])
 
     @property
     def lens(self) -> Lens | None:
         """What bends straight lines in the photo; None for a plain pinhole."""
-        if self.K is None or not self.distortion:
+        if self.intrinsics is None or not self.distortion:
             return None
         (fx, _, cx), (_, fy, cy), _ = self.intrinsics.tolist()
         return Lens((fx, fy), (cx, cy), self.distortion)
 
 
 def read_cameras(path: str | Path) -> list[PosedCamera]:
-    """Read a `cameras.json` or `transforms.json`, told apart by content. Raises InputError naming
-    what is wrong.
+    """Read a `cameras.json` or `transforms.json`, told apart by content.
+
+    Raises InputError naming what is wrong.
     """
     path = Path(path)
     content = _read_json(path)
-    if isinstance(content, list):
-        entries, parse = content, _from_list_entry
-    elif isinstance(content, dict) and isinstance(content.get("frames"), list):
-        entries, parse = (
-            [{**content, **f} if isinstance(f, dict) else f for f in content["frames"]],
-            _from_frame,
-        )
-    else:
+    parse: Callable[[Any, Path], PosedCamera] = _from_list_entry
+    if isinstance(content, dict) and isinstance(content.get("frames"), list):
+        parse = _from_frame
+        # What is said at the top holds for every frame.
+        frames = content["frames"]
+        content = [{**content, **f} if isinstance(f, dict) else f for f in frames]
+    if not isinstance(content, list):
         raise InputError(
             f"{path}: expected a list of cameras, or nerfstudio's layout with 'frames'."
         )
     cameras = []
-    for index, entry in enumerate(entries):
+    for index, entry in enumerate(content):
         try:
             cameras.append(parse(entry, path.parent))
-        except InputError:
-            raise
         except KeyError as error:
             raise InputError(
                 f"{path}: camera {index} lacks {error.args[0]!r}."
@@ -128,28 +115,21 @@ def read_cameras(path: str | Path) -> list[PosedCamera]:
 
 
 def read_scene_cameras(path: str | Path) -> tuple[Cameras, list[PosedCamera]]:
-    """The cameras of a file that have a pose and intrinsics, as one scene at the first one's image
-    size.
-    """
+    """The cameras of a file that have a pose and intrinsics, at the first one's image size."""
     if not Path(path).is_file():
         raise InputError(
             f"{path}: no such camera file; say where to look from with --cameras FILE."
         )
-    posed = [
-        camera
-        for camera in read_cameras(path)
-        if camera.c2w is not None and camera.K is not None
-    ]
+    posed, poses, intrinsics = [], [], []
+    for camera in read_cameras(path):
+        if camera.c2w is not None and camera.intrinsics is not None:
+            posed.append(camera)
+            poses.append(torch.from_numpy(camera.c2w).float())
+            intrinsics.append(torch.from_numpy(camera.intrinsics).float())
     if not posed:
         raise InputError(f"{path}: no camera in it has both intrinsics and a pose.")
-    c2w, intrinsics = (
-        torch.from_numpy(np.stack(matrices)).float()[None]
-        for matrices in (
-            [camera.c2w for camera in posed],
-            [camera.intrinsics for camera in posed],
-        )
-    )
-    return Cameras(c2w, intrinsics, (posed[0].height, posed[0].width)), posed
+    size = (posed[0].height, posed[0].width)
+    return Cameras(torch.stack(poses)[None], torch.stack(intrinsics)[None], size), posed
 
 
 def posed_cameras(cameras: Cameras, files: Sequence[str]) -> list[PosedCamera]:
@@ -171,20 +151,19 @@ def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
     """Write `cameras.json`, one camera a line, numbers to 9 significant digits (float32 survives
     exactly).
     """
-    lines = [json.dumps(_to_entry(camera), allow_nan=False) for camera in cameras]
+    lines = []
+    for camera in cameras:
+        entry = {"file": camera.file, "width": camera.width, "height": camera.height}
+        entry |= {"K": _rounded(camera.K), "c2w": _rounded(camera.c2w)}
+        lines.append(json.dumps(entry, allow_nan=False))
     with atomic_write(path) as partial:
         partial.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
 
 
-def _to_entry(camera: PosedCamera) -> dict[str, Any]:
-    entry = {"file": camera.file, "width": camera.width, "height": camera.height}
-    for name, matrix in (("K", camera.K), ("c2w", camera.c2w)):
-        entry[name] = (
-            None
-            if matrix is None
-            else [[float(f"{x:.9g}") for x in row] for row in np.asarray(matrix)]
-        )
-    return entry
+def _rounded(matrix: np.ndarray | None) -> list[list[float]] | None:
+    if matrix is None:
+        return None
+    return [[float(f"{number:.9g}") for number in row] for row in matrix]
 
 
 def _read_json(path: Path) -> Any:
@@ -201,55 +180,52 @@ def _read_json(path: Path) -> Any:
 def _from_list_entry(entry: Mapping[str, Any], folder: Path) -> PosedCamera:
     file = _file_name(entry["file"])
     width, height = _size(entry["width"], entry["height"])
+    k = intrinsics_from_outside(entry.get("K"), width, height)
     return PosedCamera(
-        file,
-        width,
-        height,
-        intrinsics_from_outside(entry.get("K"), width, height),
-        pose_from_outside(entry.get("c2w"), "c2w"),
+        file, width, height, k, pose_from_outside(entry.get("c2w"), "c2w")
     )
 
 
 def _from_frame(frame: Mapping[str, Any], folder: Path) -> PosedCamera:
-    if frame.get("camera_model") not in _PINHOLE_MODELS:
-        raise ValueError(
-            f"camera model {frame['camera_model']}, expected a pinhole; undistort the photos first"
-        )
-    file, (height, width) = _image_of(frame, folder)
-    focal_x = _focal(frame, "fl_x", "camera_angle_x", width)
-    focal_y = _focal(frame, "fl_y", "camera_angle_y", height)
-    pixels = None
-    if focal_x or focal_y:
-        centre_x, centre_y = (
-            float(frame.get("cx", width / 2)),
-            float(frame.get("cy", height / 2)),
-        )
-        # One angle alone means square pixels.
-        rows = [
-            [focal_x or focal_y, 0, centre_x],
-            [0, focal_y or focal_x, centre_y],
-            [0, 0, 1.0],
-        ]
-        pixels = intrinsics_from_outside(rows, width, height)
+    model = frame.get("camera_model") or "PINHOLE"
+    _require(
+        model in _PINHOLES,
+        f"camera model {model}, expected a pinhole; undistort the photos first",
+    )
+    file = _file_name(frame["file_path"])
+    if not (folder / file).is_file() and (folder / f"{file}.png").is_file():
+        file += ".png"  # Blender scenes leave the suffix out
+    if "w" in frame and "h" in frame:
+        width, height = _size(frame["w"], frame["h"])
+    else:
+        height, width = image_size(folder / file)
     pose = pose_from_outside(frame.get("transform_matrix"), "transform_matrix")
     distortion = tuple(float(frame.get(name, 0.0)) for name in _DISTORTION)
     Lens((1.0, 1.0), (0.5, 0.5), distortion)  # raises where it is none
-    c2w = None if pose is None else pose @ _OPENGL_TO_OPENCV
     return PosedCamera(
-        file, width, height, pixels, c2w, distortion if any(distortion) else ()
+        file,
+        width,
+        height,
+        K=_frame_intrinsics(frame, width, height),
+        c2w=None if pose is None else pose @ _OPENGL_TO_OPENCV,
+        distortion=distortion if any(distortion) else (),
     )
 
 
-def _image_of(frame: Mapping[str, Any], folder: Path) -> tuple[str, tuple[int, int]]:
-    """File as named on disk (Blender scenes leave the suffix out) and (height, width), from it if
-    need be.
-    """
-    file = _file_name(frame["file_path"])
-    if not (folder / file).is_file() and (folder / f"{file}.png").is_file():
-        file += ".png"
-    if "w" in frame and "h" in frame:
-        return file, _size(frame["w"], frame["h"])[::-1]
-    return file, image_size(folder / file)
+def _frame_intrinsics(
+    frame: Mapping[str, Any], width: int, height: int
+) -> Matrix3 | None:
+    x = _focal(frame, "fl_x", "camera_angle_x", width)
+    y = _focal(frame, "fl_y", "camera_angle_y", height)
+    if not x and not y:
+        return None
+    # One angle alone means square pixels.
+    rows = [
+        [x or y, 0, float(frame.get("cx", width / 2))],
+        [0, y or x, float(frame.get("cy", height / 2))],
+        [0, 0, 1.0],
+    ]
+    return intrinsics_from_outside(rows, width, height)
 
 
 def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float | None:
@@ -260,7 +236,7 @@ def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float
     return None
 
 
-def pose_from_outside(value: Any, name: str) -> Float64[np.ndarray, "4 4"] | None:
+def pose_from_outside(value: Any, name: str) -> Matrix4 | None:
     """Turn what a file says into a pose, a rotation and a position; None stays None.
 
     3x4 is taken as well. Raises ValueError, saying what is wrong, for anything else, such as a
@@ -271,102 +247,102 @@ def pose_from_outside(value: Any, name: str) -> Float64[np.ndarray, "4 4"] | Non
     matrix = _numbers(value, name)
     if matrix.shape == (3, 4):
         matrix = np.vstack((matrix, (0.0, 0.0, 0.0, 1.0)))
-    if matrix.shape != (4, 4):
-        raise ValueError(f"{name} has shape {matrix.shape}, expected (4, 4)")
-    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > TOLERANCE:
-        raise ValueError(
-            f"the last row of {name} is {_shown(matrix[3])}, expected 0, 0, 0, 1"
-        )
+    _require(
+        matrix.shape == (4, 4), f"{name} has shape {matrix.shape}, expected (4, 4)"
+    )
+    _require(
+        _near(matrix[3], (0, 0, 0, 1)),
+        f"the last row of {name} is {_shown(matrix[3])}, expected 0, 0, 0, 1",
+    )
     rotation = matrix[:3, :3]
-    if (
-        np.abs(rotation).max() > 1e6
-        or np.abs(rotation.T @ rotation - np.eye(3)).max() > TOLERANCE
-    ):
-        lengths = _shown(np.hypot.reduce(rotation))
-        raise ValueError(
-            f"the axes in {name} are no rotation (lengths {lengths}), expected length 1 at right "
-            "angles"
-        )
-    if np.linalg.det(rotation) < 0:
-        raise ValueError(
-            f"{name} mirrors the world, expected a rotation (determinant 1, not -1)"
-        )
-    if np.abs(matrix[:3, 3]).max() > FARTHEST:
-        raise ValueError(
-            f"the position in {name} is {_shown(matrix[:3, 3])}, expected at most {FARTHEST:g}"
-        )
+    lengths = np.hypot.reduce(rotation)
+    _require(
+        lengths.max() < 2 and _near(rotation.T @ rotation, np.eye(3)),
+        f"the axes in {name} are no rotation (lengths {_shown(lengths)}), expected length 1 at "
+        "right angles",
+    )
+    _require(
+        np.linalg.det(rotation) > 0,
+        f"{name} mirrors the world, expected a rotation (determinant 1, not -1)",
+    )
+    position = matrix[:3, 3]
+    _require(
+        np.abs(position).max() <= MAX_POSITION,
+        f"the position in {name} is {_shown(position)}, expected at most {MAX_POSITION:g}",
+    )
     return matrix
 
 
-def intrinsics_from_outside(
-    value: Any, width: float, height: float
-) -> Float64[np.ndarray, "3 3"] | None:
-    """Turn what a file says into intrinsics of an image of that size, in the same unit; None stays
-    None.
+def intrinsics_from_outside(value: Any, width: float, height: float) -> Matrix3 | None:
+    """Turn what a file says into intrinsics of an image of that size, in the same unit.
 
-    Raises ValueError, saying what is wrong, for anything but `[[fx, 0, cx], [0, fy, cy], [0, 0,
-    1]]`.
+    None stays None. Raises ValueError, saying what is wrong, for anything but `[[fx, 0, cx], [0,
+    fy, cy], [0, 0, 1]]`.
     """
     if value is None:
         return None
     matrix = _numbers(value, "K")
-    if matrix.shape != (3, 3):
-        raise ValueError(f"K has shape {matrix.shape}, expected (3, 3)")
-    focal = matrix[[0, 1], [0, 1]]
-    if focal.min() <= 0:
-        raise ValueError(f"focal lengths {_shown(focal)}, expected above 0")
-    if not np.all(
-        (focal > FOCAL[0] * max(width, height))
-        & (focal < FOCAL[1] * max(width, height))
-    ):
-        raise ValueError(
-            f"focal lengths {_shown(focal)}, expected {FOCAL[0]:g} to {FOCAL[1]:g} times the "
-            "image's longer side"
-        )
-    if np.abs(matrix[:2, 2] / (width, height)).max() > FARTHEST_CENTRE:
-        raise ValueError(
-            f"the principal point of K is {_shown(matrix[:2, 2])}, far outside of the image"
-        )
-    rest = (matrix[0, 1] / focal[0], matrix[1, 0] / focal[1], *(matrix[2] - (0, 0, 1)))
-    if np.abs(rest).max() > TOLERANCE:
-        raise ValueError("K has other numbers where a pinhole has 0, 0, 0, 0 and 1")
+    _require(matrix.shape == (3, 3), f"K has shape {matrix.shape}, expected (3, 3)")
+    focal = matrix.diagonal()[:2]
+    shares = focal / max(width, height)
+    _require(focal.min() > 0, f"focal lengths {_shown(focal)}, expected above 0")
+    _require(
+        shares.min() > MIN_FOCAL and shares.max() < MAX_FOCAL,
+        f"focal lengths {_shown(focal)}, expected {MIN_FOCAL:g} to {MAX_FOCAL:g} times the "
+        "image's longer side",
+    )
+    centre = matrix[:2, 2]
+    _require(
+        np.abs(centre / (width, height)).max() <= MAX_CENTRE,
+        f"the principal point of K is {_shown(centre)}, far outside of the image",
+    )
+    skew = (matrix[0, 1] / focal[0], matrix[1, 0] / focal[1])
+    _require(
+        _near(skew, 0) and _near(matrix[2], (0, 0, 1)),
+        "K has other numbers where a pinhole has 0, 0, 0, 0 and 1",
+    )
     return matrix
+
+
+def _require(holds: Any, problem: str) -> None:
+    if not holds:
+        raise ValueError(problem)
+
+
+def _near(values: Any, expected: Any) -> bool:
+    return bool(np.abs(np.subtract(values, expected)).max() <= TOLERANCE)
 
 
 def _numbers(value: Any, name: str) -> Float64[np.ndarray, "*shape"]:
     matrix = np.array(value, dtype=np.float64)
-    if not np.isfinite(matrix).all():
-        raise ValueError(f"{name} holds values that are not finite")
+    _require(np.isfinite(matrix).all(), f"{name} holds values that are not finite")
     return matrix
 
 
 def _size(width: Any, height: Any) -> tuple[int, int]:
     """(width, height) as a file states them; raises ValueError for what is no size of an image."""
-    if (
-        isinstance(width, str)
-        or isinstance(height, str)
-        or int(width) != width
-        or int(height) != height
-    ):
-        raise ValueError("width and height must be whole numbers")
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise ValueError(
-            f"size {width:g}x{height:g}, expected at least 1x1 and at most {MAX_PIXELS // 10**6} "
-            "megapixels"
+    for side in (width, height):
+        _require(
+            not isinstance(side, str) and int(side) == side,
+            "width and height must be whole numbers",
         )
+    _require(
+        min(width, height) >= 1 and width * height <= MAX_PIXELS,
+        f"size {width:g}x{height:g}, expected at least 1x1 and at most {MAX_PIXELS // 10**6} "
+        "megapixels",
+    )
     return int(width), int(height)
 
 
 def _file_name(value: Any) -> str:
     """A path of an image as a file states it; raises ValueError for what names no file."""
-    named = (
+    names_a_file = (
         isinstance(value, str)
         and "\0" not in value
         and Path(value).name not in ("", "..")
         and len(value) <= 4096
     )
-    if not named:
-        raise ValueError(f"{str(value)[:60]!r} is no name of a picture file")
+    _require(names_a_file, f"{str(value)[:60]!r} is no name of an image file")
     return value
 
 
