@@ -4,7 +4,7 @@ paste.
 
 import argparse
 
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_plugin_option
 from edit3r.contract.component import KINDS
 
 
@@ -16,13 +16,7 @@ class DescribeCommand(Command):
         parser.add_argument(
             "name", help="name as in edit3r list-plugins, or plugin:name"
         )
-        parser.add_argument(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin",
-        )
+        add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.errors import MissingDependencyError

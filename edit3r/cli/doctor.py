@@ -1,7 +1,6 @@
-"""`edit3r doctor`: is this installation sound? Versions, devices, plugins, every rasterizer, and a
-tiny run.
+"""`edit3r doctor`: is this installation sound?
 
-Exits with 1 when something is wrong.
+Versions, devices, plugins, every rasterizer, and a tiny run. Exits with 1 when something is wrong.
 """
 
 import argparse
@@ -10,14 +9,14 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import edit3r
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_plugin_option
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.plugins.check import check_offer
 from edit3r.plugins.load import Offer
@@ -27,11 +26,10 @@ from edit3r.plugins.registry import (
     default_registry,
     install_hint,
 )
-from edit3r.reporting import available_memory
+from edit3r.reporting import Report, available_memory
 
 if TYPE_CHECKING:
     from edit3r.pipeline.config import RunConfig
-    from edit3r.reporting import Report
 
 CORE_MODULES = {
     "torch": "torch",
@@ -49,8 +47,11 @@ CORE_MODULES = {
     "jaxtyping": "jaxtyping",
 }
 """Importable name of each core dependency, and the package that brings it."""
+
 JOB_SIZE = 96  # longer side of the tiny job's photos [pixels]
 JOB_PROMPT = "make it blue"
+MARKS = {True: "ok   ", False: "WRONG", None: "note "}
+GIB = 2**30
 
 
 class DoctorCommand(Command):
@@ -60,28 +61,21 @@ class DoctorCommand(Command):
         parser.add_argument(
             "--device", metavar="D", help="torch device of the tiny job (default cpu)"
         )
-        parser.add_argument(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin",
-        )
+        add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.pipeline.config import make_run_config
 
-        config = make_run_config(
-            {"prompt": JOB_PROMPT, **({"device": args.device} if args.device else {})}
-        )
-        area, wrong = "", 0
-        for finding in examine(default_registry(tuple(args.plugin)), config):
-            if finding.area != area:
-                area = finding.area
-                print(f"{area}:")
-            mark = {True: "ok   ", False: "WRONG", None: "note "}[finding.ok]
-            print(f"  {mark} {finding.text}", flush=True)
-            wrong += finding.ok is False
+        device = {"device": args.device} if args.device else {}
+        config = make_run_config({"prompt": JOB_PROMPT}, device)
+        wrong = 0
+        for area, findings in examine(
+            default_registry(tuple(args.plugin)), config
+        ).items():
+            print(f"{area}:")
+            for finding in findings:
+                print(f"  {MARKS[finding.ok]} {finding.text}", flush=True)
+                wrong += finding.ok is False
         print(f"\n{wrong} wrong." if wrong else "\nEverything is in order.")
         return 1 if wrong else 0
 
@@ -90,27 +84,27 @@ class DoctorCommand(Command):
 class Finding:
     """One line of the report."""
 
-    area: str  # "versions", "devices", "plugins", "rasterizers", "tiny job"
     text: str
     ok: bool | None = True  # None: worth knowing, nothing wrong
 
 
-def examine(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
-    """All findings, as they are made; the tiny job runs the components that `config` names."""
-    yield from versions()
-    yield from devices()
-    yield from plugins(registry)
-    yield from rasterizers(registry)
-    yield from tiny_job(registry, config)
+def examine(registry: Registry, config: "RunConfig") -> Mapping[str, Iterator[Finding]]:
+    """All findings by area; the tiny job runs the components that `config` names."""
+    return {
+        "versions": versions(),
+        "devices": devices(),
+        "plugins": plugins(registry),
+        "rasterizers": rasterizers(registry),
+        "tiny job": tiny_job(registry, config),
+    }
 
 
 def versions() -> Iterator[Finding]:
-    """Python, edit3r, and every core dependency imported for real: a package may be there and
-    broken.
-    """
-    python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    """Python, edit3r, and the core dependencies, imported for real: they may be there and broken."""
+    system = f"{platform.system()} {platform.machine()}"
     yield Finding(
-        "versions", f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), {python}"
+        f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), Python "
+        f"{platform.python_version()} on {system}"
     )
     good = []
     for module, package in CORE_MODULES.items():
@@ -120,167 +114,136 @@ def versions() -> Iterator[Finding]:
         except metadata.PackageNotFoundError:
             good.append(f"{package} (version unknown)")
         except Exception as error:
-            cure = f"reinstall it: pip install {package}"
             yield Finding(
-                "versions",
-                f"{package} cannot be imported ({_in_words(error)}); {cure}",
+                f"{package} cannot be imported ({_in_words(error)}); reinstall it: pip install "
+                f"{package}",
                 False,
             )
-    yield Finding("versions", ", ".join(good))
+    yield Finding(", ".join(good))
 
 
 def devices() -> Iterator[Finding]:
     """What torch can compute on."""
     import torch
 
-    free = available_memory()
-    memory = "" if free is None else f", {free / 2**30:.1f} GiB of memory free"
-    yield Finding(
-        "devices",
-        f"cpu: {os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads{memory}",
-    )
-    for index in range(torch.cuda.device_count()):
-        free, total = (size / 2**30 for size in torch.cuda.mem_get_info(index))
+    memory = available_memory()
+    told = "" if memory is None else f", {memory / GIB:.1f} GiB of memory free"
+    threads = torch.get_num_threads()
+    yield Finding(f"cpu: {os.cpu_count()} cores, torch uses {threads} threads{told}")
+    gpus = torch.cuda.device_count()
+    for index in range(gpus):
+        free, total = torch.cuda.mem_get_info(index)
         name = torch.cuda.get_device_name(index)
         yield Finding(
-            "devices", f"cuda:{index}: {name}, {free:.1f} of {total:.1f} GiB free"
+            f"cuda:{index}: {name}, {free / GIB:.1f} of {total / GIB:.1f} GiB free"
         )
     if torch.backends.mps.is_available():
-        yield Finding("devices", "mps: Apple GPU")
-    if torch.cuda.device_count() == 0 and not torch.backends.mps.is_available():
-        yield Finding(
-            "devices",
-            "no GPU; everything that does not need one runs on the CPU",
-            None,
-        )
+        yield Finding("mps: Apple GPU")
+    elif gpus == 0:
+        yield Finding("no GPU; what does not need one runs on the CPU", None)
 
 
 def plugins(registry: Registry) -> Iterator[Finding]:
-    """Failed plugins and components that break their promise are wrong; a missing extra is worth
-    knowing.
-    """
-    offers = registry.offers()
+    """Failed plugins and components that break their promise are wrong, a missing extra is not."""
     for failure in registry.failures:
-        yield Finding(
-            "plugins", f"{failure.plugin} {failure.version}: {failure.reason}", False
-        )
+        yield Finding(f"{failure.plugin} {failure.version}: {failure.reason}", False)
     for clash in registry.clashes():
-        yield Finding("plugins", clash, False)
-    problems = {offer: check_offer(registry, offer) for offer in offers}
-    for offer, problem in problems.items():
+        yield Finding(clash, False)
+    offers = registry.offers()
+    usable = 0
+    for offer in offers:
+        problem = check_offer(registry, offer)
+        missing = ", ".join(registry.missing(offer))
         if problem:
-            yield Finding("plugins", problem, False)
-        elif registry.missing(offer):
-            needs = f"{offer.kind} {offer.component.name} needs {', '.join(registry.missing(offer))}"
-            yield Finding("plugins", f"{needs}; {install_hint(offer)}", None)
-    usable = sum(
-        1
-        for offer, problem in problems.items()
-        if not problem and not registry.missing(offer)
-    )
+            yield Finding(problem, False)
+        elif missing:
+            needs = f"{offer.kind} {offer.component.name} needs {missing}"
+            yield Finding(f"{needs}; {install_hint(offer)}", None)
+        else:
+            usable += 1
     count = len({offer.plugin for offer in offers})
     yield Finding(
-        "plugins",
-        f"{usable} of {len(offers)} components from {count} plugins can be used here",
+        f"{usable} of {len(offers)} components from {count} plugins can be used here"
     )
 
 
 def rasterizers(registry: Registry) -> Iterator[Finding]:
-    """Every rasterizer draws one small scene."""
+    """Every rasterizer draws a Gaussian."""
     for offer in registry.offers("rasterizer"):
         name = offer.component.name
         lacks = ", ".join(registry.missing(offer)) or absent_device(offer.component)
         if lacks:
-            yield Finding("rasterizers", f"{name}: not here, needs {lacks}", None)
+            yield Finding(f"{name}: not here, needs {lacks}", None)
             continue
         started = time.perf_counter()
         try:
-            finite = _draws(registry.build("rasterizer", offer.qualified_name), offer)
+            finite = _draws(registry, offer)
         except Exception as error:
-            yield Finding("rasterizers", f"{name}: {_in_words(error)}", False)
+            yield Finding(f"{name}: {_in_words(error)}", False)
             continue
         seconds = time.perf_counter() - started
-        told = f"60 Gaussians in {seconds:.2f} s, compiling included"
-        if not finite:
-            told = "its image is not finite"
-        yield Finding("rasterizers", f"{name}: {told}", finite)
+        told = f"draws in {seconds:.2f} s, compiling included"
+        yield Finding(
+            f"{name}: {told if finite else 'its image is not finite'}", finite
+        )
 
 
-def _draws(rasterizer: Any, offer: Offer) -> bool:
-    """Whether the rasterizer makes a finite image of 60 Gaussians in front of one camera."""
+def _draws(registry: Registry, offer: Offer) -> bool:
+    """Whether a rasterizer makes a finite image of one Gaussian in front of one camera."""
     import torch
 
     from edit3r.contract.types import Cameras, Gaussians
 
-    random = torch.Generator().manual_seed(0)
-    means = torch.rand(1, 60, 3, generator=random) + torch.tensor([-0.5, -0.5, 2.0])
     gaussians = Gaussians(
-        means=means,
-        scales=torch.full((1, 60, 3), 0.05),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(1, 60, 1),
-        opacities=torch.full((1, 60), 0.8),
-        harmonics=torch.rand(1, 60, 1, 3, generator=random),
+        means=torch.tensor([[[0.0, 0.0, 2.0]]]),
+        scales=torch.full((1, 1, 3), 0.05),
+        quats=torch.tensor([[[1.0, 0.0, 0.0, 0.0]]]),
+        opacities=torch.full((1, 1), 0.8),
+        harmonics=torch.zeros(1, 1, 1, 3),
     )
     intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])[None, None]
     cameras = Cameras(torch.eye(4)[None, None], intrinsics, (48, 64))
     device = next(iter(offer.component.devices), "cpu")
+    rasterizer = registry.build("rasterizer", offer.qualified_name)
     images = rasterizer.render(gaussians.to(device), cameras.to(device)).images
     return bool(torch.isfinite(images).all())
 
 
 def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
-    """Photos, edit, reconstruction, rendering and a saved scene, at `JOB_SIZE` pixels."""
-    started = time.perf_counter()
-    try:
-        report, count = _run_tiny(registry, config)
-    except Exception as error:
-        yield Finding("tiny job", _in_words(error), False)
-        return
-    for stage in report.stages:
-        yield Finding("tiny job", f"{stage.name}: {stage.seconds:.2f} s")
-    yield Finding(
-        "tiny job",
-        f"{count} Gaussians rendered and saved, {time.perf_counter() - started:.1f} s in all",
-    )
-
-
-def _run_tiny(registry: Registry, config: "RunConfig") -> tuple["Report", int]:
-    """Run on the packaged photos as small as can be, render and save; the report, and how many
-    Gaussians came.
-    """
-    from edit3r.io.images import load_views, packaged_pair
+    """The packaged photos, edited, reconstructed, rendered and saved at `JOB_SIZE` pixels."""
+    from edit3r.io.images import packaged_pair
     from edit3r.io.ply import save_ply
-    from edit3r.reporting import Report, collecting
 
     report = Report()
-    with collecting(report), report.stage("read photos"):
-        photos, cameras = packaged_pair()
-        views = load_views(photos, cameras=cameras, size=JOB_SIZE)
-    parts = {
-        "editor": config.editor,
-        "recon": config.reconstructor,
-        "segmenter": config.segmenter,
-    }
-    result = edit3r.run(
-        views,
-        config.prompt,
-        **parts,
-        device=config.device,
-        refine=4,
-        registry=registry,
-        report=report,
-    )
-    with (
-        collecting(report),
-        report.stage("render and save"),
-        tempfile.TemporaryDirectory() as folder,
-    ):
-        rasterizer = registry.build(
-            "rasterizer", config.rasterizer.name, **config.rasterizer.settings
+    started = time.perf_counter()
+    photos, cameras = packaged_pair()
+    try:
+        result = edit3r.run(
+            photos,
+            config.prompt,
+            editor=config.editor,
+            recon=config.reconstructor,
+            rasterizer=config.rasterizer,
+            segmenter=config.segmenter,
+            cameras=cameras,
+            size=JOB_SIZE,
+            device=config.device,
+            guess=True,
+            refine=4,
+            registry=registry,
+            report=report,
         )
-        rasterizer.render(result.gaussians, result.cameras)
-        save_ply(Path(folder) / "scene.ply", result.gaussians)
-    return report, result.gaussians.count
+        with report.stage("render and save"), tempfile.TemporaryDirectory() as folder:
+            result.rasterizer.render(result.gaussians, result.cameras)
+            save_ply(Path(folder, "scene.ply"), result.gaussians)
+    except Exception as error:
+        yield Finding(_in_words(error), False)
+        return
+    for stage in report.stages:
+        yield Finding(f"{stage.name}: {stage.seconds:.2f} s")
+    seconds = time.perf_counter() - started
+    count = result.gaussians.count
+    yield Finding(f"{count} Gaussians rendered and saved, {seconds:.1f} s in all")
 
 
 def _in_words(error: Exception) -> str:

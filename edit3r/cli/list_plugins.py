@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_plugin_option
 from edit3r.contract.component import KINDS
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
@@ -32,13 +32,7 @@ class ListPluginsCommand(Command):
             action="store_true",
             help="exit with 1 when a plugin failed or a name clashes",
         )
-        parser.add_argument(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin",
-        )
+        add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.plugins.check import check_offer

@@ -2,8 +2,15 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from edit3r.contract.command import Command, scene_file
+from edit3r.contract.command import Command, add_plugin_option, scene_file
+from edit3r.errors import InputError, SettingsError
+
+if TYPE_CHECKING:
+    from edit3r.contract.interfaces import Rasterizer
+    from edit3r.contract.types import Cameras, Gaussians
+    from edit3r.io.run_folder import RunFolder
 
 MADE = ("pictures", "video", "viewer")
 
@@ -41,7 +48,7 @@ class RenderCommand(Command):
             "--size",
             type=int,
             metavar="PIXELS",
-            help="longer side of the pictures (default: as in the camera file)",
+            help="longer side of the images (default: as in the camera file)",
         )
         add(
             "--frames",
@@ -62,13 +69,7 @@ class RenderCommand(Command):
             metavar="KEY=VALUE",
             help="such as rasterizer.background=[1,1,1]",
         )
-        add(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin file",
-        )
+        add_plugin_option(parser)
         add(
             "--out",
             metavar="DIR",
@@ -86,84 +87,78 @@ class RenderCommand(Command):
         import torch
 
         from edit3r.cli.console import StageConsole
-        from edit3r.config import parse_assignments
-        from edit3r.errors import SettingsError
         from edit3r.io.atomic import atomic_folder
-        from edit3r.io.images import save_image
         from edit3r.io.run_folder import RunFolder
-        from edit3r.io.video import save_video
-        from edit3r.io.viewer import save_viewer
-        from edit3r.pipeline.config import make_run_config
-        from edit3r.pipeline.rendering import path_around, render_each
-        from edit3r.pipeline.write import VIDEO_FPS
-        from edit3r.plugins.registry import default_registry
-        from edit3r.reporting import Report, collecting, warn
+        from edit3r.reporting import Report, collecting
 
-        settings = parse_assignments(args.set)
-        if set(settings) - {"rasterizer"}:
-            raise SettingsError(
-                f"--set {sorted(settings)[0]}: render has settings of the rasterizer only "
-                "(rasterizer.KEY)."
-            )
         if not 2 <= args.frames <= 2000:
             raise SettingsError(
                 f"--frames: expected 2 to 2000 frames, got {args.frames}."
             )
-        choice = make_run_config(
-            settings, {"rasterizer": args.rasterizer} if args.rasterizer else {}
-        ).rasterizer
-        rasterizer = default_registry(tuple(args.plugin)).build_choice(
-            "rasterizer", choice
-        )
+        rasterizer = _rasterizer(args)
         with (
             StageConsole(quiet=args.quiet) as console,
-            collecting(Report(on_event=console)) as report,
+            collecting(Report(on_event=console)),
             torch.no_grad(),
+            atomic_folder(args.out, args.overwrite) as folder,
         ):
-            with report.stage("read scene"):
-                gaussians = _gaussians(args)
-                cameras, names = _cameras(args)
-            with atomic_folder(args.out, args.overwrite) as root:
-                folder = RunFolder(root)
-                with report.stage("render input views"):
-                    views = render_each(rasterizer, gaussians, cameras, "views")
-                    if not views.alphas.any():
-                        warn(
-                            f"{args.scene}: nothing of it can be seen from the cameras; the "
-                            "pictures are blank."
-                        )
-                    if "pictures" in args.make:
-                        for name, image in zip(names, views.images[0]):
-                            save_image(
-                                image.clamp(0, 1), folder.renders / f"{name}.png"
-                            )
-                if "video" in args.make:
-                    with report.stage("render camera path"):
-                        frames = render_each(
-                            rasterizer,
-                            gaussians,
-                            path_around(cameras, views, args.frames),
-                            "path",
-                        )
-                        save_video(
-                            folder.video, frames.images[0].clamp(0, 1), VIDEO_FPS
-                        )
-                if "viewer" in args.make:
-                    with report.stage("write viewer"):
-                        save_viewer(
-                            folder.viewer,
-                            gaussians,
-                            cameras,
-                            title=Path(args.scene).stem,
-                        )
+            _render(RunFolder(folder), rasterizer, args)
         if not args.quiet:
             print(f"wrote {args.out}")
         return 0
 
 
-def _gaussians(args: argparse.Namespace):
+def _render(
+    folder: "RunFolder", rasterizer: "Rasterizer", args: argparse.Namespace
+) -> None:
+    """Write what `--make` names."""
+    from edit3r.io.images import save_image
+    from edit3r.io.video import save_video
+    from edit3r.io.viewer import save_viewer
+    from edit3r.pipeline.rendering import path_around, render_each
+    from edit3r.pipeline.write import VIDEO_FPS
+    from edit3r.reporting import stage, warn
+
+    with stage("read scene"):
+        gaussians = _gaussians(args)
+        cameras, names = _cameras(args)
+    with stage("render input views"):
+        views = render_each(rasterizer, gaussians, cameras, "views")
+        if not views.alphas.any():
+            warn(
+                f"{args.scene}: nothing of it can be seen from the cameras; the images are blank."
+            )
+        for name, image in zip(names, views.images[0]):
+            if "pictures" in args.make:
+                save_image(image.clamp(0, 1), folder.renders / f"{name}.png")
+    if "video" in args.make:
+        with stage("render camera path"):
+            path = path_around(cameras, views, args.frames)
+            frames = render_each(rasterizer, gaussians, path, "path").images[0]
+            save_video(folder.video, frames.clamp(0, 1), VIDEO_FPS)
+    if "viewer" in args.make:
+        with stage("write viewer"):
+            title = Path(args.scene).stem
+            save_viewer(folder.viewer, gaussians, cameras, title=title)
+
+
+def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
+    from edit3r.config import parse_assignments
+    from edit3r.pipeline.config import make_run_config
+    from edit3r.plugins.registry import default_registry
+
+    settings = parse_assignments(args.set)
+    for other in sorted(set(settings) - {"rasterizer"}):
+        raise SettingsError(
+            f"--set {other}: render has settings of the rasterizer only (rasterizer.KEY)."
+        )
+    flag = {"rasterizer": args.rasterizer} if args.rasterizer else {}
+    choice = make_run_config(settings, flag).rasterizer
+    return default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
+
+
+def _gaussians(args: argparse.Namespace) -> "Gaussians":
     """The file's Gaussians, those of one view alone where that is asked for."""
-    from edit3r.errors import InputError
     from edit3r.io.ply import load_ply
 
     gaussians = load_ply(args.scene, visible=True)
@@ -171,37 +166,27 @@ def _gaussians(args: argparse.Namespace):
         return gaussians
     known = [view for view in gaussians.view_index.unique().tolist() if view >= 0]
     if args.only_view not in known:
-        listed = (
-            ", ".join(map(str, known))
-            or "none: the file does not say where its Gaussians come from"
-        )
+        listed = ", ".join(map(str, known))
+        none = "none: the file does not say where its Gaussians come from"
         raise InputError(
             f"--only-view: {args.scene} has no Gaussians of photo {args.only_view}; it has "
-            f"{listed}."
+            f"{listed or none}."
         )
     return gaussians.from_view(args.only_view)
 
 
-def _cameras(args: argparse.Namespace):
+def _cameras(args: argparse.Namespace) -> "tuple[Cameras, list[str]]":
     """The file's cameras as one scene, at one image size, and a name for each."""
-    from dataclasses import replace
-
-    from edit3r.errors import InputError
     from edit3r.io.cameras import read_scene_cameras
     from edit3r.io.images import unique_names
 
-    file = (
-        Path(args.cameras) if args.cameras else Path(args.scene).parent / "cameras.json"
-    )
-    cameras, posed = read_scene_cameras(file)
+    beside = Path(args.scene).parent / "cameras.json"
+    cameras, posed = read_scene_cameras(args.cameras or beside)
     if args.size is not None:
         if not 1 <= args.size <= 8192:
             raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
-        scale = args.size / max(cameras.image_size)
-        cameras = replace(
-            cameras,
-            image_size=tuple(
-                max(1, round(side * scale)) for side in cameras.image_size
-            ),
-        )
+        height, width = cameras.image_size
+        scale = args.size / max(height, width)
+        size = (max(1, round(height * scale)), max(1, round(width * scale)))
+        cameras = cameras.at(size)
     return cameras, unique_names([Path(camera.file).stem for camera in posed])

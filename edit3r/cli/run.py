@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.cli.flags import INPUTS, REPEATED, add_flags, add_mark_flags, given_flags
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_plugin_option
 from edit3r.errors import RunError
 from edit3r.pipeline.config import PART_KEYS, JobInputs, RunConfig
 
@@ -44,12 +44,7 @@ class RunCommand(Command):
             **REPEATED,
             help="one setting, such as editor.strength=0.5",
         )
-        add(
-            "--plugin",
-            metavar="FILE",
-            **REPEATED,
-            help="also load this local plugin file",
-        )
+        add_plugin_option(parser)
         add(
             "--out",
             metavar="DIR",

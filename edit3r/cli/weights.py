@@ -5,7 +5,7 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_plugin_option
 
 if TYPE_CHECKING:
     from edit3r.contract.weights import Weights
@@ -47,13 +47,7 @@ class WeightsCommand(Command):
                 metavar="DIR",
                 help="of all weights (default: $EDIT3R_WEIGHTS, else in the user's cache)",
             )
-            step.add_argument(
-                "--plugin",
-                action="append",
-                default=[],
-                metavar="FILE",
-                help="also load a local plugin",
-            )
+            add_plugin_option(step)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.plugins.weights import declared, find, named

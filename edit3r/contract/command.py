@@ -1,6 +1,4 @@
-"""The interface of a command, apart from the other interfaces so that `edit3r --help` loads no
-torch.
-"""
+"""The interface of a command, apart from the others so that `edit3r --help` loads no torch."""
 
 import argparse
 from abc import ABC, abstractmethod
@@ -10,16 +8,26 @@ from edit3r.config import Settings
 
 
 def scene_file(text: str) -> Path:
-    """Argument type of a saved scene: its file as it is, or the `scene.ply` of the run folder that
-    is named.
-    """
+    """Argument type of a saved scene: its file, or the run folder that holds a `scene.ply`."""
     path = Path(text)
     return path / "scene.ply" if path.is_dir() else path
 
 
+def add_plugin_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--plugin FILE`, whose values a registry takes as local files."""
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="also load this local plugin file",
+    )
+
+
 class Command(ABC):
-    """One command of the program, `edit3r NAME`; its component's summary is its line in `edit3r
-    --help`.
+    """One command of the program, `edit3r NAME`.
+
+    The summary of its component is its line in `edit3r --help`.
     """
 
     def __init__(self, settings: Settings) -> None:

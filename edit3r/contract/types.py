@@ -1,12 +1,13 @@
 """The data that passes between stages, and the conventions, written once.
 
-| thing        | convention                                                                                   |
-|--------------|----------------------------------------------------------------------------------------------|
-| images       | float32 sRGB in [0, 1], `[B, V, 3, H, W]`                                                    |
-| intrinsics   | normalised 3x3: fx, cx in image widths, fy, cy in image heights; pixel centres at +0.5       |
-| poses        | camera-to-world 4x4 `c2w`, OpenCV axes (x right, y down, z forward)                          |
-| Gaussians    | linear scales (standard deviations), wxyz quaternions, opacities in [0, 1], 3DGS harmonics   |
-| world        | the frame of view 0's camera                                                                 |
+| thing      | convention                                                                    |
+|------------|-------------------------------------------------------------------------------|
+| images     | float32 sRGB in [0, 1], `[B, V, 3, H, W]`                                     |
+| intrinsics | normalised 3x3: fx, cx in image widths, fy, cy in heights; centres at +0.5    |
+| poses      | camera-to-world 4x4 `c2w`, OpenCV axes (x right, y down, z forward)           |
+| Gaussians  | linear scales (standard deviations), wxyz quaternions, opacities in [0, 1],   |
+|            | harmonics of 3D Gaussian Splatting                                            |
+| world      | the frame of view 0's camera                                                  |
 
 B scenes, V input views, C cameras, G Gaussians, K = (degree + 1)^2 harmonics per colour. Files and
 foreign libraries are converted at the door (`edit3r.io`); everything inside trusts this page. All
@@ -15,7 +16,7 @@ classes are frozen; change one with `dataclasses.replace`.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -32,62 +33,53 @@ Moved = TypeVar("Moved", bound="_Tensors")
 class _Tensors:
     """Shared by the classes below: move all tensors at once."""
 
-    def to(self: Moved, *args, **kwargs) -> Moved:
-        """`Tensor.to` on every floating-point field, and on integer fields as far as the device
-        goes.
-        """
-        changes = {}
+    def to(self: Moved, *args: Any, **kwargs: Any) -> Moved:
+        """`Tensor.to` on floating-point fields; integer fields follow to the device."""
+        changes: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Tensor):
                 moved = value.to(*args, **kwargs)
-                changes[field.name] = (
-                    moved if value.is_floating_point() else value.to(moved.device)
-                )
+                if not value.is_floating_point():
+                    moved = value.to(moved.device)
+                changes[field.name] = moved
             elif isinstance(value, _Tensors):
                 changes[field.name] = value.to(*args, **kwargs)
         return replace(self, **changes)
 
     def __repr__(self) -> str:
         """Name and fields; of tensors the shape alone."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        shown = (
-            f"{k}={list(v.shape) if isinstance(v, Tensor) else repr(v)}"
-            for k, v in values.items()
-        )
+        shown = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            text = list(value.shape) if isinstance(value, Tensor) else repr(value)
+            shown.append(f"{field.name}={text}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
 @dataclass(frozen=True, repr=False)
 class Views(_Tensors):
-    """Input pictures of B scenes with their intrinsics; poses only where somebody knows them."""
+    """Input images of B scenes with their intrinsics; poses only where somebody knows them."""
 
     images: Float[Tensor, "batch view 3 height width"]  # sRGB in [0, 1]
     intrinsics: Float[Tensor, "batch view 3 3"]  # normalised
-    names: tuple[
-        str, ...
-    ] = ()  # one per view, for messages and file names; () when unnamed
-    c2w: Float[Tensor, "batch view 4 4"] | None = (
-        None  # known poses in any common frame; None: not known
-    )
-    assumed: tuple[
-        bool, ...
-    ] = ()  # per view: nobody knows its intrinsics, they may be estimated; (): all are known
+    # one per view, for messages and file names; () when unnamed
+    names: tuple[str, ...] = ()
+    # known poses in any common frame; None: not known
+    c2w: Float[Tensor, "batch view 4 4"] | None = None
+    # per view: nobody knows its intrinsics, they may be estimated; (): all are known
+    assumed: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         _check("Views.images", self.images, (None, None, 3, None, None))
         batch, views = self.images.shape[:2]
         _check("Views.intrinsics", self.intrinsics, (batch, views, 3, 3))
-        if self.names and len(self.names) != views:
-            raise ValueError(
-                f"Views.names: expected {views} names, got {len(self.names)}"
-            )
         if self.c2w is not None:
             _check("Views.c2w", self.c2w, (batch, views, 4, 4))
-        if self.assumed and len(self.assumed) != views:
-            raise ValueError(
-                f"Views.assumed: expected {views} flags, got {len(self.assumed)}"
-            )
+        for name in ("names", "assumed"):
+            count = len(getattr(self, name))
+            if count not in (0, views):
+                raise ValueError(f"Views.{name}: expected {views}, got {count}")
 
     @property
     def count(self) -> int:
@@ -170,7 +162,7 @@ class EditRequest(_Tensors):
 
 @dataclass(frozen=True, repr=False)
 class Cameras(_Tensors):
-    """Posed pinhole cameras that share a picture size."""
+    """Posed pinhole cameras that share an image size."""
 
     c2w: Float[Tensor, "batch camera 4 4"]  # camera to world, OpenCV axes
     intrinsics: Float[Tensor, "batch camera 3 3"]  # normalised
@@ -197,7 +189,7 @@ class Cameras(_Tensors):
 
     def at(self, size: tuple[int, int]) -> "Cameras":
         """The cameras with images of another (height, width) [pixels]."""
-        return replace(self, image_size=tuple(size))
+        return replace(self, image_size=size)
 
 
 @dataclass(frozen=True, repr=False)
@@ -216,7 +208,7 @@ class Features(_Tensors):
         for index, level in enumerate(self.levels):
             _check(f"Features.levels[{index}]", level, (None, None, tokens, None))
 
-    def to(self, *args, **kwargs) -> "Features":
+    def to(self, *args: Any, **kwargs: Any) -> "Features":
         return Features(
             tuple(level.to(*args, **kwargs) for level in self.levels), self.grid
         )
@@ -227,19 +219,15 @@ class Gaussians(_Tensors):
     """3D Gaussians of B scenes in the frame of view 0 (OpenCV axes)."""
 
     means: Float[Tensor, "batch gaussian 3"]  # centres [scene units]
-    scales: Float[
-        Tensor, "batch gaussian 3"
-    ]  # standard deviations along the axes [scene units], > 0
-    quats: Float[
-        Tensor, "batch gaussian 4"
-    ]  # wxyz, axes to world; any norm, consumers normalise
+    # standard deviations along the axes [scene units], > 0
+    scales: Float[Tensor, "batch gaussian 3"]
+    # wxyz, axes to world; any norm, consumers normalise
+    quats: Float[Tensor, "batch gaussian 4"]
     opacities: Float[Tensor, "batch gaussian"]  # in [0, 1]
-    harmonics: Float[
-        Tensor, "batch gaussian coefficient 3"
-    ]  # 3DGS basis; colour = max(0, SH(direction) + 0.5)
-    view_index: Int[Tensor, "gaussian"] | None = (
-        None  # input view each came from, -1 none; default: all -1
-    )
+    # 3DGS basis; colour = max(0, SH(direction) + 0.5)
+    harmonics: Float[Tensor, "batch gaussian coefficient 3"]
+    # input view each came from, -1: none; not given: all -1
+    view_index: Int[Tensor, "gaussian"] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         _check("Gaussians.means", self.means, (None, None, 3))
@@ -254,9 +242,7 @@ class Gaussians(_Tensors):
                 f"Gaussians.harmonics: expected K in {allowed}, got {self.harmonics.shape[2]}"
             )
         if self.view_index is None:
-            index = torch.full(
-                (count,), -1, dtype=torch.int64, device=self.means.device
-            )
+            index = torch.full((count,), -1, device=self.means.device)
             object.__setattr__(self, "view_index", index)
         _check("Gaussians.view_index", self.view_index, (count,))
 
@@ -271,57 +257,60 @@ class Gaussians(_Tensors):
         return round(self.harmonics.shape[2] ** 0.5) - 1
 
     def select(self, index: Tensor) -> "Gaussians":
-        """The Gaussians at a boolean or integer (from 0) `index` along G, the same for every scene
-        of the batch.
+        """The Gaussians at a boolean or integer (from 0) `index` along G.
+
+        It is the same for every scene of the batch.
         """
         index = index.to(self.means.device)
         if index.dtype == torch.bool:
             index = index.nonzero()[:, 0]
         # A third of the time of indexing with [:, index].
         own = {
-            f.name: getattr(self, f.name).index_select(1, index)
-            for f in fields(Gaussians)[:-1]
+            name: getattr(self, name).index_select(1, index) for name in PER_GAUSSIAN
         }
         return Gaussians(**own, view_index=self.view_index.index_select(0, index))
 
     def from_view(self, view: int) -> "Gaussians":
         """Only those that came from input view `view`."""
-        return self.select(self.view_index == view)
+        return self.select(torch.eq(self.view_index, view))
 
     def without_view(self, view: int) -> "Gaussians":
         """All but those that came from input view `view`."""
-        return self.select(self.view_index != view)
+        return self.select(torch.ne(self.view_index, view))
 
     @staticmethod
     def cat(parts: "Iterable[Gaussians]") -> "Gaussians":
         """Join along G; all parts share batch size and harmonics degree."""
         parts = list(parts)
-        joined = {
-            f.name: torch.cat([getattr(p, f.name) for p in parts], dim=1)
-            for f in fields(Gaussians)[:-1]
-        }
-        return Gaussians(**joined, view_index=torch.cat([p.view_index for p in parts]))
+        view_index = torch.cat([part.view_index for part in parts])
+        return Gaussians(**_joined(parts, 1), view_index=view_index)
 
     @staticmethod
     def stack(scenes: "Iterable[Gaussians]") -> "Gaussians":
-        """Join scenes as one batch; one with fewer Gaussians repeats its last, transparent. Views
-        are forgotten.
+        """Join scenes as one batch; views are forgotten.
+
+        A scene with fewer Gaussians repeats its last, transparent.
         """
         scenes = list(scenes)
-        place = torch.arange(
-            max(scene.count for scene in scenes), device=scenes[0].means.device
-        )
-        filled = [scene.select(place.clamp(max=scene.count - 1)) for scene in scenes]
-        shown = [
-            replace(f, opacities=f.opacities * (place < scene.count))
-            for f, scene in zip(filled, scenes)
-        ]
-        return Gaussians(
-            **{
-                f.name: torch.cat([getattr(s, f.name) for s in shown])
-                for f in fields(Gaussians)[:-1]
-            }
-        )
+        count = max(scene.count for scene in scenes)
+        place = torch.arange(count, device=scenes[0].means.device)
+        filled = []
+        for scene in scenes:
+            full = scene.select(place.clamp(max=scene.count - 1))
+            shown = place < scene.count
+            filled.append(replace(full, opacities=full.opacities * shown))
+        return Gaussians(**_joined(filled, 0))
+
+
+PER_GAUSSIAN = ("means", "scales", "quats", "opacities", "harmonics")
+"""Fields of `Gaussians` with a batch axis and then one of Gaussians."""
+
+
+def _joined(parts: Iterable[Gaussians], axis: int) -> dict[str, Tensor]:
+    return {
+        name: torch.cat([getattr(part, name) for part in parts], axis)
+        for name in PER_GAUSSIAN
+    }
 
 
 @dataclass(frozen=True, repr=False)
@@ -329,40 +318,34 @@ class Reconstruction(_Tensors):
     """A reconstructor's answer."""
 
     gaussians: Gaussians
-    cameras: Cameras | None = (
-        None  # the input views' predicted poses in the Gaussians' frame; None: not predicted
-    )
-    placed: Bool[Tensor, "batch view"] | None = (
-        None  # False: could not be placed; None: all were
-    )
-    measured: Float[Tensor, "batch view"] | None = (
-        None  # share of pixels whose depth was measured; None: unknown
-    )
+    # the input views' predicted poses in the Gaussians' frame; None: not predicted
+    cameras: Cameras | None = None
+    # False: could not be placed; None: all were
+    placed: Bool[Tensor, "batch view"] | None = None
+    # share of pixels whose depth was measured; None: unknown
+    measured: Float[Tensor, "batch view"] | None = None
+    # what was added to the views' colours [sRGB] so that their edits agree, at a size of its own;
+    # None: nothing
     fusion: Float[Tensor, "batch view 3 height width"] | None = None
-    """What was added to the views' colours [sRGB] so that their edits agree, at a size of its own;
-    None: nothing.
-    """
 
 
 @dataclass(frozen=True, repr=False)
 class Rendering(_Tensors):
     """A rasterizer's answer for C cameras."""
 
-    images: Float[
-        Tensor, "batch camera 3 height width"
-    ]  # sRGB, >= 0, not clipped above 1
+    # sRGB, >= 0, not clipped above 1
+    images: Float[Tensor, "batch camera 3 height width"]
     alphas: Float[Tensor, "batch camera 1 height width"]  # in [0, 1]
-    depths: Float[
-        Tensor, "batch camera 1 height width"
-    ]  # expected camera z; 0 where nothing is hit
+    # expected camera z; 0 where nothing is hit
+    depths: Float[Tensor, "batch camera 1 height width"]
 
 
 def _check(name: str, tensor: Tensor, shape: tuple[int | None, ...]) -> None:
     """Raise ValueError unless `tensor` has `shape` (None: any size, also 0)."""
     given = tuple(tensor.shape)
-    fits = len(given) == len(shape) and all(
-        want in (None, have) for have, want in zip(given, shape)
-    )
-    if not fits:
+    pairs = zip(given, shape)
+    if len(given) != len(shape) or any(
+        want not in (None, have) for have, want in pairs
+    ):
         expected = ", ".join("*" if size is None else str(size) for size in shape)
         raise ValueError(f"{name}: expected shape [{expected}], got {list(given)}")

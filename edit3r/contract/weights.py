@@ -84,9 +84,8 @@ class Weights:
     @property
     def terms(self) -> str:
         """Licence, commercial use, size and whether it takes an account, in a few words."""
-        gated = (
-            "; gated: needs an account on the hub that accepted the licence"
-            if self.gated
-            else ""
-        )
-        return f"{self.licence}; commercial use: {self.commercial}; {self.size / 1e6:,.1f} MB{gated}"
+        size = f"{self.size / 1e6:,.1f} MB"
+        terms = f"{self.licence}; commercial use: {self.commercial}; {size}"
+        if self.gated:
+            terms += "; gated: needs an account on the hub that accepted the licence"
+        return terms

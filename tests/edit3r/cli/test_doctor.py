@@ -133,7 +133,7 @@ def test_the_tiny_job_runs_end_to_end_and_tells_its_time(monkeypatch):
 @pytest.mark.parametrize("ok, code", [(True, 0), (None, 0), (False, 1)])
 def test_the_exit_code_is_1_only_when_something_is_wrong(ok, code, monkeypatch, capsys):
     monkeypatch.setattr(
-        doctor, "examine", lambda *_: iter([Finding("devices", "some", ok)])
+        doctor, "examine", lambda *_: {"devices": [Finding("some", ok)]}
     )
     assert main(["doctor"]) == code
     assert (
