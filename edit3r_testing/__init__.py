@@ -1,5 +1,4 @@
-"""Contract tests: one per kind of component, run over everything registered and by a stranger with
-one import.
+"""Contract tests: one per kind of component, over everything registered or by one import.
 
 In a test file:
 
@@ -34,21 +33,22 @@ from edit3r_testing.scenes import (
 from edit3r_testing.training import DatasetContract, LossContract, TrainerContract
 
 CONTRACTS: dict[str, type[Contract]] = {
-    contract.kind: contract
-    for contract in (
-        *(EditorContract, SegmenterContract, DetectorContract),
-        *(MatcherContract, BackboneContract, HeadContract, ReconstructorContract),
-        *(RasterizerContract, RefinerContract),
-        *(DatasetContract, LossContract, TrainerContract),
-        CommandContract,
-    )
+    contract.kind: contract for contract in Contract.__subclasses__()
 }
 """The contract of each kind."""
 
 __all__ = [
     *(contract.__name__ for contract in CONTRACTS.values()),
-    *("CONTRACTS", "Contract", "ContractViolation", "claims", "contract_for"),
-    *("Photographed", "TinyBackbone", "cameras_around", "gaussian_cloud", "photograph"),
+    "CONTRACTS",
+    "Contract",
+    "ContractViolation",
+    "Photographed",
+    "TinyBackbone",
+    "cameras_around",
+    "claims",
+    "contract_for",
+    "gaussian_cloud",
+    "photograph",
 ]
 
 
@@ -60,12 +60,11 @@ def contract_for(
     **settings: Any,
 ) -> type[Contract]:
     """The contract of `kind`, bound to a component by name, built with `settings`."""
+    name = f"{kind.title()}{component.title().replace('-', '')}"
     bound = {
         "component": component,
         "plugin_files": plugin_files,
         "parts": parts or {},
         "settings": settings,
     }
-    return type(
-        f"{kind.title()}{component.title().replace('-', '')}", (CONTRACTS[kind],), bound
-    )
+    return type(name, (CONTRACTS[kind],), bound)

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from torch import Tensor
 
 from edit3r.contract.hookspecs import API_VERSION
-from edit3r.contract.types import Gaussians
+from edit3r.contract.types import PER_GAUSSIAN, Gaussians
+from edit3r.errors import PluginError
 from edit3r.plugins.check import check_offer
 from edit3r.plugins.load import Offer
 from edit3r.plugins.registry import (
@@ -24,21 +26,11 @@ from edit3r.plugins.registry import (
     default_registry,
     install_hint,
 )
+from edit3r_testing.scenes import Photographed, photograph
 
-HEAVY = (
-    "torch",
-    "numpy",
-    "cv2",
-    "kornia",
-    "skimage",
-    "scipy",
-    "numba",
-    "transformers",
-    "diffusers",
-)
+_HEAVY = "torch numpy cv2 kornia skimage scipy numba transformers diffusers"
+HEAVY = tuple(_HEAVY.split())
 """Modules a plugin's declaration must not import: every command would wait for them."""
-
-GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
 class ContractViolation(AssertionError):
@@ -49,28 +41,30 @@ class Contract:
     """Base of the contract of each kind. Name the component in a subclass called `Test...`."""
 
     kind: ClassVar[str] = ""
-    component: ClassVar[str] = (
-        ""  # "sepia", or "plugin:sepia" where two plugins offer the name
-    )
+    # "sepia", or "plugin:sepia" where two plugins offer the name
+    component: ClassVar[str] = ""
     settings: ClassVar[Mapping[str, Any]] = {}  # what the component is built with
-    parts: ClassVar[
-        Mapping[str, Any]
-    ] = {}  # parts to use instead of those its settings name
-    plugin_files: ClassVar[
-        tuple[str | Path, ...]
-    ] = ()  # local plugin files or folders to load first
+    # parts to use instead of those its settings name
+    parts: ClassVar[Mapping[str, Any]] = {}
+    # local plugin files or folders to load first
+    plugin_files: ClassVar[tuple[str | Path, ...]] = ()
+    # (height, width) of test photos [pixels]
+    image_size: ClassVar[tuple[int, int]] = (48, 64)
     _subject: ClassVar[Any] = None
 
     def build(self) -> Any:
         """A fresh component. Override to test an object that no plugin offers yet."""
+        return self.build_with(self.settings)
+
+    def build_with(self, settings: Mapping[str, Any], **parts: Any) -> Any:
+        """A fresh component with these settings, and with `parts` besides those of the class."""
         if not self.component:
             raise ContractViolation(
                 f"{type(self).__name__}: set `component` to the name your plugin offers."
             )
         self._skip_unless_usable()
-        return self.registry.build(
-            self.kind, self.component, dict(self.parts), **self.settings
-        )
+        parts |= self.parts
+        return self.registry.build(self.kind, self.component, parts, **settings)
 
     @property
     def subject(self) -> Any:
@@ -82,7 +76,7 @@ class Contract:
 
     @property
     def registry(self) -> Registry:
-        return default_registry(tuple(str(file) for file in self.plugin_files))
+        return default_registry(tuple(map(str, self.plugin_files)))
 
     @property
     def offer(self) -> Offer | None:
@@ -100,41 +94,54 @@ class Contract:
         """How far two runs with the same inputs may differ: not at all on a CPU, 1e-5 on a GPU."""
         return 0.0 if self.device.type == "cpu" else 1e-5
 
-    def require(self, held: bool, change: str) -> None:
+    def scene(
+        self, views: int = 2, batch: int = 1, size: tuple[int, int] | None = None
+    ) -> Photographed:
+        """Test photos and what is true of them, on the contract's device."""
+        return photograph(views, size or self.image_size, batch).to(self.device)
+
+    def require(self, held: Any, change: str) -> None:
         """Raise ContractViolation with the sentence `change` unless `held`."""
         __tracebackhide__ = True
         if not bool(held):
-            raise ContractViolation(
-                f"{self.kind} {self.component or type(self).__name__!r}: {change}"
-            )
+            who = self.component or type(self).__name__
+            raise ContractViolation(f"{self.kind} {who!r}: {change}")
 
-    def require_type(self, what: str, value: Any, expected: type, instead: str) -> None:
-        """`what` ("edit() returned", "gaussians is") says where the value comes from, `instead`
-        what it should be.
-        """
+    def keeps(self, check: Callable[..., None], *answer: Any) -> None:
+        """Hold the component to a function of `edit3r.pipeline.checks`, as every run does."""
+        __tracebackhide__ = True
+        try:
+            check(self.subject, *answer)
+        except PluginError as error:
+            raise ContractViolation(str(error)) from None
+
+    def require_type(self, what: str, value: Any, expected: type) -> None:
+        """`what` is where the value comes from, such as "propose()"."""
         __tracebackhide__ = True
         self.require(
             isinstance(value, expected),
-            f"{what} a {type(value).__name__}; return {instead}.",
+            f"{what} is a {type(value).__name__}; return {expected.__name__}.",
         )
 
     def call(
-        self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any
+        self,
+        what: str,
+        function: Callable[..., Any],
+        *args: Any,
+        returns: type = object,
     ) -> Any:
-        """Call the component; whatever it raises becomes a violation that says for which input."""
+        """Call the component and return its answer.
+
+        What it raises, and an answer of another type, is a violation that names the call, `what`.
+        """
         __tracebackhide__ = True
         try:
-            return function(*args, **kwargs)
+            answer = function(*args)
         except Exception as error:
-            reason = " ".join(str(error).split())
-            fix = (
-                "Return the shape expected"
-                if "expected shape" in reason
-                else "It must handle this input"
-            )
-            self.require(
-                False, f"{what} raised {type(error).__name__}: {reason}. {fix}."
-            )
+            told = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            self.require(False, f"{what} raised {told}. It must handle this input.")
+        self.require_type(what, answer, returns)
+        return answer
 
     def require_tensor(
         self,
@@ -145,67 +152,93 @@ class Contract:
     ) -> None:
         """A finite tensor of this shape and dtype on the contract's device."""
         __tracebackhide__ = True
-        self.require_type(f"{name} is", tensor, torch.Tensor, "a torch.Tensor")
-        given = list(tensor.shape)
-        self.require(
-            given == list(shape), f"{name} has shape {given}; return {list(shape)}."
-        )
-        self.require(
-            tensor.dtype == dtype,
-            f"{name} has dtype {tensor.dtype}; return the dtype of the input, {dtype}.",
-        )
-        self.require(
-            tensor.device.type == self.device.type,
-            f"{name} is on {tensor.device}; return it on {self.device}.",
-        )
-        if tensor.is_floating_point():
-            bad = int((~torch.isfinite(tensor)).sum())
-            where = "look for 0/0, log(0) and sqrt of negative numbers"
+        self.require_type(name, tensor, Tensor)
+        for what, given, expected in (
+            ("shape", list(tensor.shape), list(shape)),
+            ("dtype", tensor.dtype, dtype),
+            ("device", tensor.device.type, self.device.type),
+        ):
             self.require(
-                bad == 0,
-                f"{name} holds {bad} NaN or infinite values of {tensor.numel()}; {where}.",
+                given == expected, f"{name} has {what} {given}; return {expected}."
             )
+        bad = int((~torch.isfinite(tensor)).sum())
+        where = "look for 0/0, log(0) and sqrt of negative numbers"
+        self.require(
+            bad == 0,
+            f"{name} holds {bad} NaN or infinite values of {tensor.numel()}; {where}.",
+        )
 
     def require_range(
-        self, name: str, tensor: torch.Tensor, low: float, high: float, fix: str
+        self, name: str, tensor: Tensor, low: float, high: float, fix: str
     ) -> None:
         """Every value within [low, high]; `fix` is what the author should do."""
         __tracebackhide__ = True
-        if tensor.numel() == 0:
-            return
-        least, most = tensor.min().item(), tensor.max().item()
+        if tensor.numel():
+            least, most = tensor.min().item(), tensor.max().item()
+            self.require(
+                low <= least and most <= high,
+                f"{name} spans [{least:.4g}, {most:.4g}], allowed is [{low}, {high}]; {fix}.",
+            )
+
+    def require_box(self, name: str, box: Any, image_size: tuple[int, int]) -> None:
+        """(x, y, width, height) [pixels] inside an image of (height, width)."""
+        __tracebackhide__ = True
+        x, y, width, height = box
+        rows, columns = image_size
         self.require(
-            low <= least and most <= high,
-            f"{name} spans [{least:.4g}, {most:.4g}], allowed is [{low}, {high}]; {fix}.",
+            min(box) >= 0 and x + width <= columns + 1 and y + height <= rows + 1,
+            f"{name} is {box} on an image of {columns}x{rows}; it is (x, y, w, h) in pixels.",
         )
 
     def require_equal(
         self,
         what: str,
-        first: torch.Tensor,
-        second: torch.Tensor,
+        first: Tensor | Gaussians,
+        second: Tensor | Gaussians,
         fix: str,
         atol: float = 0.0,
     ) -> None:
-        """Same shape and values within `atol`."""
+        """Same shapes and values within `atol`; those of Gaussians relative to the largest."""
         __tracebackhide__ = True
-        same_shape = first.shape == second.shape
-        far = (
-            (first.double() - second.double()).abs().max().item()
-            if same_shape and first.numel()
-            else 0.0
-        )
+        if isinstance(first, Gaussians):
+            for name in PER_GAUSSIAN:
+                a, b = getattr(first, name), getattr(second, name)
+                size = max(1e-8, torch.nan_to_num(b).abs().max().item())
+                self.require_equal(
+                    f"{what}, Gaussians.{name}", a / size, b / size, fix, atol
+                )
+            return
         self.require(
-            same_shape and far <= atol, f"{what} (largest difference {far:.3g}); {fix}."
+            first.shape == second.shape,
+            f"{what} ({list(first.shape)} against {list(second.shape)}); {fix}.",
         )
+        far = (first.double() - second.double()).abs()
+        largest = far.max().item() if far.numel() else 0.0
+        self.require(
+            largest <= atol, f"{what} (largest difference {largest:.3g}); {fix}."
+        )
+
+    def require_same_twice(self, run: Callable[[], Any], of: str, fix: str) -> None:
+        """`run` gives the same again, though others draw from the global generator between."""
+        __tracebackhide__ = True
+        first = run()
+        torch.rand(3)
+        self.require_equal(
+            f"the same {of} gave two results", run(), first, fix, self.tolerance
+        )
+
+    def require_untouched(self, images: Tensor, run: Callable[[], Any]) -> None:
+        """`run` does not write into the images that it is given."""
+        __tracebackhide__ = True
+        before = images.clone()
+        run()
+        self.require_equal("its input was changed", images, before, "work on a copy")
 
     def _skip_unless_usable(self) -> None:
         offer = self.offer
-        missing = self.registry.missing(offer)
+        missing = ", ".join(self.registry.missing(offer))
         if missing:
-            raise unittest.SkipTest(
-                f"needs {', '.join(missing)}; {install_hint(offer)}"
-            )
+            raise unittest.SkipTest(f"needs {missing}; {install_hint(offer)}")
         absent = absent_device(offer.component)
         if absent:
             raise unittest.SkipTest(f"needs {absent}, which this machine does not have")
@@ -221,24 +254,19 @@ class Contract:
 
     def test_declaration_states_the_api_version(self) -> None:
         """So that a future edit3r can say what to update instead of failing somewhere inside."""
-        module = sys.modules.get(self.offer.module) if self.offer is not None else None
-        if module is not None:
-            stated = hasattr(module, "EDIT3R_API")
+        name = self.offer.module if self.offer is not None else ""
+        if name in sys.modules:
             self.require(
-                stated,
-                f"{self.offer.module} does not state EDIT3R_API; add `EDIT3R_API = {API_VERSION}`.",
+                hasattr(sys.modules[name], "EDIT3R_API"),
+                f"{name} does not state EDIT3R_API; add `EDIT3R_API = {API_VERSION}`.",
             )
 
     def test_declaration_imports_nothing_heavy(self) -> None:
-        """`edit3r --help` and `list-plugins` import every plugin's declaration, so it must be
-        cheap.
-        """
-        if self.offer is None or self.offer.module == "" or self.plugin_files:
-            return
-        fix = "move that import to the component's module"
-        self.require_light(
-            f"importing {self.offer.module}", f"import {self.offer.module}", fix
-        )
+        """Each command imports every plugin's declaration, so it must be cheap."""
+        if self.offer is not None and self.offer.module and not self.plugin_files:
+            statement = f"import {self.offer.module}"
+            fix = "move that import to the component's module"
+            self.require_light(statement, statement, fix)
 
     def require_light(self, what: str, code: str, fix: str) -> None:
         """Run `code` in a fresh process; it must not import anything heavy."""
@@ -250,7 +278,7 @@ class Contract:
 @cache
 def _heavy_imports(code: str) -> tuple[str, str]:
     """The heavy modules that `code` imports in a process of its own, and why it fails, else ''."""
-    code = f"{code}\nimport sys; print(*[module for module in {HEAVY!r} if module in sys.modules])"
+    code += f"\nimport sys; print(*[name for name in {HEAVY!r} if name in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
@@ -260,72 +288,19 @@ def _heavy_imports(code: str) -> tuple[str, str]:
 
 def claims(contract: type[Contract]) -> tuple[str, ...]:
     """Names of the claims of a contract, in the order they are written, the common ones first."""
-    names = [
-        name
-        for cls in reversed(contract.__mro__)
-        for name in vars(cls)
-        if name.startswith("test_")
-    ]
-    return tuple(dict.fromkeys(names))
+    names = [name for cls in reversed(contract.__mro__) for name in vars(cls)]
+    return tuple(dict.fromkeys(name for name in names if name.startswith("test_")))
 
 
-def require_valid_gaussians(
-    contract: Contract, gaussians: Gaussians, batch: int, view_count: int
-) -> None:
-    """Finite, unit quaternions, positive scales, opacities in [0, 1], view numbers of existing
-    views.
-    """
-    contract.require_type("gaussians is", gaussians, Gaussians, "edit3r.Gaussians")
+def require_of_views(contract: Contract, gaussians: Gaussians, view_count: int) -> None:
+    """Unit quaternions, and numbers of existing views; at least one Gaussian."""
     contract.require(
         gaussians.count > 0, "there is not one Gaussian; return at least one per scene."
     )
-    for name in GAUSSIAN_FIELDS:
-        tensor = getattr(gaussians, name)
-        contract.require_tensor(f"Gaussians.{name}", tensor, (batch, *tensor.shape[1:]))
+    fix = "normalise them, F.normalize(quats, dim=-1)"
     norms = gaussians.quats.norm(dim=-1)
+    contract.require_range("norms of Gaussians.quats", norms, 0.999, 1.001, fix)
+    fix = "it is the input view a Gaussian came from, or -1"
     contract.require_range(
-        "norms of Gaussians.quats",
-        norms,
-        0.999,
-        1.001,
-        "normalise them, F.normalize(quats, dim=-1)",
+        "Gaussians.view_index", gaussians.view_index, -1, view_count - 1, fix
     )
-    contract.require_range(
-        "Gaussians.opacities",
-        gaussians.opacities,
-        0,
-        1,
-        "squash them, for example with .sigmoid()",
-    )
-    least = gaussians.scales.min().item()
-    contract.require(
-        least > 0,
-        f"the least of Gaussians.scales is {least:.4g}; use exp or softplus, they must be > 0.",
-    )
-    index = gaussians.view_index
-    contract.require(
-        bool(((index >= -1) & (index < view_count)).all()),
-        f"Gaussians.view_index spans [{index.min()}, {index.max()}] for {view_count} views; "
-        "it is the input view a Gaussian came from, or -1.",
-    )
-
-
-def require_same_gaussians(
-    contract: Contract,
-    what: str,
-    first: Gaussians,
-    second: Gaussians,
-    fix: str,
-    atol: float,
-):
-    """Every field agrees, relative to its largest value."""
-    contract.require(
-        first.count == second.count,
-        f"{what}: {first.count} against {second.count} Gaussians per scene; {fix}.",
-    )
-    for name in GAUSSIAN_FIELDS:
-        a, b = getattr(first, name), getattr(second, name)
-        size = max(1e-8, torch.nan_to_num(b).abs().max().item())
-        contract.require_equal(
-            f"{what}, Gaussians.{name}", a / size, b / size, fix, atol
-        )

@@ -22,10 +22,8 @@ FOV_X = 0.9  # [radians]
 BASELINE = (
     0.22  # between neighbouring cameras [scene units]; the wall is about 3.5 away
 )
-BALLS = (
-    (-0.55, 0.15, 2.2, 0.45),
-    (0.6, -0.2, 2.7, 0.5),
-)  # x, y, z, radius [scene units]
+# x, y, z, radius [scene units]
+BALLS = torch.tensor([[-0.55, 0.15, 2.2, 0.45], [0.6, -0.2, 2.7, 0.5]])
 SUPERSAMPLING = 2  # rays per pixel side, against aliasing
 
 
@@ -38,6 +36,14 @@ class Photographed:
     depths: Float[Tensor, "batch view height width"]  # camera z
     objects: Float[Tensor, "object batch view height width"]  # 1 where a ball is seen
 
+    def to(self, device: torch.device) -> "Photographed":
+        return Photographed(
+            self.views.to(device),
+            self.cameras.to(device),
+            self.depths.to(device),
+            self.objects.to(device),
+        )
+
 
 def photograph(
     view_count: int = 2,
@@ -45,12 +51,9 @@ def photograph(
     batch: int = 1,
     seed: int = 0,
 ) -> Photographed:
-    """Photos of `batch` scenes that differ in texture, from cameras along a slightly curved
-    line.
-    """
-    return deepcopy(
-        _photographed(view_count, tuple(image_size), batch, seed)
-    )  # whoever gets them may write into them
+    """Photos of `batch` scenes that differ in texture, from cameras on a slightly curved line."""
+    scene = _photographed(view_count, tuple(image_size), batch, seed)
+    return deepcopy(scene)  # whoever gets it may write into it
 
 
 @lru_cache(maxsize=32)
@@ -58,42 +61,37 @@ def _photographed(
     view_count: int, image_size: tuple[int, int], batch: int, seed: int
 ) -> Photographed:
     height, width = image_size
+    cameras = cameras_around(view_count, image_size, batch)
     fine = (height * SUPERSAMPLING, width * SUPERSAMPLING)
-    intrinsics = intrinsics_from_fov(FOV_X, image_size)
-    c2w = torch.stack([_pose(view) for view in range(view_count)])
-    points, depths, hit = _cast(c2w, pixel_rays(intrinsics, fine))
-    images = torch.stack(
-        [_solid_texture(points, hit, seed + item) for item in range(batch)]
-    )
-    images = F.avg_pool2d(images.flatten(0, 1), SUPERSAMPLING).unflatten(
-        0, (batch, view_count)
-    )
-    middle = SUPERSAMPLING // 2
-    objects = torch.stack([hit == ball + 1 for ball in range(len(BALLS))])[
-        ..., middle::SUPERSAMPLING, middle::SUPERSAMPLING
-    ]
-    poses, lenses = (
-        c2w.expand(batch, -1, -1, -1),
-        intrinsics.expand(batch, view_count, 3, 3),
-    )
+    rays = pixel_rays(cameras.intrinsics[0, 0], fine)
+    points, depths, hit = _cast(cameras.c2w[0], rays)
+    images = []
+    for item in range(batch):
+        texture = _solid_texture(points, hit, seed + item)
+        images.append(F.avg_pool2d(texture, SUPERSAMPLING))
+    middle = slice(SUPERSAMPLING // 2, None, SUPERSAMPLING)
+    objects = hit == torch.arange(1, len(BALLS) + 1)[:, None, None, None]
+    depths = depths[:, middle, middle]
+    objects = objects[:, None, :, middle, middle]
     return Photographed(
-        views=Views(images.clamp(0, 1), lenses.clone()),
-        cameras=Cameras(poses.clone(), lenses.clone(), image_size),
-        depths=depths[:, middle::SUPERSAMPLING, middle::SUPERSAMPLING]
-        .expand(batch, -1, -1, -1)
-        .clone(),
-        objects=objects[:, None].expand(-1, batch, -1, -1, -1).float(),
+        views=Views(torch.stack(images).clamp(0, 1), cameras.intrinsics.clone()),
+        cameras=cameras,
+        depths=depths.repeat(batch, 1, 1, 1),
+        objects=objects.repeat(1, batch, 1, 1, 1).float(),
     )
 
 
 def _pose(view: int) -> Float[Tensor, "4 4"]:
     """Camera `view`: shifted to the right and turned towards the scene's middle."""
     angle = torch.tensor(-0.05 * view)
-    pose = torch.eye(4)
-    pose[0, 0], pose[0, 2] = angle.cos(), angle.sin()
-    pose[2, 0], pose[2, 2] = -angle.sin(), angle.cos()
-    pose[:3, 3] = torch.tensor([BASELINE * view, 0.03 * view, 0.0])
-    return pose
+    cos, sin = angle.cos(), angle.sin()
+    rows = [
+        [cos, 0, sin, BASELINE * view],
+        [0, 1, 0, 0.03 * view],
+        [-sin, 0, cos, 0],
+        [0, 0, 0, 1],
+    ]
+    return torch.tensor(rows)
 
 
 def _cast(
@@ -103,19 +101,20 @@ def _cast(
     Float[Tensor, "view height width"],
     Int[Tensor, "view height width"],
 ]:
-    """Where each ray first hits: world points, camera z, and what it hits (0 the wall, 1 and 2 the
-    balls).
-    """
+    """Where each ray first hits: points, camera z, and what it hits (0: the wall, else a ball)."""
     directions = torch.einsum("vij,hwj->vhwi", c2w[:, :3, :3], rays)
     origins = c2w[:, None, None, :3, 3].expand_as(directions)
     normal = torch.tensor([0.25, 0.1, 1.0])
     depths = [(3.5 - origins @ normal) / (directions @ normal)]
-    for x, y, z, radius in BALLS:
-        offset = origins - torch.tensor([x, y, z])
-        a, b = directions.square().sum(-1), (offset * directions).sum(-1)
-        inside = b.square() - a * (offset.square().sum(-1) - radius**2)
-        near = (-b - inside.clamp(min=0).sqrt()) / a
-        depths.append(torch.where(inside > 0, near, torch.full_like(near, torch.inf)))
+    for *centre, radius in BALLS:
+        offset = origins - torch.stack(centre)
+        # The smaller root t of |offset + t * direction| = radius.
+        a = directions.square().sum(-1)
+        b = (offset * directions).sum(-1)
+        c = offset.square().sum(-1) - radius**2
+        discriminant = b.square() - a * c
+        near = (-b - discriminant.clamp(min=0).sqrt()) / a
+        depths.append(near.masked_fill(discriminant <= 0, torch.inf))
     depth, hit = torch.stack(depths).min(0)
     return origins + directions * depth[..., None], depth, hit
 
@@ -149,27 +148,20 @@ def gaussian_cloud(
     """Gaussians of mixed size and shape in front of the cameras of `cameras_around`."""
     generator = torch.Generator().manual_seed(seed)
 
-    def uniform(*shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
-        return (
-            torch.rand(*shape, generator=generator, dtype=torch.float64) * (high - low)
-            + low
-        ).to(dtype)
+    def uniform(*shape: int, low: float, high: float) -> Tensor:
+        values = torch.rand(*shape, generator=generator, dtype=torch.float64)
+        return (values * (high - low) + low).to(dtype)
 
-    means = torch.cat(
-        (
-            uniform(batch, count, 2, low=-1.0, high=1.0),
-            uniform(batch, count, 1, low=2.0, high=4.0),
-        ),
-        -1,
-    )
+    sideways = uniform(batch, count, 2, low=-1.0, high=1.0)
+    depths = uniform(batch, count, 1, low=2.0, high=4.0)
     scales = uniform(batch, count, 3, low=-3.5, high=-1.2).exp()
-    quats = torch.randn(batch, count, 4, generator=generator, dtype=torch.float64).to(
-        dtype
-    )
-    opacities = uniform(batch, count, low=0.05, high=0.95)
-    harmonics = uniform(batch, count, (degree + 1) ** 2, 3, low=-0.6, high=0.6)
+    quats = torch.randn(batch, count, 4, generator=generator, dtype=torch.float64)
     return Gaussians(
-        means, scales, quats / quats.norm(dim=-1, keepdim=True), opacities, harmonics
+        means=torch.cat((sideways, depths), -1),
+        scales=scales,
+        quats=F.normalize(quats.to(dtype), dim=-1),
+        opacities=uniform(batch, count, low=0.05, high=0.95),
+        harmonics=uniform(batch, count, (degree + 1) ** 2, 3, low=-0.6, high=0.6),
     )
 
 
@@ -180,10 +172,10 @@ def cameras_around(
     dtype: torch.dtype = torch.float32,
 ) -> Cameras:
     """Cameras along the line of `photograph`, looking at the clouds."""
-    c2w = torch.stack([_pose(camera) for camera in range(camera_count)]).expand(
-        batch, -1, -1, -1
+    c2w = torch.stack([_pose(camera) for camera in range(camera_count)])
+    intrinsics = intrinsics_from_fov(FOV_X, image_size)
+    return Cameras(
+        c2w.to(dtype).repeat(batch, 1, 1, 1),
+        intrinsics.to(dtype).repeat(batch, camera_count, 1, 1),
+        image_size,
     )
-    intrinsics = intrinsics_from_fov(FOV_X, image_size).expand(
-        batch, camera_count, 3, 3
-    )
-    return Cameras(c2w.to(dtype).clone(), intrinsics.to(dtype).clone(), image_size)

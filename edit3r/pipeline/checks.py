@@ -90,7 +90,7 @@ def check_reconstruction(
     """Batch, dtype, finiteness and ranges of the Gaussians, and the number of cameras."""
     _require_type(recon, answer, Reconstruction)
     _require_type(recon, answer.gaussians, Gaussians)
-    _check_gaussians(recon, answer.gaussians, views.images.shape[0], views.images.dtype)
+    check_gaussians(recon, answer.gaussians, views.images.shape[0], views.images.dtype)
     if answer.cameras is not None:
         expected, given = (
             list(views.images.shape[:2]),
@@ -119,10 +119,10 @@ def check_reconstruction(
 def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> None:
     """Batch, dtype, finiteness and ranges of the refined Gaussians."""
     _require_type(refiner, answer, Gaussians)
-    _check_gaussians(refiner, answer, given.means.shape[0], given.means.dtype)
+    check_gaussians(refiner, answer, given.means.shape[0], given.means.dtype)
 
 
-def _check_gaussians(
+def check_gaussians(
     component: Any, gaussians: Gaussians, scenes: int, dtype: torch.dtype
 ) -> None:
     """Raise PluginError unless these are finite Gaussians of so many scenes, scales and opacities
