@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from edit3r.errors import InputError, SettingsError, suggest
 
@@ -27,6 +28,17 @@ class Settings(BaseModel):
     """Base of every component's settings: frozen, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+
+USER_ONLY = {"user_only": True}
+"""`json_schema_extra` of a setting that names a program, or an address that gets photos and keys.
+
+Only the user may give it (`--set`, a flag, Python), no file that may be a stranger's.
+"""
+
+
+class FileText(str):
+    """A text of a file that may be a stranger's."""
 
 
 class PartChoice(Settings):
@@ -52,11 +64,44 @@ class PartChoice(Settings):
 def make_settings(
     cls: type[SettingsType], values: Mapping[str, Any], where: str
 ) -> SettingsType:
-    """Validate `values` into `cls`; error sentences begin with `where`, such as 'editor'."""
+    """Validate `values` into `cls`; error sentences begin with `where`, such as 'editor'.
+
+    Raises SettingsError for what is wrong, and for a `USER_ONLY` setting that a file brought.
+    """
+    for name, field in cls.model_fields.items():
+        if is_user_only(field) and _is_of_file(values.get(name)):
+            key = f"{where}.{name}"
+            raise SettingsError(
+                f"{key}: a file may not give this setting, which names a program or an address; "
+                f"give it yourself (--set {key}=...), or say --trust-config."
+            )
     try:
         return cls.model_validate(dict(values))
     except ValidationError as error:
         raise SettingsError(_sentence(error, cls, where)) from None
+
+
+def is_user_only(field: FieldInfo) -> bool:
+    """Whether a setting is one that only the user may give, see `USER_ONLY`."""
+    extra = field.json_schema_extra
+    return isinstance(extra, dict) and bool(extra.get("user_only"))
+
+
+def _is_of_file(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return any(map(_is_of_file, value))
+    return isinstance(value, FileText) and value != ""
+
+
+def of_file(content: Any) -> Any:
+    """Mark every text in what a file holds, so that no `USER_ONLY` setting takes it."""
+    if isinstance(content, str):
+        return FileText(content)
+    if isinstance(content, list):
+        return [of_file(item) for item in content]
+    if isinstance(content, Mapping):
+        return {key: of_file(item) for key, item in content.items()}
+    return content
 
 
 def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
@@ -140,6 +185,15 @@ def _check_node(node: yaml.Node, counts: dict[yaml.Node, int]) -> int:
     if counts[node] > MAX_VALUES:
         raise ValueError(f"it holds more than {MAX_VALUES} values")
     return counts[node]
+
+
+def read_config(name: str, trusted: bool) -> dict[str, Any]:
+    """Read a configuration, see `find_config`.
+
+    One that is not `trusted` gives no `USER_ONLY` setting.
+    """
+    content = read_yaml(find_config(name))
+    return content if trusted else of_file(content)
 
 
 def find_config(name: str) -> Path:

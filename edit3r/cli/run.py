@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.cli.flags import INPUTS, REPEATED, add_flags, add_mark_flags, given_flags
-from edit3r.contract.command import Command, add_plugin_option
+from edit3r.contract.command import Command, add_trust_flag
 from edit3r.errors import RunError
 from edit3r.pipeline.config import PART_KEYS, JobInputs, RunConfig
 
@@ -38,6 +38,7 @@ class RunCommand(Command):
             metavar="FILE",
             help="YAML file of run settings, or the name of a shipped one",
         )
+        add_trust_flag(parser)
         add(
             "--set",
             metavar="KEY=VALUE",
@@ -142,15 +143,16 @@ class RunCommand(Command):
 
 def _job(args: argparse.Namespace) -> "RunJob":
     """The job that the arguments describe: file, `--set` and flags, later over earlier."""
-    from edit3r.config import find_config, make_settings, parse_assignments, read_yaml
+    from edit3r.config import make_settings, parse_assignments, read_config
     from edit3r.pipeline.job import job_from
 
     layers: list[dict[str, Any]] = []
     if args.config:
-        layers.append(read_yaml(find_config(args.config)))
+        layers.append(read_config(args.config, args.trust_config))
     layers.append(parse_assignments(args.set))
     # A flag names a component; settings that a file or --set gave for it stay.
     flags = given_flags(args, RunConfig)
     layers.append({k: {"name": v} if k in PART_KEYS else v for k, v in flags.items()})
     words = {name: getattr(args, name) for name in JobInputs.model_fields}
-    return job_from(make_settings(JobInputs, words, where="run"), *layers)
+    inputs = make_settings(JobInputs, words, where="run")
+    return job_from(inputs, *layers, trusted=args.trust_config)

@@ -42,3 +42,12 @@ class Command(ABC):
         """Do the work and return the exit code; None means 0. What the user can mend is raised from
         `edit3r.errors`.
         """
+
+
+def add_trust_flag(parser: argparse.ArgumentParser) -> None:
+    """Add the consent to programs and addresses that a file of settings names; see `edit3r.config`."""
+    parser.add_argument(
+        "--trust-config",
+        action="store_true",
+        help="let files of settings name programs to run and addresses to send data to",
+    )

@@ -8,7 +8,7 @@ checked, nothing in it is executed, and nothing is written there.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter
 
+from edit3r.config import of_file
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.errors import InputError
 from edit3r.io.cameras import (
@@ -59,9 +60,15 @@ def note_views(views: Views) -> None:
     note(NOTE, {**facts, "assumed": list(views.assumed)})
 
 
-def read_earlier_run(root: str | Path) -> EarlierRun:
-    """Read a run folder. Raises InputError, naming the file, where it is not one or is damaged."""
-    return _read(root, _earlier_run)
+def read_earlier_run(root: str | Path, trusted: bool = False) -> EarlierRun:
+    """Read a run folder. Raises InputError, naming the file, where it is not one or is damaged.
+
+    Not `trusted`: what run.json says cannot name programs or addresses (`edit3r.config.USER_ONLY`).
+    """
+    earlier = _read(root, _earlier_run)
+    if trusted:
+        return earlier
+    return replace(earlier, reconstructor=of_file(earlier.reconstructor))
 
 
 def read_views_of_run(root: str | Path) -> tuple[Views, Views]:

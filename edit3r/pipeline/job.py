@@ -41,13 +41,15 @@ class RunJob:
     components: Mapping[str, Any] = field(default_factory=dict)  # built ones, by kind
 
 
-def job_from(inputs: JobInputs, *layers: Mapping[str, Any]) -> RunJob:
+def job_from(
+    inputs: JobInputs, *layers: Mapping[str, Any], trusted: bool = False
+) -> RunJob:
     """The job that `inputs` and layers of run settings describe, later layers over earlier.
 
     Without photos and without an earlier run it is the packaged pair. Raises InputError for an
-    earlier run that cannot be read, SettingsError for wrong settings.
+    earlier run that cannot be read, SettingsError for wrong settings. `trusted`: so is its run.json.
     """
-    earlier = read_earlier_run(inputs.earlier) if inputs.earlier else None
+    earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
     cache = Cache(Path(inputs.earlier) / CACHE) if inputs.earlier else None
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)

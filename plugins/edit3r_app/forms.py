@@ -4,7 +4,13 @@ import types
 from dataclasses import dataclass
 from typing import Any, Literal, Union, get_args, get_origin
 
-from edit3r.config import PartChoice, Settings, make_settings, parse_yaml
+from edit3r.config import (
+    PartChoice,
+    Settings,
+    is_user_only,
+    make_settings,
+    parse_yaml,
+)
 from edit3r.contract.component import KINDS
 from edit3r.errors import SettingsError
 from edit3r.pipeline.config import DEFAULTS, RunConfig, make_run_config
@@ -36,9 +42,10 @@ def form_fields(
     """The fields for a settings class; what has no plain form is a line of YAML."""
     fields = []
     for line in settings_lines(cls):
-        if line.name in without:
+        setting = cls.model_fields[line.name]
+        if line.name in without or is_user_only(setting):
             continue
-        annotation = cls.model_fields[line.name].annotation
+        annotation = setting.annotation
         if annotation is bool:
             fields.append(
                 FormField(line.name, "switch", line.sentence, "", bool(line.default))

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_trust_flag
 from edit3r.errors import InputError, RunError, SettingsError
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class BatchCommand(Command):
             metavar="FILE",
             help="YAML file of run settings, for jobs that do not say otherwise",
         )
+        add_trust_flag(parser)
         add(
             "--set",
             action="append",
@@ -90,7 +91,7 @@ class BatchCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from filelock import FileLock, Timeout
 
-        from edit3r.config import find_config, merge, parse_assignments, read_yaml
+        from edit3r.config import merge, parse_assignments, read_config
         from edit3r.pipeline.verdict import LABELS
         from edit3r.plugins.registry import default_registry
         from edit3r.workers import Workers
@@ -103,10 +104,11 @@ class BatchCommand(Command):
                 )
         args.plugin = tuple(str(Path(file).resolve()) for file in args.plugin)
         defaults = merge(
-            read_yaml(find_config(args.config)) if args.config else {},
+            read_config(args.config, args.trust_config) if args.config else {},
             parse_assignments(args.set),
         )
-        jobs = read_jobs(Path(args.jobs), defaults, default_registry(args.plugin))
+        registry = default_registry(args.plugin)
+        jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
         out = Path(args.out).expanduser().resolve()
         done = _done(jobs, out, args)
         workers = Workers(

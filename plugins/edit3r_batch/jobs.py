@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import Field
 
-from edit3r.config import make_settings, merge
+from edit3r.config import make_settings, merge, of_file
 from edit3r.errors import Edit3rError, InputError, SettingsError, suggest
 from edit3r.io.coverage import VIDEO_SUFFIXES
 from edit3r.io.images import find_photos, unique_names
@@ -60,7 +60,7 @@ class BatchJob:
 
 
 def read_jobs(
-    file: Path, defaults: Mapping[str, Any], registry: Registry
+    file: Path, defaults: Mapping[str, Any], registry: Registry, trusted: bool
 ) -> dict[str, BatchJob]:
     """Return the jobs by id, in their order; `defaults` are settings that a job may override.
 
@@ -71,7 +71,10 @@ def read_jobs(
     checked: set[str] = set()
     for number, line in _lines(file):
         try:
-            job = _job(line, number, file.resolve().parent, defaults)
+            content = _content(line)
+            if not trusted:
+                content = of_file(content)
+            job = _job(content, number, file.resolve().parent, defaults)
             _check(job, registry, checked)
             # A disk may take names that differ only in case for one.
             same = unicodedata.normalize("NFC", job.id).casefold()
@@ -108,9 +111,8 @@ def _lines(file: Path) -> Iterator[tuple[int, bytes]]:
 
 
 def _job(
-    line: bytes, number: int, folder: Path, defaults: Mapping[str, Any]
+    content: Mapping[str, Any], number: int, folder: Path, defaults: Mapping[str, Any]
 ) -> BatchJob:
-    content = _content(line)
     words = {key: value for key, value in content.items() if key in KEYS}
     settings = {key: value for key, value in content.items() if key not in KEYS}
     inputs = make_settings(LineInputs, words, "job")

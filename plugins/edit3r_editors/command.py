@@ -24,7 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import reporting
-from edit3r.config import Settings
+from edit3r.config import USER_ONLY, Settings
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import RunError, SettingsError
@@ -46,6 +46,7 @@ class CommandEditor(Editor):
         command: str = Field(
             "",
             description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir",
+            json_schema_extra=USER_ONLY,
         )
         timeout: float = Field(
             600, gt=0, description="time limit of one call [seconds]"

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.config import (
-    find_config,
     make_settings,
     merge,
     parse_assignments,
-    read_yaml,
+    read_config,
 )
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_trust_flag
 from edit3r.errors import SettingsError
 from edit3r_measure.report import check_least
 
@@ -295,6 +294,7 @@ def _declare_run(parser: argparse.ArgumentParser) -> None:
     )
     example = "such as poses=false; LABEL.poses=... with --config"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=example)
+    add_trust_flag(parser)
     add("--scenes", type=int, metavar="N", help="only the first N scenes")
     add("--edits", type=int, metavar="N", help="only the first N edits of each scene")
     add(
@@ -409,7 +409,8 @@ def _methods(args: argparse.Namespace) -> "list[tuple[int, Method]]":
         raise SettingsError(
             "--config says which methods are run; leave out --editor, --recon and --rasterizer."
         )
-    methods = read_methods(read_yaml(find_config(args.config)), changes)
+    config = read_config(args.config, args.trust_config)
+    methods = read_methods(config, changes)
     unknown = set(args.only) - {method.label for method in methods}
     if unknown:
         listed = ", ".join(method.label for method in methods)

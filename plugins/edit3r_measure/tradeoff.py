@@ -9,7 +9,7 @@ from typing import Any
 
 from edit3r.cli.console import StageConsole
 from edit3r.config import merge, parse_assignments
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_trust_flag
 from edit3r.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.plugins.registry import default_registry
 from edit3r.reporting import Report, collecting
@@ -39,6 +39,7 @@ class TradeoffCommand(Command):
         )
         settings = "run setting of every point, such as refine=5"
         add("--set", action="append", default=[], metavar="KEY=VALUE", help=settings)
+        add_trust_flag(parser)
         add(
             "--warm-up",
             type=int,
@@ -115,6 +116,7 @@ class TradeoffCommand(Command):
 
         plugins = [str(Path(file).resolve()) for file in args.plugin]
         runs = {"warm_up": args.warm_up, "repeats": args.repeats, "plugins": plugins}
+        runs["trust_config"] = args.trust_config
         job = Job(plan.unedited, plan.edited, perceptual=plan.perceptual, **runs)
         sweep = Sweep(
             Path(args.out), job, args.threads, args.minutes and args.minutes * 60

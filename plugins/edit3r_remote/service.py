@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import Field
 
-from edit3r.config import Settings
+from edit3r.config import USER_ONLY, Settings
 from edit3r.errors import MissingDependencyError
 from edit3r.io.atomic import atomic_write
 
@@ -27,7 +27,9 @@ class RemoteSettings(Settings):
 
     model: str = Field(description="the service's name of the model")
     base_url: str = Field(
-        "", description="address of a compatible service; empty: the service's own"
+        "",
+        description="address of a compatible service; empty: the service's own",
+        json_schema_extra=USER_ONLY,
     )
     timeout_s: float = Field(
         180.0, gt=0, le=3600, description="time limit of one attempt [s]"

@@ -4,7 +4,7 @@ stopped.
 
 import argparse
 
-from edit3r.contract.command import Command
+from edit3r.contract.command import Command, add_trust_flag
 
 
 class TrainCommand(Command):
@@ -43,16 +43,18 @@ class TrainCommand(Command):
             metavar="KEY=VALUE",
             help="change a setting, e.g. trainer.steps=100",
         )
+        add_trust_flag(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.cli.console import StageConsole
-        from edit3r.config import find_config, merge, parse_assignments, read_yaml
+        from edit3r.config import merge, parse_assignments, read_config
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
         from edit3r_training.job import prepare
         from edit3r_training.processes import is_first_process
 
-        values = merge(read_yaml(find_config(args.config)), parse_assignments(args.set))
+        config = read_config(args.config, args.trust_config)
+        values = merge(config, parse_assignments(args.set))
         if args.out:
             values = merge(values, {"out": args.out})
         first = is_first_process()  # of several that torchrun started, one talks

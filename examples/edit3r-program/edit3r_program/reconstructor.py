@@ -26,6 +26,7 @@ class ProgramReconstructor(Reconstructor):
         command: str = Field(
             "",
             description="such as 'mytool {photos} {result}': two folders; no shell is involved",
+            json_schema_extra=config.USER_ONLY,
         )
         timeout: float = Field(
             3600, gt=0, description="time limit of one scene [seconds]"

@@ -1,0 +1,34 @@
+"""A plugin for tests: whatever it offers calls a program when it is built."""
+
+from pathlib import Path
+
+from pydantic import Field
+
+from edit3r import Component, hookimpl
+from edit3r.config import USER_ONLY, Settings
+from edit3r.errors import RunError
+
+
+@hookimpl
+def register_editors():
+    return Component("calling", "calling:Calling", "test stand-in: calls a program")
+
+
+@hookimpl
+def register_reconstructors():
+    return Component("calling", "calling:Calling", "test stand-in: calls a program")
+
+
+@hookimpl
+def register_datasets():
+    return Component("calling", "calling:Calling", "test stand-in: calls a program")
+
+
+class Calling:
+    class Settings(Settings):
+        program: str = Field("", json_schema_extra=USER_ONLY)
+
+    def __init__(self, settings):
+        if settings.program:
+            Path(settings.program).touch()
+        raise RunError("called")
