@@ -25,6 +25,7 @@ from pydantic_core import to_json
 
 from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import atomic_write
+from edit3r.io.children import SAFE_PATH, restore_path, safe_path
 
 __all__ = [
     "Progress",
@@ -242,15 +243,17 @@ class _InProcesses:
     def start(self) -> ProcessPoolExecutor:
         """A pool of one, so that it is known which job a process died of."""
         context = multiprocessing.get_context("spawn")
-        self._pools.append(
-            ProcessPoolExecutor(
-                1, context, initializer=_begin_worker, initargs=(self._task,)
+        arguments = (self._task, os.environ.get(SAFE_PATH))
+        with safe_path():  # its locks already start a process that watches them
+            pool = ProcessPoolExecutor(
+                1, context, initializer=_begin_worker, initargs=arguments
             )
-        )
-        return self._pools[-1]
+        self._pools.append(pool)
+        return pool
 
     def give(self, pool: ProcessPoolExecutor, job: KeyedJob) -> Future:
-        return pool.submit(_call_task, job)
+        with safe_path():  # the first job starts the worker's process
+            return pool.submit(_call_task, job)
 
     def first(self, futures: list[Future]) -> Future:
         return next(as_completed(futures))
@@ -272,9 +275,10 @@ _task: _Task | None = (
 )
 
 
-def _begin_worker(task: _Task) -> None:
+def _begin_worker(task: _Task, path: str | None) -> None:
     global _task
     _task = task
+    restore_path(path)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians
 from edit3r.errors import PluginError
+from edit3r.io.children import PYTHON
 from edit3r.plugins.check import check_offer
 from edit3r.plugins.load import Offer
 from edit3r.plugins.registry import (
@@ -280,7 +281,7 @@ def _heavy_imports(code: str) -> tuple[str, str]:
     """The heavy modules that `code` imports in a process of its own, and why it fails, else ''."""
     code += f"\nimport sys; print(*[name for name in {HEAVY!r} if name in sys.modules])"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        [*PYTHON, "-c", code], capture_output=True, text=True, check=False
     )
     failure = done.stderr.strip()[-200:] or f"exit code {done.returncode}"
     return ", ".join(done.stdout.split()), failure if done.returncode else ""

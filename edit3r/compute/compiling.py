@@ -1,16 +1,39 @@
 """Loops compiled by numba, whose machine code is kept on disk where that is possible."""
 
+import importlib
+import os
+import sys
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from types import ModuleType
 from typing import Any
 
-from numba import njit
-from numba.core.caching import FunctionCache, NullCache
-from numba.core.runtime.nrt import rtsys
+import yaml
 
 from edit3r.reporting import warn
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "numba"]
+
+
+def _import_numba() -> ModuleType:
+    """Import numba without the settings in `.numba_config.yaml` of the current folder.
+
+    The folder may be a stranger's, and the file may name a folder of pickles for numba to load.
+    """
+    sys.modules["yaml"] = None  # without it, numba only warns of such a file
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            numba = importlib.import_module("numba")
+    finally:
+        sys.modules["yaml"] = yaml
+    numba.core.config._config_fname = os.devnull  # it looks again when it compiles
+    return numba
+
+
+numba = _import_numba()
+"""Every module takes numba from here, so that none imports it in another way before."""
 
 
 def compiled(**options: Any) -> Callable[[Callable], Callable]:
@@ -24,12 +47,12 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
     """
 
     def decorate(function: Callable) -> Callable:
-        dispatcher = njit(**options)(function)
+        dispatcher = numba.njit(**options)(function)
         try:
             dispatcher._cache = _ForgivingCache(
                 function
             )  # what `cache=True` sets, without numba's class
-        # numba found neither the function's own folder nor the user's cache folder writable
+        # neither the function's own folder nor the user's cache folder can be used
         except RuntimeError:
             dispatcher._cache = _NoCache()
         return dispatcher
@@ -37,14 +60,25 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
     return decorate
 
 
-class _ForgivingCache(FunctionCache):
-    """numba's cache, in which a file that cannot be read or written is as good as none."""
+class _ForgivingCache(numba.core.caching.FunctionCache):
+    """numba's cache, in which a file that cannot be read or written is as good as none.
+
+    Raises RuntimeError where there is no folder for it whose full path is known.
+    """
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        if not os.path.isabs(self.cache_path):
+            # Its files are pickles, and the current folder may be a stranger's.
+            raise RuntimeError(
+                "the folder for compiled code depends on the current one"
+            )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             # numba would first import all that it can compile, a third of a second: kept code needs
             # its memory alone.
-            rtsys.initialize(target_context)
+            numba.core.runtime.nrt.rtsys.initialize(target_context)
             return self._load_overload(sig, target_context)
         except Exception:  # a damaged pickle raises anything
             with suppress(OSError):
@@ -56,7 +90,7 @@ class _ForgivingCache(FunctionCache):
             super().save_overload(sig, data)
 
 
-class _NoCache(NullCache):
+class _NoCache(numba.core.caching.NullCache):
     """Keeps nothing, and says so when something is compiled: while modules load, nobody would hear
     it.
     """
@@ -65,5 +99,6 @@ class _NoCache(NullCache):
         warn(
             "No folder to keep compiled kernels in: they are compiled anew in every process, "
             "which takes seconds. "
-            "Name a writable folder in the environment variable NUMBA_CACHE_DIR."
+            "Name a writable folder, by its full path, in the environment variable "
+            "NUMBA_CACHE_DIR."
         )

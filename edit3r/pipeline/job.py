@@ -47,7 +47,7 @@ def job_from(
     """The job that `inputs` and layers of run settings describe, later layers over earlier.
 
     Without photos and without an earlier run it is the packaged pair. Raises InputError for an
-    earlier run that cannot be read, SettingsError for wrong settings. `trusted`: so is its run.json.
+    earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
     """
     earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
     cache = Cache(Path(inputs.earlier) / CACHE) if inputs.earlier else None

@@ -23,6 +23,7 @@ from typing import IO, Any
 import yaml
 
 from edit3r.errors import InputError
+from edit3r.io.children import PYTHON
 from edit3r_app.jobs import DRAFT, NOTHING_MORE, Job, JobsFolder, manifest_of
 
 try:
@@ -162,7 +163,7 @@ class Runner:
     def __init__(
         self,
         folder: JobsFolder,
-        program: tuple[str, ...] = (sys.executable, "-m", "edit3r.cli.main"),
+        program: tuple[str, ...] = (*PYTHON, "-m", "edit3r"),
     ) -> None:
         self.folder, self.program = folder, program
         self._child: subprocess.Popen | None = None

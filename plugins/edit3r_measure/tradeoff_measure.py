@@ -31,6 +31,7 @@ from edit3r.contract.interfaces import LossInputs, Rasterizer
 from edit3r.contract.types import Reconstruction
 from edit3r.errors import MissingDependencyError, RunError
 from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.children import PYTHON
 from edit3r.io.images import evenly, save_image
 from edit3r.io.ply import load_ply
 from edit3r.io.run_folder import RunFolder, installed_versions
@@ -160,7 +161,7 @@ def in_fresh_process(job: Job, threads: int | None) -> Mapping[str, Any]:
     with tempfile.TemporaryDirectory() as work:
         task, answer = Path(work) / "job.json", Path(work) / "answer.json"
         task.write_text(json.dumps(asdict(job)), encoding="utf-8")
-        command = [sys.executable, "-m", __name__, str(task), str(answer)]
+        command = [*PYTHON, "-m", __name__, str(task), str(answer)]
         ended = subprocess.run(
             command,
             env={**os.environ, **limits},

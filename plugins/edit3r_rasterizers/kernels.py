@@ -12,12 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
-from numba import njit
 
-from edit3r.compute.compiling import compiled
+from edit3r.compute.compiling import compiled, numba
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 
@@ -48,7 +46,7 @@ def kernel(function: Callable) -> Callable:
     return compiled(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
 
 
-inlined = njit(
+inlined = numba.njit(
     error_model="numpy",
     forceinline=True,
     no_cpython_wrapper=True,

@@ -12,10 +12,13 @@ import operator
 
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.core.datamodel.models import PrimitiveModel
-from numba.extending import intrinsic, lower_builtin, register_model, type_callable
+
+from edit3r.compute.compiling import numba
+
+cgutils = numba.core.cgutils
+types = numba.types
+extending = numba.extending
+intrinsic = extending.intrinsic
 
 INT32, INT64 = ir.IntType(32), ir.IntType(64)
 _CONTRACT = ("contract",)
@@ -39,8 +42,8 @@ class VectorType(types.Type):
         super().__init__(name=f"{scalar}x{width}")
 
 
-@register_model(VectorType)
-class _VectorModel(PrimitiveModel):
+@extending.register_model(VectorType)
+class _VectorModel(numba.core.datamodel.models.PrimitiveModel):
     def __init__(self, manager, numba_type) -> None:
         super().__init__(manager, numba_type, numba_type.ir)
 
@@ -93,7 +96,7 @@ def _widened(builder, kind: VectorType, arguments, values):
 def _define_operator(function, emit, compares: bool = False) -> None:
     """Teach numba a binary operator on vectors."""
 
-    @type_callable(function)
+    @extending.type_callable(function)
     def typing(context):
         def typer(a, b):
             kind = _OPERAND_PAIRS.get((a, b))
@@ -106,7 +109,7 @@ def _define_operator(function, emit, compares: bool = False) -> None:
         return emit(builder, *_widened(builder, kind, signature.args, values))
 
     for pair in _OPERAND_PAIRS:
-        lower_builtin(function, *pair)(lower)
+        extending.lower_builtin(function, *pair)(lower)
 
 
 for _functions, _instruction in (
@@ -130,13 +133,13 @@ for _function, _sign in (
     )
 
 
-@type_callable(operator.and_)
+@extending.type_callable(operator.and_)
 def _type_and(context):
     return lambda a, b: a if a is b and a in MASKS.values() else None
 
 
 for _mask in MASKS.values():
-    lower_builtin(operator.and_, _mask, _mask)(
+    extending.lower_builtin(operator.and_, _mask, _mask)(
         lambda context, builder, signature, values: builder.and_(*values)
     )
 

@@ -7,11 +7,13 @@ be freed too early: scratch memory is an argument too.
 """
 
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
+from edit3r.compute.compiling import numba
 from edit3r_rasterizers.simd import DOUBLES, FLOATS, INT32, INT64, constant
+
+types = numba.types
+intrinsic = numba.extending.intrinsic
+cgutils = numba.core.cgutils
 
 _KINDS = {types.float32: FLOATS, types.float64: DOUBLES}
 _PARTS = 4  # a 4x4 block is four rows of four

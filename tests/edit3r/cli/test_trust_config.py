@@ -1,4 +1,4 @@
-"""No file may name a program or an address, unless `--trust-config` says so. Every door is tried."""
+"""No file names a program or an address without `--trust-config`. Every door is tried."""
 
 import json
 from pathlib import Path

@@ -1,8 +1,13 @@
+import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
+import pytest
 from numba.core import caching
 
+import edit3r
 from edit3r.compute.compiling import compiled
 from edit3r.reporting import Report, collecting
 
@@ -52,3 +57,38 @@ def test_a_full_disk_is_no_error(monkeypatch):
 
     monkeypatch.setattr(caching.FunctionCache, "save_overload", full)
     assert compiled(nogil=True)(lambda value: value + 1)(1) == 2
+
+
+TRAP = b"\x80\x04cposix\nsystem\n(V%b\ntR."  # a pickle that runs a command
+
+
+@pytest.mark.parametrize("named", ["by the file", "by the environment"])
+def test_no_compiled_code_is_read_from_the_current_folder(tmp_path, named):
+    """numba reads its settings from there, and then pickles from a folder that they name."""
+    module = tmp_path / "code" / "module.py"
+    module.parent.mkdir()
+    module.write_text(MODULE)
+    folder = tmp_path / "stranger"
+    cache = folder / "cache"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    command = [sys.executable, str(module)]
+    subprocess.run(command, env=environment, check=True)
+    traps = list(cache.rglob("*.nbi"))
+    for file in traps:
+        file.write_bytes(TRAP % f"touch {tmp_path / 'ran'}".encode())
+    del environment["NUMBA_CACHE_DIR"]
+    if named == "by the file":
+        (folder / ".numba_config.yaml").write_text("CACHE_DIR: cache\n")
+    else:
+        environment["NUMBA_CACHE_DIR"] = "cache"
+    told = subprocess.run(
+        command, env=environment, cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert traps and not (tmp_path / "ran").exists()
+    assert told.stdout.startswith("42 ") and "numba_config" not in told.stderr
+
+
+def test_numba_is_imported_in_one_place():
+    root = Path(edit3r.__file__).parents[1]
+    for file in [*root.glob("edit3r/**/*.py"), *root.glob("plugins/**/*.py")]:
+        assert not re.search(r"^ *(from|import) numba", file.read_text(), re.M), file
