@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from edit3r.reporting import Report
 
 
+PREVIEW = "edit3r-preview.png"
+
+
 class RunCommand(Command):
     """Edit photos of a scene and reconstruct them in 3D."""
 
@@ -56,9 +59,9 @@ class RunCommand(Command):
             "--preview",
             metavar="FILE",
             nargs="?",
-            const="edit3r-preview.png",
+            const=PREVIEW,
             help="only show, in an image file, what is selected and how it is edited in 2D "
-            "(default edit3r-preview.png)",
+            f"(default {PREVIEW})",
         )
         add(
             "--overwrite",
@@ -107,11 +110,14 @@ class RunCommand(Command):
         with collecting(report), report.stage("start"):
             import numpy as np
 
+            from edit3r.io.atomic import check_new_file
             from edit3r.io.images import save_pixels
             from edit3r.pipeline.run import preview
             from edit3r.pipeline.write import preview_sheet
             from edit3r.plugins.registry import default_registry
 
+            # `--preview a.jpg b.jpg` would take the first photo for the file to write.
+            check_new_file(args.preview, args.overwrite or args.preview == PREVIEW)
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
         scene = preview(job, registry, report)

@@ -36,6 +36,7 @@ __all__ = [
     "MARKER",
     "atomic_folder",
     "atomic_write",
+    "check_new_file",
     "check_replaceable",
     "remove_abandoned",
     "sha256_of",
@@ -111,6 +112,25 @@ def atomic_folder(out: str | Path, overwrite: bool = False) -> Iterator[Path]:
             _move_into_place(partial, final, overwrite)
         except (InputError, OSError) as error:
             raise RunError(f"{error}{_keep(partial, final)}") from None
+
+
+def check_new_file(
+    path: str | Path, overwrite: bool, source: Path | None = None
+) -> None:
+    """Check that a file may be written to `path`.
+
+    Raises InputError where one is there and `overwrite` is not given, and always where it is the
+    `source`.
+    """
+    path = Path(path)
+    if not path.exists():
+        return
+    if source is not None and source.exists() and path.samefile(source):
+        raise InputError(f"{path}: is the file that is read; give another --out.")
+    if not overwrite:
+        raise InputError(
+            f"{path}: is already there; give another --out, or --overwrite."
+        )
 
 
 def check_replaceable(out: Path, overwrite: bool = False) -> None:

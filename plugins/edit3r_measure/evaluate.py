@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.config import parse_assignments
 from edit3r.contract.command import Command
 from edit3r.errors import InputError, MatchingError, SettingsError
+from edit3r.io.atomic import check_new_file
 from edit3r.reporting import Report, collecting, track
 from edit3r_measure.report import (
     check_least,
@@ -78,6 +79,7 @@ class EvaluateCommand(Command):
             metavar="FILE",
             help="write the table (.md) or every pair's figures (.json)",
         )
+        add("--overwrite", action="store_true", help="replace a file that is there")
         add("--quiet", action="store_true", help="print the table only")
 
     def main(self, args: argparse.Namespace) -> int:
@@ -204,6 +206,8 @@ def _checked_settings(args: argparse.Namespace) -> dict[str, Any]:
         raise SettingsError(
             f"--out {args.out}: expected a file that ends in .md or .json."
         )
+    if args.out:
+        check_new_file(args.out, args.overwrite)
     settings = parse_assignments(args.set)
     unknown = sorted(set(settings) - {"reconstructor", "rasterizer", "dataset"})
     if unknown:

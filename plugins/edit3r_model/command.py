@@ -94,15 +94,20 @@ class ConflictsCommand(Command):
             metavar="FILE.png",
             help="figure (conflicts.png)",
         )
+        parser.add_argument(
+            "--overwrite", action="store_true", help="replace a file that is there"
+        )
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.errors import InputError
+        from edit3r.io.atomic import check_new_file
         from edit3r.pipeline.earlier import read_earlier_run
         from edit3r.plugins.registry import build
         from edit3r_model.conflict_figure import save_conflict_figure
 
         if Path(args.out).suffix != ".png":
             raise InputError(f"--out {args.out}: expected a file that ends in .png.")
+        check_new_file(args.out, args.overwrite)
         run = read_earlier_run(args.run)
         figures = save_conflict_figure(
             args.out, run, build("rasterizer", args.rasterizer)

@@ -58,16 +58,19 @@ class SimplifyCommand(Command):
             required=True,
             help="the simplified scene, also as 3DGS PLY",
         )
+        add("--overwrite", action="store_true", help="replace a file that is there")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.cli.console import StageConsole
+        from edit3r.io.atomic import check_new_file
         from edit3r.io.cameras import read_scene_cameras
         from edit3r.io.ply import load_ply, save_ply
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
         from edit3r_refiners.simplify import simplify
 
+        check_new_file(args.out, args.overwrite, source=args.scene)
         most, settings = _budget_and_settings(args)
         rasterizer = default_registry(tuple(args.plugin)).build(
             "rasterizer", args.rasterizer

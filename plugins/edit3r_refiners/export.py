@@ -38,6 +38,7 @@ class ExportCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.cli.console import StageConsole
         from edit3r.errors import InputError
+        from edit3r.io.atomic import check_new_file
         from edit3r.io.export import FORMATS, export_scene, load_scene
         from edit3r.reporting import Report, collecting
 
@@ -59,10 +60,7 @@ class ExportCommand(Command):
             for form in args.to
         ]
         for _, path in made:
-            if path.exists() and (not args.overwrite or path.samefile(scene)):
-                raise InputError(
-                    f"{path}: is already there; give another --out, or --overwrite."
-                )
+            check_new_file(path, args.overwrite, source=scene)
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
