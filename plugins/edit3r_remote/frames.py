@@ -15,7 +15,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
 
 from edit3r.errors import RunError
@@ -36,60 +36,51 @@ class Frame:
 
     @staticmethod
     def around(photo: tuple[int, int], offered: Sequence[tuple[int, int]]) -> "Frame":
-        """Take the offered size whose shape is nearest to the photo's, and centre the photo in
-        it.
-        """
-        aspect = math.log(photo[1] / photo[0])
-        size = min(offered, key=lambda s: abs(math.log(s[1] / s[0]) - aspect))
-        scale = min(size[0] / photo[0], size[1] / photo[1])
-        inner = tuple(
-            min(full, max(1, round(side * scale))) for side, full in zip(photo, size)
+        """Centre the photo in the offered size whose shape is nearest to its own."""
+        height, width = photo
+        size = min(
+            offered, key=lambda size: abs(_log_aspect(size) - _log_aspect(photo))
         )
-        corner = tuple((full - side) // 2 for side, full in zip(inner, size))
+        scale = min(size[0] / height, size[1] / width)
+        inner = (
+            min(size[0], max(1, round(height * scale))),
+            min(size[1], max(1, round(width * scale))),
+        )
+        corner = ((size[0] - inner[0]) // 2, (size[1] - inner[1]) // 2)
         return Frame(photo, size, inner, corner)
 
     def enclose(
         self, photo: Float[Tensor, "channel h w"]
     ) -> Float[Tensor, "channel height width"]:
         """Scale the photo into the frame and repeat its border."""
-        scaled = _resize(photo, self.inner)
         top, left = self.corner
-        bottom, right = (
-            self.size[0] - self.inner[0] - top,
-            self.size[1] - self.inner[1] - left,
-        )
-        return F.pad(scaled[None], (left, right, top, bottom), mode="replicate")[0]
+        bottom = self.size[0] - self.inner[0] - top
+        right = self.size[1] - self.inner[1] - left
+        border = (left, right, top, bottom)
+        return F.pad(_resize(photo, self.inner)[None], border, mode="replicate")[0]
 
     def extract(self, image: Float[Tensor, "3 height width"]) -> Float[Tensor, "3 h w"]:
         """Cut the photo's part out of an image of the frame's size, at the photo's size."""
         top, left = self.corner
-        return _resize(
-            image[:, top : top + self.inner[0], left : left + self.inner[1]], self.photo
-        )
+        height, width = self.inner
+        return _resize(image[:, top : top + height, left : left + width], self.photo)
 
 
 def encode_png(image: Float[Tensor, "channel height width"]) -> bytes:
-    """Code an RGB or RGBA image in [0, 1] as PNG; paid answers are kept by a hash of these
-    bytes.
+    """Code an RGB or RGBA image in [0, 1] as PNG.
+
+    Paid answers are kept by a hash of these bytes.
     """
-    pixels = (
-        (image.detach().cpu().float().clamp(0, 1) * 255)
-        .round()
-        .byte()
-        .permute(1, 2, 0)
-        .numpy()
-    )
+    pixels = (image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(
-        buffer, format="PNG", compress_level=1
-    )  # sent once: speed before size
+    # sent once: speed before size
+    Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
     return buffer.getvalue()
 
 
-def encode_mask(mask: Float[Tensor, "height width"]) -> bytes:
+def encode_mask(mask: Float[Tensor, "1 height width"]) -> bytes:
     """Code a mask as PNG as a service reads it: transparent where the image may change."""
-    keep = (mask <= 0).to(torch.float32)
-    return encode_png(torch.stack((keep, keep, keep, keep)))
+    return encode_png((mask <= 0).float().expand(4, -1, -1))
 
 
 def decode(
@@ -99,35 +90,39 @@ def decode(
 
     Raises RunError for what is no image, or one of another shape.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", Image.DecompressionBombWarning
-            )  # said below, before decoding
-            with Image.open(io.BytesIO(content), formats=FORMATS) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise RunError(
-                        f"the answer for {view} is {image.width}x{image.height} pixels, far too "
-                        "many."
-                    )
-                pixels = np.array(image.convert("RGB"))
-    except Image.DecompressionBombError:
-        raise RunError(f"the answer for {view} has far too many pixels.") from None
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
-        start = content[:40].decode("utf-8", "replace")
-        raise RunError(
-            f"the answer for {view} is no picture ({len(content)} bytes, starting {start!r})."
-        ) from None
-    tensor = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
-    given = tuple(tensor.shape[1:])
+    pixels = _pixels(content, view)
+    image = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
+    given = tuple(image.shape[1:])
     if given == size:
-        return tensor, ""
+        return image, ""
     text = f"the answer for {view} is {given[1]}x{given[0]} pixels instead of {size[1]}x{size[0]}"
-    if abs(math.log((given[1] * size[0]) / (given[0] * size[1]))) > SHAPE_TOLERANCE:
+    if abs(_log_aspect(given) - _log_aspect(size)) > SHAPE_TOLERANCE:
         raise RunError(
             f"{text}, another shape: its content cannot be put back where it was."
         )
-    return _resize(tensor, size), f"{text}; it was scaled."
+    return _resize(image, size), f"{text}; it was scaled."
+
+
+def _pixels(content: bytes, view: str) -> np.ndarray:
+    """RGB bytes `[height, width, 3]` of a coded image."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            image = Image.open(io.BytesIO(content), formats=FORMATS)
+        if image.width * image.height <= MAX_PIXELS:
+            return np.array(image.convert("RGB"))
+    except Image.DecompressionBombError:
+        pass
+    except (OSError, ValueError, SyntaxError):
+        start = content[:40].decode("utf-8", "replace")
+        raise RunError(
+            f"the answer for {view} is no image ({len(content)} bytes, starting {start!r})."
+        ) from None
+    raise RunError(f"the answer for {view} has far too many pixels.")
+
+
+def _log_aspect(size: tuple[int, int]) -> float:
+    height, width = size
+    return math.log(width / height)
 
 
 def _resize(
@@ -135,7 +130,5 @@ def _resize(
 ) -> Float[Tensor, "channel height width"]:
     if tuple(image.shape[1:]) == size:
         return image
-    scaled = F.interpolate(
-        image[None], size, mode="bicubic", antialias=True, align_corners=False
-    )
+    scaled = F.interpolate(image[None], size, mode="bicubic", antialias=True)
     return scaled[0].clamp(0, 1)

@@ -1,26 +1,17 @@
 """Gemini's image model through the Gemini API."""
 
-import sys
-from collections.abc import Callable
 from typing import Any
 
 from pydantic import Field
 
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import MissingDependencyError, PromptError, RunError
+from edit3r.errors import PromptError
+from edit3r.io.service import bounded_client
 from edit3r.reporting import note
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import (
-    Answer,
-    ImageService,
-    RemoteSettings,
-    Request,
-    key_from_environment,
-)
+from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request
 
-KEY_VARIABLES = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
-RETRIED = (408, 429, 500, 502, 503, 504)
 SHAPES = {
     (1024, 1024): "1:1",
     (832, 1248): "3:2",
@@ -59,148 +50,79 @@ class GeminiImageEditor(Editor):
         )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        chosen = self.settings
+        service = GeminiImages(self.settings)
         note(
             "editor.seed",
-            "sent to the service, which does not promise equal pictures for equal seeds",
+            "sent to the service, which does not promise equal images for equal seeds",
         )
-        asked = {"service": "gemini", "model": chosen.model}
-        return Dispatcher(GeminiImages(chosen), chosen, asked).edit(
+        asked = {"service": "gemini", "model": self.settings.model}
+        return Dispatcher(service, asked).edit(
             views, request, tuple(SHAPES), send_masks=False
         )
 
 
 class GeminiImages(ImageService):
-    """`generate_content` with a picture as the only modality; the client library retries once told
-    to.
-    """
+    """`generate_content` with an image as the only modality; the client library tries again."""
 
     label = "gemini-image"
+    variables = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
 
     def __init__(self, settings: GeminiImageEditor.Settings) -> None:
         from google import genai
-        from google.genai import types
 
-        self.key = key_from_environment(self.label, *KEY_VARIABLES)
-        self.settings, self.types = settings, types
-        retries = types.HttpRetryOptions(
-            attempts=settings.attempts,
-            initial_delay=settings.retry_delay_s,
-            jitter=settings.retry_delay_s,
-            http_status_codes=list(RETRIED),
-        )
-        options = types.HttpOptions(
-            base_url=settings.base_url or None,
-            timeout=int(settings.timeout_s * 1000),
-            retry_options=retries,
-        )
+        super().__init__(settings)
+        options = {
+            "base_url": settings.base_url or None,
+            "timeout": int(settings.timeout_s * 1000),
+            "httpx_client": bounded_client(settings.timeout_s),
+            "retry_options": {
+                "attempts": settings.attempts,
+                "initial_delay": settings.retry_delay_s,
+                "jitter": settings.retry_delay_s,
+            },
+        }
         self.client = genai.Client(
             api_key=self.key, vertexai=False, http_options=options
         )
 
     def send(self, request: Request) -> Answer:
-        from google.genai import errors
+        from google.genai import errors, types
 
-        types = self.types
-        image = types.Part.from_bytes(data=request.image, mime_type="image/png")
         config = types.GenerateContentConfig(
             response_modalities=["IMAGE"],
             seed=request.seed,
             image_config=types.ImageConfig(aspect_ratio=SHAPES[request.size]),
         )
+        photo = types.Part.from_bytes(data=request.image, mime_type="image/png")
         try:
-            ask = self.client.models.generate_content
-            contents = [request.prompt, image]
-            response = self._patiently(
-                ask, model=self.settings.model, contents=contents, config=config
+            response = self.client.models.generate_content(
+                model=self.settings.model,
+                contents=[request.prompt, photo],
+                config=config,
             )
         except errors.APIError as error:
-            raise self._refused(error, request) from None
-        return self._answer(response, request)
-
-    def _patiently(self, ask: Callable[..., Any], **asked: Any) -> Any:
-        """Ask again when the connection breaks during the answer, which the client library does
-        not.
-        """
-        import tenacity
-
-        retrying = tenacity.Retrying(
-            stop=tenacity.stop_after_attempt(self.settings.attempts),
-            wait=tenacity.wait_exponential(
-                multiplier=self.settings.retry_delay_s, max=60
-            ),
-            retry=tenacity.retry_if_exception_type(_broken_connections()),
-            reraise=True,
-        )
-        return retrying(ask, **asked)
-
-    def _refused(self, error: Any, request: Request) -> Exception:
-        """Make the sentence for an HTTP status that retrying did not cure."""
-        words = self.quote(error.message or error.status)
-        if error.code in (401, 403) or "api key not valid" in words.lower():
-            names = " or ".join(KEY_VARIABLES)
-            return MissingDependencyError(
-                f"gemini-image: the service does not accept the key in {names} ({words})."
-            )
-        if error.code == 429:
-            return RunError(
-                f"gemini-image is over its rate limit after {self.settings.attempts} tries for "
-                f"{request.name} "
-                f"({words}); wait, or lower editor.concurrent."
-            )
-        return RunError(
-            f"gemini-image failed on {request.name} with status {error.code}: {words}"
-        )
-
-    def _answer(self, response: Any, request: Request) -> Answer:
-        """Take the image among the answer's parts; raises PromptError with the model's words when
-        there is none.
-        """
-        candidate = response.candidates[0] if response.candidates else None
-        parts = (
-            candidate.content.parts if candidate and candidate.content else None
-        ) or []
-        image = next(
-            (
-                part.inline_data.data
-                for part in parts
-                if part.inline_data and part.inline_data.data
-            ),
-            None,
-        )
-        if image is None:
-            raise PromptError(
-                f"gemini-image sent no picture for {request.name}: {self._reason(response, parts)}"
-            )
+            words = error.message or error.status
+            raise self.failure(error.code, words, request) from None
         usage = response.usage_metadata
-        tokens = (
-            (usage.prompt_token_count, usage.candidates_token_count)
-            if usage
-            else (0, 0)
+        for part in response.parts or ():
+            if part.inline_data and part.inline_data.data:
+                return Answer(
+                    image=part.inline_data.data,
+                    input_tokens=usage.prompt_token_count if usage else 0,
+                    output_tokens=usage.candidates_token_count if usage else 0,
+                )
+        raise PromptError(
+            f"gemini-image sent no image for {request.name}: {self._reason(response)}"
         )
-        return Answer(image, *tokens)
 
-    def _reason(self, response: Any, parts: list[Any]) -> str:
-        text = " ".join(part.text for part in parts if part.text)
-        feedback = response.prompt_feedback
-        blocked = (
-            feedback.block_reason_message or feedback.block_reason if feedback else None
-        )
-        finish = response.candidates[0].finish_reason if response.candidates else None
-        named = getattr(blocked or finish, "value", blocked or finish)
-        reasons = ([f"[{named}]"] if named else []) + ([f'"{text}"'] if text else [])
-        return self.quote(" ".join(reasons)) or "no reason"
-
-
-def _broken_connections() -> tuple[type[Exception], ...]:
-    """List the exceptions for a connection lost midway, of whichever HTTP library the client
-    uses.
-    """
-    libraries = [
-        sys.modules[name] for name in ("httpx", "httpx2") if name in sys.modules
-    ]
-    return tuple(
-        error
-        for http in libraries
-        for error in (http.RemoteProtocolError, http.ReadError, http.WriteError)
-    )
+    def _reason(self, response: Any) -> str:
+        """What the model says instead of an image, and why it ended."""
+        reasons = []
+        if response.prompt_feedback:
+            feedback = response.prompt_feedback
+            reasons.append(feedback.block_reason_message or feedback.block_reason)
+        if response.candidates:
+            reasons.append(response.candidates[0].finish_reason)
+        reasons += [part.text for part in response.parts or ()]
+        words = [str(getattr(reason, "value", reason)) for reason in reasons if reason]
+        return self.quote("; ".join(words)) or "no reason"

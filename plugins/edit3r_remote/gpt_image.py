@@ -7,20 +7,15 @@ from pydantic import Field
 
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import MissingDependencyError, PromptError, RunError
+from edit3r.errors import Edit3rError, PromptError, RunError
+from edit3r.io.service import bounded_client
 from edit3r.reporting import note
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import (
-    Answer,
-    ImageService,
-    RemoteSettings,
-    Request,
-    key_from_environment,
-)
+from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request
 
-KEY_VARIABLE = "OPENAI_API_KEY"
 SIZES = ((1024, 1024), (1024, 1536), (1536, 1024))
 """(height, width) the service draws [pixels]."""
+REFUSALS = ("moderation_blocked", "content_policy_violation")
 
 
 class GptImageEditor(Editor):
@@ -47,34 +42,32 @@ class GptImageEditor(Editor):
         )
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        chosen = self.settings
-        asked = {"service": "openai"} | chosen.model_dump(
-            include={"model", "quality", "input_fidelity"}
-        )
+        service = OpenAiImages(self.settings)
         note(
             "editor.seed",
-            "the service takes no seed: equal requests may give other pictures unless cached",
+            "the service takes no seed: equal requests may give other images unless cached",
         )
-        return Dispatcher(OpenAiImages(chosen), chosen, asked).edit(
-            views, request, SIZES, send_masks=True
-        )
+        asked = {"service": "openai", **service.chosen}
+        return Dispatcher(service, asked).edit(views, request, SIZES, send_masks=True)
 
 
 class OpenAiImages(ImageService):
-    """`images.edit`; the client library retries 408, 429, 5xx and lost connections and honours
-    Retry-After.
-    """
+    """`images.edit`; the client library tries 408, 429, 5xx and lost connections again."""
 
     label = "gpt-image"
+    variables = ("OPENAI_API_KEY",)
 
     def __init__(self, settings: GptImageEditor.Settings) -> None:
         from openai import OpenAI
 
-        self.key = key_from_environment(self.label, KEY_VARIABLE)
-        self.settings = settings
+        super().__init__(settings)
+        self.chosen = settings.model_dump(
+            include={"model", "quality", "input_fidelity"}
+        )
         self.client = OpenAI(
             api_key=self.key,
             base_url=settings.base_url or None,
+            http_client=bounded_client(settings.timeout_s),
             timeout=settings.timeout_s,
             max_retries=settings.attempts - 1,
         )
@@ -82,61 +75,35 @@ class OpenAiImages(ImageService):
     def send(self, request: Request) -> Answer:
         import openai
 
-        mask: dict[str, Any] = (
-            {"mask": ("mask.png", request.mask, "image/png")} if request.mask else {}
-        )
+        optional: dict[str, Any] = {}
+        if request.mask:
+            optional["mask"] = ("mask.png", request.mask, "image/png")
         try:
             response = self.client.images.edit(
-                model=self.settings.model,
                 image=("view.png", request.image, "image/png"),
                 prompt=request.prompt,
                 size=f"{request.size[1]}x{request.size[0]}",
-                quality=self.settings.quality,
-                input_fidelity=self.settings.input_fidelity,
                 output_format="png",
                 n=1,
-                **mask,
+                **self.chosen,
+                **optional,
             )
         except openai.APIStatusError as error:
             raise self._refused(error, request) from None
-        except openai.APITimeoutError:
-            raise RunError(
-                f"gpt-image did not answer for {request.name} within {self.settings.timeout_s:g} "
-                "s, "
-                f"{self.settings.attempts} times; raise editor.timeout_s or try later."
-            ) from None
-        return self._answer(response, request)
-
-    def _refused(self, error: Any, request: Request) -> Exception:
-        """Make the sentence for an HTTP status that retrying did not cure."""
-        words = self.quote(getattr(error, "message", error))
-        if error.status_code == 401:
-            return MissingDependencyError(
-                f"gpt-image: the service does not accept the key in {KEY_VARIABLE}."
-            )
-        if getattr(error, "code", None) in (
-            "moderation_blocked",
-            "content_policy_violation",
-        ):
-            return PromptError(f"gpt-image refused to edit {request.name}: {words}")
-        if error.status_code == 429:
-            return RunError(
-                f"gpt-image is over its rate limit or budget after {self.settings.attempts} "
-                f"tries for {request.name} "
-                f"({words}); wait, or lower editor.concurrent."
-            )
-        return RunError(
-            f"gpt-image failed on {request.name} with status {error.status_code}: {words}"
-        )
-
-    def _answer(self, response: Any, request: Request) -> Answer:
         encoded = response.data[0].b64_json if getattr(response, "data", None) else None
         if not encoded:
             raise RunError(
-                f"gpt-image answered without a picture for {request.name}: {self.quote(response)}"
+                f"gpt-image answered without an image for {request.name}: {self.quote(response)}"
             )
-        usage = response.usage
-        tokens = (
-            getattr(usage, name, 0) for name in ("input_tokens", "output_tokens")
-        )  # of any type
-        return Answer(base64.b64decode(encoded), *tokens)
+        usage = response.usage  # of any type
+        return Answer(
+            image=base64.b64decode(encoded),
+            input_tokens=getattr(usage, "input_tokens", 0),
+            output_tokens=getattr(usage, "output_tokens", 0),
+        )
+
+    def _refused(self, error: Any, request: Request) -> Edit3rError:
+        if error.code in REFUSALS:
+            words = self.quote(error.message)
+            return PromptError(f"gpt-image refused to edit {request.name}: {words}")
+        return self.failure(error.status_code, error.message, request)
