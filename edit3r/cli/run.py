@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.cli.flags import INPUTS, REPEATED, add_flags, add_mark_flags, given_flags
-from edit3r.contract.command import Command, add_trust_flag
+from edit3r.contract.command import Command, add_plugin_option, add_trust_flag
 from edit3r.errors import RunError
 from edit3r.pipeline.config import PART_KEYS, JobInputs, RunConfig
 

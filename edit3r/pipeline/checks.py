@@ -79,9 +79,10 @@ def check_edit(editor: Editor, views: Views, answer: Views) -> None:
     _require(
         editor,
         images.dtype == given.dtype,
-        f"return {given.dtype} pictures, got {images.dtype}",
+        f"return {given.dtype} images, got {images.dtype}",
     )
-    _require_range(editor, "pictures", images)
+    _require_finite(editor, "images", images)
+    _require_range(editor, "images", images)
 
 
 def check_reconstruction(

@@ -106,7 +106,7 @@ def _check_device(gaussians: Gaussians) -> None:
 
 
 @dataclass(frozen=True)
-class Scene:
+class GaussianArrays:
     """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32
     arrays.
     """
@@ -121,8 +121,8 @@ class Scene:
     def arrays(self) -> tuple[np.ndarray, ...]:
         return self.means, self.scales, self.quats, self.opacities, self.harmonics
 
-    def made_by(self, make: Callable[[np.ndarray], np.ndarray]) -> "Scene":
-        return Scene(*(make(array) for array in self.arrays))
+    def made_by(self, make: Callable[[np.ndarray], np.ndarray]) -> "GaussianArrays":
+        return GaussianArrays(*(make(array) for array in self.arrays))
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class CameraImages:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ProjectedScene:
     """What `project_scene` prepares for drawing, and the forward pass leaves for the backward
     pass.
     """
@@ -163,7 +163,10 @@ class _Rasterize(torch.autograd.Function):
         )
         threads, frames = thread_count(settings.threads), []
         fields = means, scales, quats, opacities, harmonics
-        scenes = [Scene(*(_array(field[b]) for field in fields)) for b in range(batch)]
+        scenes = [
+            GaussianArrays(*(_array(field[b]) for field in fields))
+            for b in range(batch)
+        ]
         for b in range(batch):
             for c in range(count):
                 camera = pack_camera(
@@ -250,11 +253,11 @@ def _array(tensor: Tensor) -> np.ndarray:
 def project_scene(
     settings: RasterizerSettings,
     threads: int,
-    scene: Scene,
+    scene: GaussianArrays,
     camera: np.ndarray,
     grid: TileGrid,
     by_splat: bool = True,
-) -> Frame | None:
+) -> ProjectedScene | None:
     """Compute the records and tile lists of one camera; returns None when a Gaussian is not finite.
 
     `by_splat`: also list the entries of each splat, which the backward pass needs.
@@ -287,7 +290,7 @@ def project_scene(
         return None
     lists = list_tiles(threads, grid, records, boxes, keys, by_splat)
     touched = np.empty(len(lists.entries), np.uint16)
-    return Frame(
+    return ProjectedScene(
         grid,
         camera,
         records,
@@ -300,7 +303,7 @@ def project_scene(
 def draw(
     settings: RasterizerSettings,
     threads: int,
-    frame: Frame,
+    frame: ProjectedScene,
     background: np.ndarray,
     images: CameraImages,
 ) -> None:
@@ -321,11 +324,11 @@ def draw(
 
 def differentiate(
     settings: RasterizerSettings,
-    scene: Scene,
-    frame: Frame,
+    scene: GaussianArrays,
+    frame: ProjectedScene,
     images: CameraImages,
     image_gradients: CameraImages,
-    by_scene: Scene,
+    by_scene: GaussianArrays,
     *,
     shapes: bool,
     fresh: bool,
@@ -371,7 +374,7 @@ def differentiate(
     )
 
 
-def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
+def _tile_arguments(settings: RasterizerSettings, frame: ProjectedScene) -> tuple:
     limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
     return (
         frame.grid.columns,
@@ -383,7 +386,7 @@ def _tile_arguments(settings: RasterizerSettings, frame: Frame) -> tuple:
     )
 
 
-def _tile_bounds(frame: Frame, threads: int) -> list[int]:
+def _tile_bounds(frame: ProjectedScene, threads: int) -> list[int]:
     """Cut the tiles into slices with about equal numbers of entries."""
     if threads == 1:
         return [0, frame.grid.count]

@@ -15,7 +15,7 @@ from edit3r.errors import Edit3rError, InputError, PromptError, RunError
 from edit3r.io.service import within
 from edit3r.reporting import note, progress, warn
 from edit3r_remote.cache import AnswerCache
-from edit3r_remote.frames import Frame, decode, encode_mask, encode_png
+from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
 from edit3r_remote.service import Answer, ImageService, Request
 
 
@@ -54,7 +54,7 @@ class Dispatcher:
             raise PromptError(
                 f"{self.service.label} needs an instruction; give one with --prompt."
             )
-        frame = Frame.around(views.image_size, offered)
+        frame = ServiceFrame.around(views.image_size, offered)
         images = views.images.flatten(0, 1).clone()
         masks = [None] * len(images)
         if request.masks is not None:
@@ -82,7 +82,7 @@ class Dispatcher:
         return replace(views, images=images.view_as(views.images))
 
     def _send_all(
-        self, jobs: dict[int, Request], frame: Frame
+        self, jobs: dict[int, Request], frame: ServiceFrame
     ) -> dict[int, ViewResult]:
         """Collect all answers.
 
@@ -117,7 +117,7 @@ class Dispatcher:
             )
         raise type(errors[0])(f"{errors[0]}{kept}") from None
 
-    def _result(self, request: Request, frame: Frame) -> ViewResult:
+    def _result(self, request: Request, frame: ServiceFrame) -> ViewResult:
         """Get one view from the cache, else from the service."""
         key = self.cache.key(request, self.asked)
         answer = self.cache.find(key)

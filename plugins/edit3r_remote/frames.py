@@ -26,7 +26,7 @@ SHAPE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
-class Frame:
+class ServiceFrame:
     """Where a photo lies inside a service's image; all sizes (height, width) [pixels]."""
 
     photo: tuple[int, int]
@@ -35,7 +35,9 @@ class Frame:
     corner: tuple[int, int]  # row, column of the scaled photo's first pixel
 
     @staticmethod
-    def around(photo: tuple[int, int], offered: Sequence[tuple[int, int]]) -> "Frame":
+    def around(
+        photo: tuple[int, int], offered: Sequence[tuple[int, int]]
+    ) -> "ServiceFrame":
         """Centre the photo in the offered size whose shape is nearest to its own."""
         height, width = photo
         size = min(
@@ -47,7 +49,7 @@ class Frame:
             min(size[1], max(1, round(width * scale))),
         )
         corner = ((size[0] - inner[0]) // 2, (size[1] - inner[1]) // 2)
-        return Frame(photo, size, inner, corner)
+        return ServiceFrame(photo, size, inner, corner)
 
     def enclose(
         self, photo: Float[Tensor, "channel h w"]

@@ -62,11 +62,11 @@ SAME, END = (
 )
 CASES = {
     "no samples": ({"count": 0}, "test_has_samples", "nothing could be trained on it"),
-    "dictionaries": ({"spoil": lambda me, s: vars(s)}, SHAPES, "return a SceneSample"),
+    "dictionaries": ({"spoil": lambda me, s: vars(s)}, SHAPES, "return SceneSample"),
     "8-bit values": (
         {"spoil": lambda me, s: dim(s, 255)},
         SHAPES,
-        "divide 8-bit pictures by 255",
+        "divide 8-bit images by 255",
     ),
     "depths of another size": (
         {"spoil": lambda me, s: replace(s, context_depths=s.context_depths[..., ::2])},
@@ -76,7 +76,7 @@ CASES = {
     "masks of other objects": (
         {"spoil": lambda me, s: replace(s, target_masks=s.target_masks[:1])},
         SHAPES,
-        "follow the same ones",
+        "sample.target_masks has shape",
     ),
     "pixel intrinsics": ({"spoil": in_pixels}, FRAME, "intrinsics are normalised"),
     "world poses": ({"spoil": in_the_world}, FRAME, "relative_to_first"),

@@ -24,12 +24,12 @@ IN_RANGE, BLANK = (
     "test_a_blank_image_is_no_error",
 )
 CASES = {
-    "a list": ([GOOD], IN_RANGE, "return a tuple, () for none"),
+    "a list": ([GOOD], IN_RANGE, "return tuple"),
     "a tuple of boxes": (((1, 2, 3, 4),), IN_RANGE, "return Detection"),
     "a percentage": (
         (Detection("ball", 70, (1, 1, 2, 2)),),
         IN_RANGE,
-        "must lie in [0, 1]",
+        "allowed is [0, 1]",
     ),
     "a box of corners": (
         (Detection("ball", 0.7, (90, 60, 96, 70)),),

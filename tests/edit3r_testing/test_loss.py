@@ -41,7 +41,7 @@ CASES = {
     "a number": (
         lambda i: (i.rendered - i.target).square().mean().item(),
         ZERO,
-        "return a torch.Tensor",
+        "return Tensor",
     ),
     "NaN": (lambda i: (i.rendered - i.target).sum() / 0, ZERO, "NaN"),
     "blind": (
@@ -69,7 +69,7 @@ CASES = {
         GRADIENT,
         "it would teach nothing",
     ),
-    "in place": (in_place, ALONE, "do not use in-place operations"),
+    "in place": (in_place, ALONE, "its input was changed"),
 }
 
 

@@ -63,7 +63,7 @@ BACKBONES = {
     "half precision": (
         lambda i, f: levels(f, torch.Tensor.half),
         SHAPE,
-        "return the dtype of the input",
+        "return torch.float32",
     ),
     "a grid turned over": (
         lambda i, f: Features(f.levels, f.grid[::-1]),
@@ -95,12 +95,12 @@ HEADS = {
     "raw opacities": (
         lambda g: replace(g, opacities=g.opacities * 9),
         VALID,
-        ".sigmoid()",
+        "return opacities in [0, 1]",
     ),
     "raw scales": (
         lambda g: replace(g, scales=-g.scales),
         VALID,
-        "use exp or softplus",
+        "return scales above 0",
     ),
     "raw quaternions": (lambda g: replace(g, quats=g.quats * 3), VALID, "F.normalize"),
     "a Gaussian too few": (

@@ -66,21 +66,25 @@ def noisy(rendering):
 RANGE, AGREES = "test_rendering_is_in_range", "test_agrees_with_the_reference"
 GRADIENT = "test_gradients_agree_with_the_reference"
 CASES = {
-    "a tuple": ({"answer": lambda r: (r.images, r.alphas)}, RANGE, "return Rendering"),
+    "a tuple": (
+        {"answer": lambda r: (r.images, r.alphas)},
+        RANGE,
+        "return edit3r.Rendering",
+    ),
     "a batch axis lost": (
         {"answer": lambda r: Rendering(r.images[0], r.alphas, r.depths)},
         RANGE,
-        "return [1, 2, 3, 24, 32]",
+        "return images of shape [1, 2, 3, 24, 32]",
     ),
     "another dtype": (
         {"answer": lambda r: r.to(torch.float64)},
         RANGE,
-        "return the dtype of the input",
+        "return images in the Gaussians' torch.float32",
     ),
     "NaN": (
         {"answer": lambda r: replace(r, depths=r.depths / r.depths)},
         RANGE,
-        "NaN or infinite values",
+        "values not finite",
     ),
     "alphas beyond 1": (
         {"answer": lambda r: replace(r, alphas=r.alphas * 3)},

@@ -110,27 +110,27 @@ CASES = {
     "NaN": (
         {"spoil": lambda m, v, a: changed(a, means=a.gaussians.means / 0)},
         VALID,
-        "Gaussians.means holds",
+        "Gaussians with means with",
     ),
     "a bare set": (
         {"spoil": lambda m, v, a: a.gaussians},
         VALID,
-        "return Reconstruction",
+        "return edit3r.Reconstruction",
     ),
     "float64": (
         {"spoil": lambda m, v, a: changed(a, scales=a.gaussians.scales.double())},
         VALID,
-        "return the dtype of the input",
+        "return torch.float32 Gaussians",
     ),
     "raw opacities": (
         {"spoil": lambda m, v, a: changed(a, opacities=a.gaussians.opacities * 9)},
         VALID,
-        ".sigmoid()",
+        "return opacities in [0, 1]",
     ),
     "raw scales": (
         {"spoil": lambda m, v, a: changed(a, scales=-a.gaussians.scales)},
         VALID,
-        "use exp or softplus",
+        "return scales above 0",
     ),
     "raw quaternions": (
         {"spoil": lambda m, v, a: changed(a, quats=a.gaussians.quats * 2)},

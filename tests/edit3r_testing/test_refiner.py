@@ -41,7 +41,7 @@ CASES = {
     "logits": (
         lambda g, _: replace(g, opacities=g.opacities * 5),
         VALID,
-        "squash them",
+        "return opacities in [0, 1]",
     ),
     "no masks": (refuse_masks, MASKS, "masks are not supported"),
     "another frame": (

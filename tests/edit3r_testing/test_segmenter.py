@@ -55,12 +55,12 @@ CASES = {
     "a list": (
         {"propose": list},
         "test_proposals_are_in_range",
-        "return a tuple of Proposal",
+        "return tuple",
     ),
     "a dictionary": (
         {"propose": lambda p: (vars(p[0]),)},
         "test_proposals_are_in_range",
-        "return a Proposal",
+        "return Proposal",
     ),
     "logits for a soft mask": (
         {
@@ -75,12 +75,12 @@ CASES = {
     "stability beyond 1": (
         first(stability=1.5),
         "test_proposals_are_in_range",
-        "stability is 1.5",
+        "stability spans [1.5, 1.5]",
     ),
     "area in pixels": (
         first(area=900.0),
         "test_proposals_are_in_range",
-        "it is a share, in [0, 1]",
+        "it is a share",
     ),
     "area of something else": (
         {"propose": lambda p: (replace(p[0], area=(p[0].area + 0.5) % 1), *p[1:])},
@@ -100,7 +100,7 @@ CASES = {
     "no proposal at a point": (
         {"segment": lambda proposal: None},
         "test_a_point_and_a_box_give_one_object",
-        "return a Proposal",
+        "return Proposal",
     ),
     "objects swapped": (
         {"track": lambda tracks: replace(tracks, logits=tracks.logits.flip(1))},
@@ -115,7 +115,7 @@ CASES = {
     "never lost": (
         {"track": never_lost},
         "test_lost_objects_are_reported",
-        "objects are present on a black picture",
+        "objects are present on a black image",
     ),
     "lost but drawn": (
         {"track": lost_but_drawn},

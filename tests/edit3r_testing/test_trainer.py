@@ -28,7 +28,7 @@ class Pretending(Trainer):
 
 TRAINS, RESUMES = "test_trains_and_returns_the_folder_of_a_checkpoint", "test_resumes"
 CASES = {
-    "a text": ({"folder": "text"}, TRAINS, "return the folder's Path"),
+    "a text": ({"folder": "text"}, TRAINS, "return Path"),
     "another place": ({"folder": "../elsewhere"}, TRAINS, "write nothing elsewhere"),
     "no checkpoint": ({"save": False}, TRAINS, "save a checkpoint there"),
     "no training": ({"move": False}, TRAINS, "step the optimiser"),

@@ -26,7 +26,7 @@ def folder(tmp_path):
 def read(folder, *lines, **defaults):
     texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
     (folder / "jobs.jsonl").write_text("\n".join(texts), encoding="utf-8")
-    return read_jobs(folder / "jobs.jsonl", defaults, default_registry())
+    return read_jobs(folder / "jobs.jsonl", defaults, default_registry(), trusted=True)
 
 
 def test_settings_are_those_of_a_configuration_file_over_the_defaults(folder):
@@ -98,7 +98,7 @@ def test_a_file_without_jobs_is_refused(folder, content):
     if content is not None:
         (folder / "jobs.jsonl").write_bytes(content)
     with pytest.raises(InputError, match=r"jobs.jsonl"):
-        read_jobs(folder / "jobs.jsonl", {}, default_registry())
+        read_jobs(folder / "jobs.jsonl", {}, default_registry(), trusted=True)
 
 
 def test_secrets_are_in_no_record(folder):

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_remote.frames import Frame, decode, encode_mask, encode_png
+from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +13,7 @@ OFFERED = ((1024, 1024), (1024, 1536), (1536, 1024))
 
 @given(st.integers(1, 3000), st.integers(1, 3000))
 def test_a_photo_fits_inside_its_frame_undistorted_and_centred(height, width):
-    frame = Frame.around((height, width), OFFERED)
+    frame = ServiceFrame.around((height, width), OFFERED)
     assert frame.size in OFFERED
     for side in (0, 1):
         assert (
@@ -32,7 +32,7 @@ def test_enclosing_and_extracting_gives_the_photo_back(size):
     photo = torch.linspace(0.2, 0.8, size[0])[:, None] * torch.linspace(
         0.5, 1, size[1]
     ).expand(3, 1, size[1])
-    frame = Frame.around(size, offered)
+    frame = ServiceFrame.around(size, offered)
     enclosed = frame.enclose(photo)
     assert enclosed.shape[1:] == frame.size
     assert torch.allclose(frame.extract(enclosed), photo, atol=0.02)
@@ -53,6 +53,6 @@ def test_a_softly_masked_pixel_may_change():
 
 def test_what_is_no_picture_is_quoted():
     with pytest.raises(
-        RunError, match=r"view 3 is no picture \(5 bytes, starting 'hello'\)"
+        RunError, match=r"view 3 is no image \(5 bytes, starting 'hello'\)"
     ):
         decode(b"hello", (5, 7), "view 3")

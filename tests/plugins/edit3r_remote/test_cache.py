@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
-from edit3r_remote.service import Answer, AnswerCache, Request
+from edit3r_remote.cache import AnswerCache
+from edit3r_remote.service import Answer, Request
 
-REQUEST = Request("left.png", "paint it red", 0, b"picture", None, (10, 20))
+REQUEST = Request("left.png", "paint it red", 0, b"image", None, (10, 20))
 ANSWER = Answer(b"answer", 3, 4)
 
 
@@ -27,7 +28,7 @@ def test_an_answer_cut_short_by_a_crash_counts_as_absent(tmp_path):
 def test_a_rejected_answer_is_on_disk_but_never_found(tmp_path):
     cache = AnswerCache(str(tmp_path))
     key = cache.key(REQUEST, {})
-    path = cache.keep(key, ANSWER, accepted=False)
+    path = cache.write(f"{key}.rejected", ANSWER.image)
     assert path.read_bytes() == b"answer" and cache.find(key) is None
 
 
@@ -41,4 +42,4 @@ def test_the_view_name_does_not_matter_but_mask_and_settings_do(tmp_path):
 
 def test_without_a_folder_nothing_is_kept():
     cache = AnswerCache("")
-    assert cache.keep("k", ANSWER) is None and cache.find("k") is None
+    assert cache.write("k.rejected", b"") is None and cache.find("k") is None
