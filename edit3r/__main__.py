@@ -15,7 +15,8 @@ def _drop_current_folder() -> None:
         del sys.path[0]
 
 
-_drop_current_folder()
+if __name__ == "__main__":  # not in the workers that multiprocessing starts from it
+    _drop_current_folder()
 
 import gc  # noqa: E402  (after the path is safe)
 import signal  # noqa: E402

@@ -8,6 +8,7 @@ the thing in `names`.
 """
 
 import asyncio
+import base64
 import dataclasses
 import importlib.util
 import io
@@ -241,9 +242,9 @@ def checkpoints(rng, folder, given):
 
 
 def resume_states(rng, folder, given):
-    (folder / "match-0.safetensors").write_bytes(
-        mangled_bytes(rng, given.files["cache"])
-    )
+    whole = given.files["cache"]
+    entry = rng.choice((whole, mangled_bytes(rng, whole), mangled_bytes(rng, whole)))
+    (folder / "match-0.safetensors").write_bytes(entry)
     answer = Cache(folder).recall("match", "0", lambda: None)
     assert answer is None or isinstance(answer, Views)
 
@@ -481,30 +482,30 @@ def output_paths(rng, folder, given):
 def service_answers(rng, folder, given):
     from edit3r_remote.dispatch import Dispatcher
     from edit3r_remote.gpt_image import OpenAiImages
-    from edit3r_remote.service import Answer, ImageService, RemoteSettings
+    from edit3r_remote.service import ImageService, RemoteSettings
 
-    class Service(ImageService):
+    class Service(OpenAiImages):
         label = "fake"
         variables = ("EDIT3R_FUZZ_KEY",)
+        chosen = {}
 
-        def send(self, request):
-            import base64
+        def __init__(self, settings):
+            ImageService.__init__(self, settings)
+            self.client = SimpleNamespace(images=SimpleNamespace(edit=self.respond))
 
+        def respond(self, **asked):
             whole = _png(np.zeros((24, 32, 3), np.uint8))
-            picture = rng.choice(
+            image = rng.choice(
                 (b"x " + self.key.encode(), mangled_bytes(rng, whole), whole, whole)
             )
             usage = SimpleNamespace(input_tokens=nasty(rng), output_tokens=nasty(rng))
-            data = [SimpleNamespace(b64_json=base64.b64encode(picture).decode())]
-            response = SimpleNamespace(
+            data = [SimpleNamespace(b64_json=base64.b64encode(image).decode())]
+            if rng.random() < 0.1:
+                raise rng.choice((OSError, ValueError, RuntimeError))(f"key {self.key}")
+            return SimpleNamespace(
                 data=rng.choice((data, data, data, nasty(rng))),
                 usage=rng.choice((usage, nasty(rng))),
             )
-            if rng.random() < 0.1:
-                raise rng.choice((OSError, ValueError, RuntimeError))(f"key {self.key}")
-            answer = OpenAiImages._answer(self, response, request)
-            assert isinstance(answer, Answer)
-            return answer
 
     settings = RemoteSettings(
         model="x",

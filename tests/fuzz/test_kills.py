@@ -151,7 +151,9 @@ def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path, kills):
     old, cameras = tmp_path / "old.ply", tmp_path / "cameras.json"
     save_ply(old, gaussian_cloud(300))
     write_cameras(cameras, posed_cameras(cameras_around(2), ["a.png", "b.png"]))
-    options = f"--cameras {cameras} --gaussians 100 --rasterizer torch --quiet"
+    options = (
+        f"--cameras {cameras} --gaussians 100 --rasterizer torch --quiet --overwrite"
+    )
 
     def command(place):
         out = place / "small.ply"

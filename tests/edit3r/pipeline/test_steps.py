@@ -120,10 +120,10 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
         (lambda v: Views(v.images[..., :4], v.intrinsics), "keep number and size"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),
-            "torch.float32 pictures, got torch.float64",
+            "torch.float32 images, got torch.float64",
         ),
-        (lambda v: Views(v.images * 2, v.intrinsics), r"pictures in \[0, 1\], got"),
-        (lambda v: Views(v.images * float("nan"), v.intrinsics), "nan"),
+        (lambda v: Views(v.images * 2, v.intrinsics), r"images in \[0, 1\], got"),
+        (lambda v: Views(v.images * float("not finite"), v.intrinsics), "nan"),
     ],
 )
 def test_an_editor_that_breaks_its_contract_is_named(views, answer, said):
