@@ -11,6 +11,7 @@ from edit3r_optimisers.editsplat import (
     trim,
 )
 
+from edit3r.contract.interfaces import GivesAttention
 from edit3r.contract.types import EditRequest, Views
 from edit3r_testing.scenes import cameras_around, gaussian_cloud, photograph
 
@@ -140,9 +141,7 @@ def test_masks_come_before_change_and_the_editors_own_attention_before_both(
     maps, told_by = attention_maps(editor, *views, EditRequest("x", masks=masks))
     assert torch.equal(maps, 2 * masks) and "masks" in told_by
 
-    class Attentive(type(editor)):
-        gives_attention = True
-
+    class Attentive(type(editor), GivesAttention):
         def attention(self, views, request):
             return torch.tensor([[[[3.0, 0], [0, 0]]]])
 

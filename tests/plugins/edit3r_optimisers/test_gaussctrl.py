@@ -4,7 +4,7 @@ import pytest
 import torch
 from edit3r_optimisers.gaussctrl import chunks, reference_views
 
-from edit3r.contract.interfaces import Editor
+from edit3r.contract.interfaces import ConditionedOnDepth, Editor
 from edit3r.contract.types import EditRequest
 from edit3r.reporting import Report, collecting
 
@@ -33,16 +33,18 @@ def test_an_editor_that_cannot_align_is_used_and_the_run_says_what_is_missing(
 ):
     report = Report()
     with collecting(report):
-        build("gaussctrl", together=2)(posed, posed, EditRequest("invert"))
+        build("gaussctrl", together=2).edit_and_reconstruct(
+            posed, posed, EditRequest("invert")
+        )
     assert [views.count for views, _ in editor.calls] == [2, 1]
     (said,) = [text for text in report.warnings if text.startswith("gaussctrl")]
     assert "not aligned" in said and "not conditioned" in said
 
 
-class Depthy(Editor):
+class Depthy(Editor, ConditionedOnDepth):
     """Looks across views and asks its matcher for depth, as controlnet-depth does."""
 
-    references, takes_depth = 1, True
+    references = 1
 
     def __init__(self):
         self.matcher, self.asked = object(), []
@@ -58,7 +60,7 @@ def test_an_editor_with_a_matcher_is_given_the_fitted_depth_and_stays_as_it_was(
 ):
     editor, report = Depthy(), Report()
     with collecting(report):
-        build("gaussctrl", {"editor": editor}, together=2)(
+        build("gaussctrl", {"editor": editor}, together=2).edit_and_reconstruct(
             posed, posed, EditRequest("x")
         )
     assert editor.matcher is editor.parts["matcher"] and not report.warnings

@@ -9,6 +9,7 @@ from edit3r_optimisers.instruct_nerf2nerf import (
     InstructNerf2NerfReconstructor,
 )
 
+from edit3r.contract.interfaces import StartsFromImages
 from edit3r.contract.types import EditRequest
 from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import gaussian_cloud
@@ -88,9 +89,7 @@ def test_an_editor_that_cannot_start_from_a_picture_is_mixed_with_the_render_and
 def test_an_editor_that_can_start_from_a_picture_is_given_render_and_strength(
     targets, posed
 ):
-    class Starting:
-        starts_from_images = True
-
+    class Starting(StartsFromImages):
         def edit(self, views, request):
             raise AssertionError
 

@@ -10,6 +10,7 @@ from edit3r_optimisers.method import VISIBLE_OPACITY, begin, thinned
 from pydantic import ValidationError
 
 import edit3r
+from edit3r.contract.interfaces import StartsFromImages
 from edit3r.contract.types import EditRequest, Reconstruction
 from edit3r.errors import SettingsError
 from edit3r.reporting import Report, collecting
@@ -72,7 +73,9 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     settings = {"instruct-nerf2nerf": {"every": 2, "least_strength": 0.9}}.get(
         method, {}
     )
-    result = build(method, **fast, **settings)(inverted, posed, ASK)
+    result = build(method, **fast, **settings).edit_and_reconstruct(
+        inverted, posed, ASK
+    )
     seen = rasterizer.render(result.gaussians, result.cameras).images
     assert (seen - inverted.images).abs().mean() < 0.5 * (
         seen - posed.images
@@ -93,7 +96,7 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
 def test_the_editor_is_called_as_often_as_the_method_says(
     build, editor, posed, name, settings, calls
 ):
-    build(name, **settings)(
+    build(name, **settings).edit_and_reconstruct(
         edit3r.Views(1 - posed.images, posed.intrinsics), posed, ASK
     )
     assert len(editor.calls) == calls
@@ -101,25 +104,26 @@ def test_the_editor_is_called_as_often_as_the_method_says(
 
 
 def test_editsplat_edits_itself_when_it_is_given_nothing_edited(build, editor, posed):
-    build("editsplat")(posed, posed, ASK)
+    build("editsplat").edit_and_reconstruct(posed, posed, ASK)
     assert [views.count for views, _ in editor.calls] == [3, 1, 1, 1]
 
 
 def test_editsplat_edits_each_view_again_from_its_neighbours_edits_too(
-    build, editor, posed, monkeypatch
+    build, editor, posed
 ):
     """View 0 is edited to black, the others to white: what view 0 begins from is neither."""
     starts = []
 
-    def edit_from(views, start, request, strength):
-        starts.append(start)
-        return edit3r.Views(start, views.intrinsics)
+    class Starting(type(editor), StartsFromImages):
+        def edit_from(self, views, start, request, strength):
+            starts.append(start)
+            return edit3r.Views(start, views.intrinsics)
 
-    monkeypatch.setattr(editor, "starts_from_images", True)
-    monkeypatch.setattr(editor, "edit_from", edit_from)
     edits = torch.ones_like(posed.images)
     edits[:, 0] = 0
-    build("editsplat")(edit3r.Views(edits, posed.intrinsics), posed, ASK)
+    views = edit3r.Views(edits, posed.intrinsics)
+    method = build("editsplat", {"editor": Starting()})
+    method.edit_and_reconstruct(views, posed, ASK)
     assert [start.shape[1] for start in starts] == [1, 1, 1]
     assert 0.3 < starts[0].mean() < 1 and starts[1].min() < 0.7
 
