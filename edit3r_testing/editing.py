@@ -33,7 +33,8 @@ class EditorContract(Contract):
         """Test photos, as many as the component's declaration allows."""
         if self.offer is not None:
             about = self.offer.component
-            count = min(max(count, about.min_views), about.max_views or count)
+            count = max(count, about.min_views)
+            count = min(count, about.max_views or count)
         return self.scene(count, **scene).views
 
     def edit(

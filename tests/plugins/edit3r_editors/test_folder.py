@@ -102,5 +102,5 @@ def test_a_folder_must_be_given_and_exist(path, error):
 
 
 def test_an_empty_folder_is_an_error(tmp_path):
-    with pytest.raises(InputError, match="no pictures"):
+    with pytest.raises(InputError, match="no images"):
         edit(tmp_path)
