@@ -7,7 +7,7 @@ and what was given.
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -23,11 +23,35 @@ MAX_VALUES = 100_000
 _TEXT = "tag:yaml.org,2002:str"
 _MERGE = "tag:yaml.org,2002:merge"
 
+Share = Annotated[float, Field(ge=0, le=1)]
+"""A number from 0 to 1."""
+
+NonNegative = Annotated[float, Field(ge=0)]
+"""A number of at least 0."""
+
+Count = Annotated[int, Field(ge=1)]
+"""A whole number of at least 1."""
+
+Index = Annotated[int, Field(ge=0)]
+"""A whole number of at least 0, such as a seed."""
+
 
 class Settings(BaseModel):
     """Base of every component's settings: frozen, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keep_default_parts(cls, values: Any) -> Any:
+        """Settings of a part without a name, as `backbone.width=64`, change the default part."""
+        if not isinstance(values, Mapping):
+            return values
+        filled = dict(values)
+        for key, given in values.items():
+            if key in cls.model_fields and isinstance(given, Mapping):
+                filled[key] = _over_default(cls.model_fields[key], given)
+        return filled
 
 
 USER_ONLY = {"user_only": True}
@@ -59,6 +83,14 @@ class PartChoice(Settings):
             settings = dict(value)
             return {"name": settings.pop("name", None), "settings": settings}
         return value
+
+
+def _over_default(field: FieldInfo, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """`given` over a field's default part, unless `given` names a part itself."""
+    default = field.get_default(call_default_factory=True)
+    if "name" in given or not isinstance(default, PartChoice):
+        return given
+    return merge({"name": default.name, **default.settings}, given)
 
 
 def make_settings(
@@ -241,16 +273,26 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Deep merge: mappings are merged key by key, anything else in `over` replaces.
 
-    Settings over a component given by its name alone keep the name: `editor: recolor`, then
-    `editor: {strength: 1}`.
+    A component given by its name alone keeps it: `editor: recolor`, then `editor: {strength: 1}`.
+    A mapping that names another component replaces the whole one: settings of the first mean
+    nothing to the second.
     """
     result = dict(base)
     for key, value in over.items():
         before = result.get(key)
         if isinstance(value, Mapping) and isinstance(before, str):
             before = {"name": before}
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
+        if (
+            isinstance(value, Mapping)
+            and isinstance(before, Mapping)
+            and not _names_another(before, value)
+        ):
             result[key] = merge(before, value)
         else:
             result[key] = value
     return result
+
+
+def _names_another(before: Mapping[str, Any], value: Mapping[str, Any]) -> bool:
+    """Whether both mappings name a component, and not the same one."""
+    return {"name"} <= before.keys() & value.keys() and before["name"] != value["name"]

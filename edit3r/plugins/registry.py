@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from edit3r.config import PartChoice, Settings, make_settings, merge
+from edit3r.config import PartChoice, Settings, make_settings
 from edit3r.contract.component import KINDS, Component
 from edit3r.errors import (
     Edit3rError,
@@ -194,9 +194,7 @@ class Registry:
         self, offer: Offer, values: Mapping[str, Any], where: str
     ) -> Settings:
         cls = self.settings_class(offer)
-        return make_settings(
-            cls, _with_default_names(cls, offer.component.parts, values), where
-        )
+        return make_settings(cls, values, where)
 
     def _build(
         self,
@@ -256,24 +254,6 @@ class Registry:
         return self._build(
             part, choice.name, dict(choice.settings), given, siblings, where
         )
-
-
-def _with_default_names(
-    cls: type[Settings], parts: Iterable[str], values: dict[str, Any]
-) -> dict[str, Any]:
-    """`--set reconstructor.backbone.width=64` keeps the default backbone: merge over its declared
-    choice.
-    """
-    result = dict(values)
-    for part in parts:
-        field = cls.model_fields.get(part)
-        given = values.get(part)
-        if field is None or not isinstance(given, Mapping) or "name" in given:
-            continue
-        default = field.get_default(call_default_factory=True)
-        if isinstance(default, PartChoice):
-            result[part] = merge({"name": default.name, **default.settings}, given)
-    return result
 
 
 def absent_device(component: Component) -> str:

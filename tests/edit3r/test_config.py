@@ -91,6 +91,15 @@ def test_later_layers_replace_leaves_and_keep_the_rest():
     }
 
 
+def test_another_name_replaces_the_settings_of_the_one_before():
+    before = {"head": {"name": "small", "width": 8}}
+    assert merge(before, {"head": {"name": "small", "seed": 1}}) == {
+        "head": {"name": "small", "width": 8, "seed": 1}
+    }
+    other = {"head": {"name": "large", "seed": 1}}
+    assert merge(before, other) == other
+
+
 def test_settings_after_a_name_keep_the_name():
     assert parse_assignments(["editor=sepia", "editor.strength=1"]) == {
         "editor": {"name": "sepia", "strength": 1}
