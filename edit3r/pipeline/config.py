@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from edit3r.config import PartChoice, Settings, make_settings, merge, read_yaml
-from edit3r.pipeline.quality import with_quality
+from edit3r.pipeline.quality import read_quality, with_quality
 from edit3r.plugins.registry import Registry
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
@@ -160,12 +160,13 @@ class RunConfig(Settings):
             raise ValueError("expected all, auto, or a number of at least 1")
         return value
 
-    def all_refiners(self) -> tuple[PartChoice, ...]:
+    def all_refiners(self, by_default: bool = True) -> tuple[PartChoice, ...]:
         """The refiners in order: what `gaussians` and `refine` stand for, then those listed.
 
-        A refiner that is listed as well keeps its place in the list.
+        A refiner that is listed as well keeps its place in the list. Not `by_default`: `gaussians`
+        and `refine` count only where the user set them.
         """
-        implied = self._implied_refiners()
+        implied = self._implied_refiners(by_default)
         listed = [
             PartChoice(
                 name=choice.name,
@@ -178,20 +179,28 @@ class RunConfig(Settings):
         ]
         return (*first, *listed)
 
-    def _implied_refiners(self) -> dict[str, dict[str, Any]]:
+    def _implied_refiners(self, by_default: bool) -> dict[str, dict[str, Any]]:
         """Name and settings of the refiners that `gaussians` and `refine` stand for."""
         names = DEFAULTS["shorthands"]
         implied: dict[str, dict[str, Any]] = {}
-        if self.gaussians != "all" or self.max_gaussians is not None:
+        asked = self._set_by_the_user()
+        fewer_asked = by_default or asked & {"gaussians", "max_gaussians"}
+        if fewer_asked and (self.gaussians != "all" or self.max_gaussians is not None):
             fewer: dict[str, Any] = {"gaussians": self.gaussians}
             if self.max_gaussians is not None:
                 fewer["max_gaussians"] = self.max_gaussians
             if self.refine:
                 fewer |= names["gaussians_before_refine"]
             implied[names["gaussians"]] = fewer
-        if self.refine:
+        if self.refine and (by_default or "refine" in asked):
             implied[names["refine"]] = {"steps": self.refine}
         return implied
+
+    def _set_by_the_user(self) -> set[str]:
+        """Names of the settings that were given, other than by the preset."""
+        preset = read_quality().preset(self.quality).settings if self.quality else {}
+        given = self.model_fields_set
+        return {name for name in given if getattr(self, name) != preset.get(name)}
 
 
 class JobInputs(Settings):

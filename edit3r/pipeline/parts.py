@@ -89,7 +89,8 @@ class Parts:
 
     @cached_property
     def refiners(self) -> tuple[Refiner, ...]:
-        choices = self.config.all_refiners()
+        by_default = not self.reconstructor.fuses_by_itself
+        choices = self.config.all_refiners(by_default)
         return tuple(
             self._registry.build_choice("refiner", choice) for choice in choices
         )

@@ -339,7 +339,8 @@ def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
 
 def _grid(parts: Parts, views: Views) -> tuple[int, int]:
     """(height, width) of the grid of Gaussians: coarser than the views where refining follows."""
-    share = parts.config.grid if parts.config.refine else 1.0
+    refined = parts.config.refine and not parts.reconstructor.fuses_by_itself
+    share = parts.config.grid if refined else 1.0
     height, width = views.image_size
     return max(1, round(share * height)), max(1, round(share * width))
 
@@ -438,6 +439,12 @@ def refine(scene: Scene, parts: Parts) -> Scene:
     """
     again = parts.edits_again
     refiners = parts.refiners
+    if len(refiners) < len(parts.config.all_refiners()):
+        say(
+            "refine.left_out",
+            "the reconstructor's Gaussians are kept as they are, for they settle disagreeing edits "
+            "by themselves; --gaussians and --refine change them nevertheless",
+        )
     if not again:
         refiners = sorted(
             refiners, key=lambda one: not isinstance(one, ComparesWithBefore)

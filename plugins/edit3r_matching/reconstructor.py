@@ -8,7 +8,7 @@ from edit3r.config import PartChoice
 from edit3r.contract.interfaces import Matcher, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.surroundings import apron, backdrop
+from edit3r.geometry.surroundings import background_layer, rim
 from edit3r.geometry.warping import contradicted, seen_by_others
 
 __all__ = ["ClassicalReconstructor"]
@@ -43,14 +43,14 @@ class ClassicalReconstructor(Reconstructor):
             le=1,
             description="opacity of filled-in pixels whose place no other photo shows",
         )
-        apron: float = Field(
+        rim: float = Field(
             0.12,
             ge=0,
             le=1,
             description="width of the blurred rim that continues each photo [long sides]; 0: none",
         )
 
-        backdrop: float = Field(
+        background_layer: float = Field(
             0.9,
             ge=0,
             le=1,
@@ -90,15 +90,15 @@ class ClassicalReconstructor(Reconstructor):
             views.images, geometry.depths, cameras, scales, opacities * kept
         )
         gaussians = gaussians.select((gaussians.opacities > 0).any(dim=0))
-        if chosen.backdrop > 0:
+        if chosen.background_layer > 0:
             gaussians = Gaussians.cat(
-                (gaussians, backdrop(views, geometry, chosen.backdrop))
+                (gaussians, background_layer(views, geometry, chosen.background_layer))
             )
-        if chosen.apron > 0:
+        if chosen.rim > 0:
             gaussians = Gaussians.cat(
                 (
                     gaussians,
-                    apron(views, geometry, chosen.apron, chosen.guessed_opacity),
+                    rim(views, geometry, chosen.rim, chosen.guessed_opacity),
                 )
             )
         return Reconstruction(gaussians, cameras, geometry.registered, measured)

@@ -1,15 +1,15 @@
 """The networks of the paper: photos without poses to 3D Gaussians in one pass, any number of views.
 
-The small network, reconstructor `edit3r`, carries edits between views over matched geometry; its
-weights ship: `small_reconstructor` runs `small_backbone` and `small_head`, whose networks are in
-`edit_fusion` and whose rules are in `edit_colour`.
+`reconstructor` has the reconstructors `edit3r` and `noposplat`: a backbone, a head, and one of two
+forms. `matched_form`, with the small network whose weights ship, carries edits between views over
+matched geometry: `small_backbone` and `small_head`, whose trained parts are in `edit_fusion` and
+whose rules are in `colour_maps`, `edited_views`, `colour_function` and `disagreement`.
+`single_pass`, with the full network, finds geometry by itself: `view_fitting`, then `backbone` (of
+blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`.
 
-The full network, reconstructor `noposplat`, finds geometry by itself and needs weights:
-`full_reconstructor` brings images to its size (`view_fitting`) and runs `full_network`, that is
-`backbone` (of blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in
-`gaussian_adapter`. `checkpoints` and `official_checkpoints` read weights of any origin; `engine`
-chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the limits.
-Written from a description of the published network; no code of that family is used.
+`network` gives the parts their weights, which `checkpoints`, `official_checkpoints` and `hub` read;
+`engine` chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the
+limits. Written from a description of the published network; no code of that family is used.
 """
 
 from edit3r import Component, hookimpl
@@ -40,7 +40,10 @@ _NOPOSPLAT = Weights(
     files=(("re10k.ckpt", ""),),
 )
 
-_CITATION = "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed Images, ICLR 2025"
+_CITATION = (
+    "Ye et al., No Pose, No Problem: Surprisingly Simple 3D Gaussian Splats from Sparse Unposed "
+    "Images, ICLR 2025"
+)
 
 
 @hookimpl
@@ -85,9 +88,9 @@ def register_heads():
 def register_reconstructors():
     edit3r = Component(
         name="edit3r",
-        target="edit3r_model.small_reconstructor:Edit3rReconstructor",
+        target="edit3r_model.reconstructor:Edit3rReconstructor",
         summary="matched geometry, and a small network that carries and fuses the edits (weights "
-        "ship)",
+        "ship); or the full network in a single pass",
         parts=("matcher", "backbone", "head"),
         min_views=2,
         weights=(OFFICIAL,),
@@ -95,9 +98,9 @@ def register_reconstructors():
     )
     noposplat = Component(
         "noposplat",
-        "edit3r_model.full_reconstructor:NoPoSplatReconstructor",
-        "full-size network; reads official .ckpt, MASt3R .pth (as initialisation) or our "
-        "safetensors; ships no weights",
+        "edit3r_model.reconstructor:NoPoSplatReconstructor",
+        "full-size network by itself; reads official .ckpt, MASt3R .pth (as initialisation) or "
+        "our safetensors; ships no weights",
         parts=("backbone", "head"),
         min_views=2,
         weights=(OFFICIAL, _NOPOSPLAT),
@@ -108,17 +111,9 @@ def register_reconstructors():
 
 @hookimpl
 def register_commands() -> list[Component]:
-    return [
-        Component(
-            "convert",
-            "edit3r_model.command:ConvertCommand",
-            "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config "
-            "beside it",
-        ),
-        Component(
-            "conflicts",
-            "edit3r_model.command:ConflictsCommand",
-            "draw what each photo's Gaussians of a run show, and where its edit contradicts the "
-            "first's",
-        ),
-    ]
+    convert = Component(
+        "convert",
+        "edit3r_model.convert:ConvertCommand",
+        "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
+    )
+    return [convert]

@@ -6,19 +6,16 @@ Ye et al., No Pose, No Problem (ICLR 2025); architecture and default sizes are t
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.config import Settings
+from edit3r.config import Count, Settings
 from edit3r.contract.interfaces import Backbone
 from edit3r.contract.types import Features
 from edit3r.errors import InputError, SettingsError
-from edit3r.geometry.cameras import pixel_rays
-from edit3r.geometry.harmonics import basis
 from edit3r_model.memory import construct
 from edit3r_model.transformer import (
     DecoderBlock,
@@ -38,6 +35,10 @@ setting says otherwise.
 ROLES = 2
 """Number of weight sets: one for the reference view 0, one for all other views."""
 
+Images = Float[Tensor, "batch view 3 height width"]
+Intrinsics = Float[Tensor, "batch view 3 3"]
+Tokens = Float[Tensor, "batch view token channel"]
+
 
 class AsymmetricViT(Backbone):
     """ViT encoder (ViT-L by default) and two ViT decoders (ViT-B) that read each other's tokens.
@@ -50,7 +51,7 @@ class AsymmetricViT(Backbone):
 
     class Settings(Settings):
         width: int = Field(1024, ge=4, description="encoder channels")
-        depth: int = Field(24, ge=1, description="encoder blocks")
+        depth: Count = Field(24, description="encoder blocks")
         heads: int | None = Field(
             None, ge=1, description="encoder attention heads; default: width / 64"
         )
@@ -60,7 +61,7 @@ class AsymmetricViT(Backbone):
             description="hidden channels of the encoder's MLPs; default: 4 width",
         )
         decoder_width: int = Field(768, ge=4, description="decoder channels")
-        decoder_depth: int = Field(12, ge=1, description="blocks of each decoder")
+        decoder_depth: Count = Field(12, description="blocks of each decoder")
         decoder_heads: int | None = Field(
             None, ge=1, description="decoder attention heads; default: width / 64"
         )
@@ -69,24 +70,11 @@ class AsymmetricViT(Backbone):
             ge=1,
             description="hidden channels of the decoders' MLPs; default: 4 decoder_width",
         )
-        patch_size: int = Field(
-            16, ge=1, description="height and width of a patch [pixels]"
+        patch_size: Count = Field(
+            16, description="height and width of a patch [pixels]"
         )
         rope_base: float = Field(
             100.0, gt=1, description="base of the rotary frequencies"
-        )
-        intrinsics: Literal["token", "linear", "pixelwise", "none"] = Field(
-            "token",
-            description="how the intrinsics enter the encoder: an extra token (all released "
-            "models), the same vector "
-            "added to every patch token, ray directions as extra input channels, or not at all",
-        )
-        intrinsics_degree: int = Field(
-            0,
-            ge=0,
-            le=4,
-            description="pixelwise only: harmonics degree of the ray directions; 0: the plain "
-            "unit ray",
         )
         seed: int | None = Field(
             0,
@@ -98,22 +86,19 @@ class AsymmetricViT(Backbone):
         super().__init__()
         self.settings = settings
         self.patch_size = settings.patch_size
-        self.heads = _heads(settings, "heads", "width")
-        self.decoder_heads = _heads(settings, "decoder_heads", "decoder_width")
-        self.hooks = hook_levels(settings.decoder_depth)
-        self.feature_widths = tuple(
-            settings.decoder_width if hook else settings.width for hook in self.hooks
+        width, decoder_width = settings.width, settings.decoder_width
+        self.heads = _heads("heads", settings.heads, width)
+        self.decoder_heads = _heads(
+            "decoder_heads", settings.decoder_heads, decoder_width
         )
+        self.hooks = hook_levels(settings.decoder_depth)
+        self.feature_widths = (width, *(decoder_width for _ in self.hooks[1:]))
         construct(self, self._build, settings.seed)
 
     def _build(self) -> None:
         s = self.settings
-        self.patch_embed = XavierConv2d(
-            3 + self._ray_channels, s.width, s.patch_size, s.patch_size
-        )
-        self.intrinsics_embed = (
-            nn.Linear(9, s.width) if s.intrinsics in ("token", "linear") else None
-        )
+        self.patch_embed = XavierConv2d(3, s.width, s.patch_size, s.patch_size)
+        self.intrinsics_embed = nn.Linear(9, s.width)
         hidden = s.mlp_width or 4 * s.width
         self.encoder = nn.ModuleList(
             EncoderBlock(s.width, self.heads, hidden) for _ in range(s.depth)
@@ -132,26 +117,18 @@ class AsymmetricViT(Backbone):
         )
         return nn.ModuleList(blocks)
 
-    @property
-    def _ray_channels(self) -> int:
-        """Input channels beside the colours: those of the ray directions."""
-        if self.settings.intrinsics != "pixelwise":
-            return 0
-        degree = self.settings.intrinsics_degree
-        return (degree + 1) ** 2 if degree else 3
-
     def forward(
         self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
+        images: Images,
+        intrinsics: Intrinsics,
     ) -> Features:
         """Return the four levels that the heads read, see `hook_levels`."""
         return self._features(images, intrinsics, self.hooks)
 
     def forward_levels(
         self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
+        images: Images,
+        intrinsics: Intrinsics,
     ) -> Features:
         """Return all levels: 0 the normalised encoder output, then one per decoder block, the last
         normalised.
@@ -162,63 +139,43 @@ class AsymmetricViT(Backbone):
 
     def _features(
         self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
+        images: Images,
+        intrinsics: Intrinsics,
         wanted: tuple[int, ...],
     ) -> Features:
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
-        grid, size = self._grid(images), self.settings
+        grid, chosen = self._grid(images), self.settings
+
+        def rotation_of(head_width: int) -> Rotation:
+            base = chosen.rope_base
+            return _cached_rotation(grid, head_width, base, images.device)
+
         tokens = self._embed(images, intrinsics)
-        rotation = self._rotation(grid, size.width // self.heads, images.device)
+        rotation = rotation_of(chosen.width // self.heads)
         for block in self.encoder:
             tokens = block(tokens, rotation)
         encoded = self.encoder_norm(tokens).unflatten(0, images.shape[:2])
-        rotation = self._rotation(
-            grid, size.decoder_width // self.decoder_heads, images.device
-        )
+        rotation = rotation_of(chosen.decoder_width // self.decoder_heads)
         levels = self._decode(encoded, rotation, wanted)
-        kept = slice(None, -1) if size.intrinsics == "token" else slice(None)
-        return Features(tuple(level[:, :, kept] for level in levels), grid)
+        patches = grid[0] * grid[1]
+        return Features(tuple(level[:, :, :patches] for level in levels), grid)
 
     def _embed(
-        self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
+        self, images: Images, intrinsics: Intrinsics
     ) -> Float[Tensor, "batch_view token width"]:
-        """Patches and intrinsics to tokens."""
-        pixels = (images * 2 - 1).flatten(0, 1)
-        if self._ray_channels:
-            pixels = torch.cat((pixels, self._rays(intrinsics, images.shape[-2:])), 1)
-        tokens = (
-            self.patch_embed(pixels.to(self.patch_embed.weight.dtype))
-            .flatten(2)
-            .transpose(1, 2)
-        )
-        if self.intrinsics_embed is None:
-            return tokens
+        """Patches to tokens, and an extra token of the intrinsics behind them."""
+        pixels = (images * 2 - 1).flatten(0, 1).to(self.patch_embed.weight.dtype)
+        tokens = self.patch_embed(pixels).flatten(2).transpose(1, 2)
         flat = intrinsics.flatten(0, 1).flatten(1)[:, None]
         extra = self.intrinsics_embed(flat.to(tokens.dtype))
-        return (
-            torch.cat((tokens, extra), 1)
-            if self.settings.intrinsics == "token"
-            else tokens + extra
-        )
-
-    def _rays(
-        self, intrinsics: Float[Tensor, "batch view 3 3"], image_size: tuple[int, int]
-    ) -> Float[Tensor, "batch_view ray height width"]:
-        rays = nn.functional.normalize(
-            pixel_rays(intrinsics.flatten(0, 1), tuple(image_size)), dim=-1
-        )
-        degree = self.settings.intrinsics_degree
-        return (basis(rays, degree) if degree else rays).movedim(-1, 1)
+        return torch.cat((tokens, extra), 1)
 
     def _decode(
         self,
-        encoded: Float[Tensor, "batch view token width"],
+        encoded: Tokens,
         rotation: Rotation,
         wanted: tuple[int, ...],
-    ) -> list[Float[Tensor, "batch view token channel"]]:
+    ) -> list[Tokens]:
         """The `wanted` levels, 0 being `encoded` itself."""
         kept = [encoded] if 0 in wanted else []
         tokens = self.decoder_embed(encoded)  # not a level itself
@@ -227,50 +184,30 @@ class AsymmetricViT(Backbone):
         for level in range(1, depth + 1):
             # Both sides read the level before: the new tokens replace the old ones only when all
             # are computed.
-            sides = [
-                stack[level - 1](
-                    tokens[:, role.own], tokens[:, role.sources], role.reads, rotation
-                )
-                for stack, role in zip(self.decoders, roles)
-            ]
+            sides = []
+            for stack, role in zip(self.decoders, roles):
+                own, read = tokens[:, role.own], tokens[:, role.sources]
+                sides.append(stack[level - 1](own, read, role.reads, rotation))
             tokens = torch.cat(sides, 1)
             if level in wanted:
                 kept.append(self.decoder_norm(tokens) if level == depth else tokens)
         return kept
 
-    def _grid(
-        self, images: Float[Tensor, "batch view 3 height width"]
-    ) -> tuple[int, int]:
+    def _grid(self, images: Images) -> tuple[int, int]:
         """(rows, columns) of patches; raises InputError for a single view and for sides that do not
         fit.
         """
-        height, width = images.shape[-2:]
+        (height, width), patch = images.shape[-2:], self.patch_size
         if images.shape[1] < 2:
             raise InputError(
                 "asymmetric-vit needs at least 2 views to place them relative to each other, got 1."
             )
-        if (
-            height % self.patch_size
-            or width % self.patch_size
-            or min(height, width) < self.patch_size
-        ):
+        if height % patch or width % patch or min(height, width) < patch:
             raise InputError(
-                f"asymmetric-vit takes pictures whose sides are multiples of {self.patch_size} "
-                "pixels, got "
+                f"asymmetric-vit takes images whose sides are multiples of {patch} pixels, got "
                 f"{height}x{width}; a reconstructor resizes them, a caller of the backbone must."
             )
-        return height // self.patch_size, width // self.patch_size
-
-    def _rotation(
-        self, grid: tuple[int, int], head_width: int, device: torch.device
-    ) -> Rotation:
-        return _cached_rotation(
-            grid,
-            self.settings.intrinsics == "token",
-            head_width,
-            self.settings.rope_base,
-            device,
-        )
+        return height // patch, width // patch
 
 
 @dataclass(frozen=True)
@@ -281,25 +218,19 @@ class Role:
 
     own: slice  # views in this role
     sources: slice  # views that at least one of them reads
-    reads: Int[
-        Tensor, "reader read"
-    ]  # per own view: positions within `sources`, in view order
+    # per own view: positions within `sources`, in view order
+    reads: Int[Tensor, "reader read"]
 
 
 def assign_roles(views: int, device: torch.device | str = "cpu") -> tuple[Role, Role]:
     """Return the roles of `views` >= 2 views; every view reads all views but itself."""
-    reference = Role(
-        slice(0, 1), slice(1, views), torch.arange(views - 1, device=device)[None]
-    )
-    last = (
-        views if views > 2 else 1
-    )  # with two views nobody reads view 1 from the others' side
-    reads = [
-        [other for other in range(views) if other != view] for view in range(1, views)
-    ]
-    return reference, Role(
-        slice(1, views), slice(0, last), torch.tensor(reads, device=device)
-    )
+    everyone = torch.arange(views, device=device)
+    reference = Role(slice(0, 1), slice(1, views), everyone[None, :-1])
+    # Each row all views but its own: with two views nobody reads view 1 from the others' side.
+    others = everyone != everyone[1:, None]
+    reads = everyone.expand(views - 1, -1)[others].view(views - 1, views - 1)
+    last = views if views > 2 else 1
+    return reference, Role(slice(1, views), slice(0, last), reads)
 
 
 def hook_levels(depth: int) -> tuple[int, int, int, int]:
@@ -312,37 +243,27 @@ def hook_levels(depth: int) -> tuple[int, int, int, int]:
 @lru_cache(maxsize=16)
 def _cached_rotation(
     grid: tuple[int, int],
-    extra_token: bool,
     head_width: int,
     base: float,
     device: torch.device,
 ) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
-        return make_rotation(
-            patch_positions(grid, extra_token), head_width, base, device
-        )
+        return make_rotation(patch_positions(grid), head_width, base, device)
 
 
-def _heads(settings: AsymmetricViT.Settings, name: str, width_name: str) -> int:
+def _heads(name: str, given: int | None, width: int) -> int:
     """Number of attention heads; raises SettingsError where the channels do not divide into that
     many heads.
 
     The rotation needs the width of a head to be a multiple of 4.
-
-    A network that waits for a checkpoint (it has no seed) and was given no width will get the
-    checkpoint's: the number is then checked when the network is built again at that width.
     """
-    given, width = getattr(settings, name), getattr(settings, width_name)
     if given is None and width % HEAD_WIDTH:
         raise SettingsError(
             f"backbone.{name}: {width} channels do not divide into heads of {HEAD_WIDTH}; say "
             "how many heads there are."
         )
     heads = given or width // HEAD_WIDTH
-    width_is_known = (
-        settings.seed is not None or width_name in settings.model_fields_set
-    )
-    if width_is_known and (width % heads or width // heads % 4):
+    if width % heads or width // heads % 4:
         raise SettingsError(
             f"backbone.{name}: {width} channels in {heads} heads; expected a head width that is "
             "a multiple of 4."

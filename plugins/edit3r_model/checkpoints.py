@@ -1,355 +1,260 @@
-"""Weights of the full network from and to files: our own format, official checkpoints, MASt3R, and
-hub ids.
+"""Weights of a backbone and a head, from files of any origin, and which parts they are for.
 
-Our format is a folder with `model.safetensors` (our parameter names) and `config.json` (what to
-build). A file that `edit3r train` wrote holds the configuration itself.
+A file of ours says so in its metadata: `backbone` and `head` are JSON of `PartChoice`, `resolution`
+is the side that the network was trained at. NoPoSplat's and MASt3R's checkpoints are recognised by
+their layout (`official_checkpoints`).
 """
 
 import json
-import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from edit3r.errors import InputError, MissingDependencyError
-from edit3r.io.atomic import atomic_write
-from edit3r.io.fetching import sha256_of
+from edit3r.config import PartChoice
+from edit3r.errors import InputError, SettingsError
 from edit3r.io.weight_files import WEIGHTS as TRAINED
 from edit3r.plugins.weights import find
+from edit3r.reporting import say
 from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
-from edit3r_model.full_network import NetworkConfig, empty_network
+from edit3r_model.hub import download, is_hub_id
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages
-from edit3r_model.official_checkpoints import LICENCES, read_official, read_torch_file
-
-WEIGHTS, CONFIG = "model.safetensors", "config.json"
-EXTRA_STATE = (
-    "_extra_state"  # torch's key for what `GaussianNetwork.get_extra_state` gives
+from edit3r_model.official_checkpoints import (
+    DRAWN,
+    LICENCES,
+    infer_parts,
+    is_unused,
+    layout_of,
+    official_keys,
+    read_torch_file,
 )
-FORMAT = 1
+
+WEIGHTS = "model.safetensors"
+CONFIG = "config.json"
+"""What `edit3r convert` writes; the text repeats the metadata for people."""
+
+PARTS = ("backbone", "head")
+TOLD = (*PARTS, "resolution", "licence")
+"""Metadata of a file, each as JSON."""
+
+SHIPPED = Path(__file__).parent / "weights" / "edit3r-small.safetensors"
+
 SHOWN = 4
 """Keys listed per kind of problem."""
-
-_HUB_ID = re.compile(
-    r"(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[\w./-]+?))?(?::(?P<file>[\w./-]+))?"
-)
 
 
 @dataclass(frozen=True)
 class LoadedWeights:
-    """One weight file, its tensors by our names (`backbone.*`, `head.*`), read only when asked
-    for.
-    """
+    """One file of weights; its tensors stay on disk until they are asked for."""
 
-    config: NetworkConfig
-    state: Mapping[str, Tensor]  # on the CPU, in the file's dtype
-    source: str  # path, or hub id with revision
-    kind: str  # "noposplat", "mast3r" or "edit3r"
-    sha256: str  # of the file that holds the tensors
-    licence: str  # what is known about using these weights
-    drawn: tuple[
-        str, ...
-    ] = ()  # prefixes that the file is known not to hold: they are drawn at random
-    unexpected: tuple[
-        str, ...
-    ] = ()  # keys in the file that the network has no place for
+    path: Path
+    source: str  # as the user named it
+    kind: str  # "edit3r", "noposplat" or "mast3r"
+    tensors: Mapping[str, Tensor]  # on the CPU, in the file's dtype and by its names
+    parts: Mapping[str, PartChoice] = field(default_factory=dict)  # {}: it names none
+    resolution: int | None = None  # side that the network was trained at [pixels]
+    licence: str = "not stated"
 
-    def facts(self) -> dict[str, str]:
-        """Return what a run's manifest says of the weights."""
-        return {
-            "source": self.source,
-            "kind": self.kind,
-            "sha256": self.sha256,
-            "licence": self.licence,
-        }
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """Beginnings of the names that such a file lacks by design: drawn at random."""
+        return DRAWN.get(self.kind, ())
 
     def is_drawn(self, name: str) -> bool:
-        """Tell whether the file is known not to hold the parameter or layer `name`."""
+        """Tell whether the file lacks the parameter or layer `name` by design."""
         return f"{name}.".startswith(self.drawn)
+
+    def pieces(self, name: str) -> list[Tensor]:
+        """What, joined along the first axis, is our parameter `name`; [] where it is missing."""
+        ours = self.kind == "edit3r"
+        keys = (name,) if ours else official_keys(name, self.tensors)
+        found = [self.tensors[key] for key in keys if key in self.tensors]
+        return found if len(found) == len(keys) else []
 
 
 def load_weights(source: str | Path) -> LoadedWeights:
-    """Open a Lightning `.ckpt`, a MASt3R `.pth`, a `.safetensors` file, our folder, or a hub id
-    `owner/name@revision`.
+    """Open a `.ckpt`, `.pth` or `.safetensors` file, a folder of ours, or a hub id.
 
-    `official` are the authors' own, which `edit3r weights get` fetches. Tensors stay on disk until
-    used. Raises InputError when the file is none of these or is damaged, MissingDependencyError
-    when `official` is not at hand.
+    `shipped` are those of this package; `official` are the authors' own, which `edit3r weights get`
+    fetches. Raises InputError when the file is none of these or is damaged, MissingDependencyError
+    when `official` is not on this machine.
     """
     if str(source) == "official":
         loaded = load_weights(find(OFFICIAL))
-        config = replace(loaded.config, resolution=OFFICIAL_RESOLUTION)
         return replace(
             loaded,
-            config=config,
             source=f"official ({loaded.source})",
+            resolution=OFFICIAL_RESOLUTION,
             licence=OFFICIAL.licence,
         )
-    path = _download(str(source)) if is_hub_id(str(source)) else Path(source)
-    if path.is_dir():
-        path = path / (
-            TRAINED
-            if (path / TRAINED).is_file() and not (path / WEIGHTS).is_file()
-            else WEIGHTS
-        )
-    if not path.is_file():
-        raise InputError(
-            f"{source}: no such weights; expected a .ckpt, .pth or .safetensors file, a folder "
-            f"with {WEIGHTS} "
-            f"and {CONFIG}, or a hub id owner/name@revision."
-        )
+    path = SHIPPED if source == "shipped" else _file_of(str(source))
     if path.suffix != ".safetensors":
         return _official(read_torch_file(path), path, str(source))
-    tensors = _read_safetensors(path)
-    embedded = tensors.pop(EXTRA_STATE, None)
-    described = path.parent / CONFIG
-    if described.is_file():
-        config, licence = _parse_config(described.read_bytes(), described)
-    elif embedded is not None:
-        config, licence = _parse_config(bytes(embedded.tolist()), path)
-    else:
+    tensors, about = _read_safetensors(path)
+    if layout_of(tensors):
         return _official(tensors, path, str(source))
     return LoadedWeights(
-        config, tensors, str(source), "edit3r", sha256_of(path), licence
+        path, str(source), "edit3r", tensors, **_description(about, path)
     )
 
 
-def are_of_the_full_network(source: str) -> bool:
-    """Tell whether `source` names weights that `load_weights` reads, rather than those of the small
-    network.
-    """
-    path = Path(source)
-    if source == "official" or path.suffix in (".ckpt", ".pth") or is_hub_id(source):
-        return True
+def _file_of(source: str) -> Path:
+    """The file that a path, a folder or a hub id means."""
+    path = download(source) if is_hub_id(source) else Path(source)
     if path.is_dir():
-        path = next(
-            (path / name for name in (WEIGHTS, TRAINED) if (path / name).is_file()),
-            path,
-        )
-    return path.is_file() and (
-        (path.parent / CONFIG).is_file() or EXTRA_STATE in _read_safetensors(path)
-    )
-
-
-def save_weights(
-    folder: str | Path,
-    state: Mapping[str, Tensor],
-    config: NetworkConfig,
-    licence: str,
-    provenance: Mapping[str, Any],
-) -> None:
-    """Write `state` and what is needed to rebuild its network into `folder`; each file appears only
-    when whole.
-
-    `provenance` is any JSON data worth keeping: the file converted from and its hash, training
-    data, steps.
-    """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    about = {
-        "format": FORMAT,
-        **asdict(config),
-        "licence": licence,
-        "provenance": dict(provenance),
-    }
-    with (
-        atomic_write(folder / CONFIG) as described,
-        atomic_write(folder / WEIGHTS) as partial,
-    ):
-        described.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-        save_file(
-            {name: tensor.contiguous() for name, tensor in state.items()},
-            partial,
-            {"format": "pt"},
-        )
-        partial.chmod(
-            described.stat().st_mode
-        )  # safetensors makes files that only their owner can read
-
-
-def fill(
-    network: nn.Module, loaded: LoadedWeights, seed: int = 0
-) -> Iterator[tuple[str, nn.Module]]:
-    """Give each leaf of an empty `network` its weights in float32 and yield (name, leaf) before
-    touching the next.
-
-    The consumer may convert or replace the leaf meanwhile, so that no second copy of the network
-    ever exists. Parts that `loaded` declares as drawn get initial weights from `seed`. Raises
-    InputError for weights that do not fit or are not finite.
-    """
-    _check_keys(network, loaded)
-    for name in leaf_names(
-        network
-    ):  # names, not leaves: a list of leaves would keep replaced ones alive
-        leaf = network.get_submodule(name)
-        if loaded.is_drawn(name):
-            draw_leaf(name, leaf, seed)
-        else:
-            _fill_leaf(name, leaf, loaded)
-        yield name, leaf
-
-
-def convert(
-    source: str,
-    out: Path,
-    dtype: str = "float32",
-    resolution: int | None = None,
-    heads: Mapping[str, int | None] | None = None,
-    licence: str | None = None,
-    seed: int = 0,
-) -> str:
-    """Read `source`, check every key, write it to folder `out` in our format; returns a sentence
-    for the user.
-
-    The other arguments are what a checkpoint does not say itself, `heads` the settings `heads` and
-    `decoder_heads` of the backbone. Parts that the file lacks by design (MASt3R has no attribute
-    head) are drawn from `seed`.
-    """
-    loaded = load_weights(source)
-    if Path(source).resolve() in (out.resolve(), (out / WEIGHTS).resolve()):
+        trained = (path / TRAINED).is_file() and not (path / WEIGHTS).is_file()
+        path = path / (TRAINED if trained else WEIGHTS)
+    if not path.is_file():
         raise InputError(
-            f"{out}: source and target are the same; choose another folder."
+            f"{source}: no such weights; expected a .ckpt, .pth or .safetensors file, "
+            "a folder of edit3r train or edit3r convert, or a hub id owner/name@revision."
         )
-    config = _complete_config(loaded, heads or {}, resolution)
-    state = _converted_state(loaded, config, getattr(torch, dtype), seed)
-    provenance = {
-        "converted_from": Path(source).name,
-        "sha256": loaded.sha256,
-        "kind": loaded.kind,
-    }
-    if loaded.drawn:
-        provenance["drawn_at_random"] = list(loaded.drawn)
-    save_weights(out, state, config, licence or loaded.licence, provenance)
-    parameters = sum(value.numel() for value in state.values())
-    drawn = (
-        f" {', '.join(loaded.drawn)} are random: train before use."
-        if loaded.drawn
-        else ""
-    )
-    return f"{out}: {WEIGHTS} with {parameters:,} parameters in {dtype}, {CONFIG} beside it.{drawn}"
-
-
-def is_hub_id(source: str) -> bool:
-    """Tell whether `source` has the form owner/name..., unless a file or folder of that name
-    exists.
-    """
-    found = _HUB_ID.fullmatch(source)
-    looks_local = Path(source).exists() or Path(source).suffix in (
-        ".ckpt",
-        ".pth",
-        ".pt",
-        ".safetensors",
-    )
-    return found is not None and not (looks_local and "@" not in source)
+    return path
 
 
 def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedWeights:
-    kind, config, state = read_official(content, path, source)
+    """A published checkpoint, given as the dictionary that its file holds."""
+    tensors = content.get("state_dict", content.get("model", content))
+    found = layout_of(tensors) if isinstance(tensors, Mapping) else None
+    if found is None:
+        known = (
+            ", ".join(map(str, list(tensors)[:3]))
+            if isinstance(tensors, Mapping)
+            else "none"
+        )
+        raise InputError(
+            f"{path}: neither a NoPoSplat checkpoint (keys 'encoder.backbone...') nor a MASt3R one "
+            f"(keys 'enc_blocks...'); its first keys: {known}."
+        )
+    kind, tensors = found
     return LoadedWeights(
-        config,
-        state,
+        path,
         source,
         kind,
-        sha256_of(path),
-        LICENCES[kind],
-        drawn=state.drawn,
-        unexpected=state.unexpected(),
+        tensors,
+        infer_parts(tensors, source),
+        licence=LICENCES[kind],
     )
 
 
-def _complete_config(
-    loaded: LoadedWeights, heads: Mapping[str, int | None], resolution: int | None
-) -> NetworkConfig:
-    """The file's sizes with what the user adds, spelled out in full."""
-    settings = loaded.config.backbone.settings | {
-        name: value for name, value in heads.items() if value is not None
-    }
-    if loaded.kind != "edit3r":
-        backbone = empty_network(loaded.config, **settings).backbone
-        settings |= {"heads": backbone.heads, "decoder_heads": backbone.decoder_heads}
-    sized = replace(loaded.config.backbone, settings=settings)
-    return replace(
-        loaded.config, backbone=sized, resolution=resolution or loaded.config.resolution
-    )
-
-
-def _converted_state(
-    loaded: LoadedWeights, config: NetworkConfig, dtype: torch.dtype, seed: int
-) -> Mapping[str, Tensor]:
-    """All parameters in the file's new number format; checked against the network where we know
-    it.
-    """
-    if (
-        loaded.kind == "edit3r"
-    ):  # any architecture: names and shapes are taken as they are
-        return {name: value.to(dtype) for name, value in loaded.state.items()}
-    network = empty_network(config)
-    for _, leaf in fill(network, loaded, seed):
-        leaf.to(dtype)
-    return {name: value.detach() for name, value in network.named_parameters()}
-
-
-def _parse_config(text: bytes, path: Path) -> tuple[NetworkConfig, str]:
-    """(the network that the JSON text of `path` describes, what it says of the licence)."""
-    try:
-        content = json.loads(text)
-        if content.get("format", FORMAT) != FORMAT:
-            raise InputError(
-                f"{path}: format {content['format']} is newer than this edit3r knows ({FORMAT})."
-            )
-        return NetworkConfig.from_json(content), content.get("licence", "not stated")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not a configuration of edit3r weights ({type(error).__name__}: {error})."
-        ) from None
-
-
-def _read_safetensors(path: Path) -> dict[str, Tensor]:
-    """Tensors of a safetensors file, left on disk until used."""
+def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """(tensors, metadata) of a file."""
     try:
         with safe_open(path, framework="pt", device="cpu") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise InputError(
             f"{path}: not a readable safetensors file ({error})."
         ) from None
 
 
-def _check_keys(network: nn.Module, loaded: LoadedWeights) -> None:
-    """Raise InputError that names missing, unexpected and wrongly shaped keys, unless everything
-    fits.
+def _description(about: Mapping[str, str], path: Path) -> dict[str, Any]:
+    """Parts, resolution and licence, as a file's metadata tell them."""
+    if "backbone" not in about:
+        return {}
+    try:
+        told = {name: json.loads(text) for name, text in about.items() if name in TOLD}
+        parts = {name: PartChoice.model_validate(told.pop(name)) for name in PARTS}
+    except (ValueError, KeyError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise InputError(
+            f"{path}: its metadata do not say which parts it is for ({type(error).__name__}: "
+            f"{reason})."
+        ) from None
+    return {"parts": parts, **told}
+
+
+def with_parts_of(loaded: LoadedWeights, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a reconstructor whose parts are those of the weights.
+
+    What the user set of a part counts over what the file says. Raises SettingsError where the user
+    chose another part than the file is for.
     """
-    wanted = dict(network.named_parameters())
-    found = {
-        "missing": [
-            name
-            for name in wanted
-            if name not in loaded.state and not loaded.is_drawn(name)
-        ],
-        "unexpected": [
-            *loaded.unexpected,
-            *(name for name in loaded.state if name not in wanted),
-        ],
-        "wrong shape": [
-            f"{name} is {list(loaded.state[name].shape)}, expected {list(value.shape)}"
-            for name, value in wanted.items()
-            if name in loaded.state and loaded.state[name].shape != value.shape
-        ],
-    }
-    problems = [
+    filled = dict(values)
+    if loaded.resolution and filled.get("resolution") is None:
+        filled["resolution"] = loaded.resolution
+    for kind, stored in loaded.parts.items():
+        given = filled.get(kind, {})
+        if not isinstance(given, Mapping):
+            choice = PartChoice.model_validate(given)
+            given = {"name": choice.name, **choice.settings}
+        name = given.get("name", stored.name)
+        if name != stored.name:
+            raise SettingsError(
+                f"reconstructor.{kind}: {loaded.source} weights are for {stored.name!r}, the "
+                f"settings say {name!r}; leave {kind} out, or give weights of {name!r} or "
+                "weights=untrained."
+            )
+        filled[kind] = {"name": name, **stored.settings, **given}
+    return filled
+
+
+def fill(
+    network: nn.Module, loaded: LoadedWeights, seed: int = 0
+) -> Iterator[tuple[str, nn.Module]]:
+    """Give each leaf of a network its weights in float32; yield (name, leaf) before the next.
+
+    The consumer may convert or replace the leaf meanwhile, so that no second copy of the network
+    ever exists. Parts that the file lacks by design get initial weights from `seed`. Raises
+    InputError for weights that do not fit or are not finite.
+    """
+    wanted = network.state_dict()
+    pieces = {name: loaded.pieces(name) for name in wanted}
+    _check_keys(wanted, pieces, loaded)
+    # Names, not leaves: a list of leaves would keep replaced ones alive.
+    for name in leaf_names(network):
+        leaf = network.get_submodule(name)
+        if loaded.is_drawn(name):
+            draw_leaf(name, leaf, seed)
+        else:
+            _fill_leaf(name, leaf, pieces, loaded.source)
+        yield name, leaf
+
+
+def _check_keys(
+    wanted: Mapping[str, Tensor],
+    pieces: Mapping[str, list[Tensor]],
+    loaded: LoadedWeights,
+) -> None:
+    """Raise InputError that names every key which is missing or wrongly shaped; say what is left
+    over.
+    """
+    missing, wrong = [], []
+    for name, value in wanted.items():
+        if pieces[name]:
+            given = _joined([piece.to("meta") for piece in pieces[name]])
+            if given.shape != value.shape:
+                sizes = f"{list(given.shape)}, expected {list(value.shape)}"
+                wrong.append(f"{name} is {sizes}")
+        elif not loaded.is_drawn(name):
+            missing.append(name)
+    read = {id(piece) for found in pieces.values() for piece in found}
+    left = [
+        key
+        for key, tensor in loaded.tensors.items()
+        if id(tensor) not in read and not is_unused(key)
+    ]
+    found = {"missing": missing, "wrong shape": wrong, "unexpected": left}
+    told = [
         f"{len(keys)} {what} ({_some(keys)})" for what, keys in found.items() if keys
     ]
-    if problems:
+    if missing or wrong:
         raise InputError(
-            f"{loaded.source}: the weights do not fit the network: {'; '.join(problems)}. Choose "
-            "the sizes of the "
-            f"checkpoint (--set reconstructor.backbone.KEY=VALUE) or another checkpoint."
+            f"{loaded.source}: not weights of this network: {'; '.join(told)}. Choose the sizes of "
+            "the checkpoint (--set reconstructor.backbone.KEY=VALUE) or another one."
         )
+    if left:
+        text = f"{len(left)} tensors of the file are not this network's: {_some(left)}"
+        say("weights_left_over", text)
+
+
+def _joined(pieces: list[Tensor]) -> Tensor:
+    return torch.cat(pieces) if len(pieces) > 1 else pieces[0]
 
 
 def _some(keys: list[str]) -> str:
@@ -357,49 +262,21 @@ def _some(keys: list[str]) -> str:
     return ", ".join(keys[:SHOWN]) + more
 
 
-def _fill_leaf(name: str, leaf: nn.Module, loaded: LoadedWeights) -> None:
+def _fill_leaf(
+    name: str, leaf: nn.Module, pieces: Mapping[str, list[Tensor]], source: str
+) -> None:
     for key, old in list(leaf.named_parameters(recurse=False)):
-        stored = loaded.state[f"{name}.{key}"]
-        value = torch.empty(stored.shape, dtype=torch.float32).copy_(
-            stored
-        )  # a copy of our own, off the file's pages
-        release_pages(stored)
-        if not value.isfinite().all():
-            count = int((~value.isfinite()).sum())
+        # A copy of our own in float32, off the file's pages.
+        stored = pieces[f"{name}.{key}"]
+        value = _joined(stored).to(torch.float32, copy=True)
+        for piece in stored:
+            release_pages(piece)
+        bad = int((~value.isfinite()).sum())
+        if bad:
             raise InputError(
-                f"{loaded.source}: {name}.{key} holds {count} values that are not finite."
+                f"{source}: {name}.{key} holds {bad} values that are not finite."
             )
         setattr(leaf, key, nn.Parameter(value, requires_grad=old.requires_grad))
-
-
-def _download(source: str) -> Path:
-    """Fetch (or find in the local cache) the weights of a hub id; returns a file or folder."""
-    found = _HUB_ID.fullmatch(source)
-    repo, revision, file = found["repo"], found["revision"], found["file"]
-    if revision is None:
-        raise InputError(
-            f"{source}: no such file, and as a hub id it needs a pinned revision, for example "
-            f"{repo}@main or, better, "
-            f"{repo}@<commit>."
-        )
-    try:
-        import huggingface_hub
-    except ImportError:
-        raise MissingDependencyError(
-            f"weights {source!r} need huggingface_hub; install with: pip install huggingface_hub"
-        ) from None
-    try:
-        if file is not None:
-            return Path(huggingface_hub.hf_hub_download(repo, file, revision=revision))
-        return Path(
-            huggingface_hub.snapshot_download(
-                repo, revision=revision, allow_patterns=[CONFIG, WEIGHTS]
-            )
-        )
-    except (
-        Exception
-    ) as error:  # the library raises many kinds: network, permission, missing revision
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"{source}: could not be fetched from the hub ({type(error).__name__}: {reason})."
-        ) from error
+    for key, old in leaf.named_buffers(recurse=False):
+        if stored := pieces.get(f"{name}.{key}"):
+            old.copy_(stored[0])

@@ -7,6 +7,7 @@ others).
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 
 import torch
 import torch.nn.functional as F
@@ -14,11 +15,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.config import Settings
+from edit3r.config import Count, Settings
 from edit3r.contract.interfaces import Backbone, GaussianHead
 from edit3r.contract.types import Features, Gaussians
 from edit3r.errors import SettingsError
-from edit3r_model.backbone import ROLES, assign_roles
+from edit3r_model.backbone import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
 from edit3r_model.memory import construct
 
@@ -26,6 +27,12 @@ IN_STRIPS = {3: (0, 1), 7: (0, 3)}
 """Padding (rows, columns) by kernel size of layers that see strips: these bring their bordering
 rows along.
 """
+
+
+Maps = Float[Tensor, "batch channel height width"]
+PerView = Float[Tensor, "batch view channel height width"]
+Rows = Callable[[int, int], Float[Tensor, "batch channel row width"]]
+"""Computes the rows from a first to a last (exclusive) of a map."""
 
 
 class DptGaussianHead(GaussianHead):
@@ -37,9 +44,9 @@ class DptGaussianHead(GaussianHead):
     """
 
     class Settings(Settings):
-        feature_width: int = Field(256, ge=1, description="channels of the fused maps")
-        point_width: int = Field(
-            128, ge=1, description="channels of the centre predictor's last layers"
+        feature_width: Count = Field(256, description="channels of the fused maps")
+        point_width: Count = Field(
+            128, description="channels of the centre predictor's last layers"
         )
         layer_widths: tuple[int, int, int, int] = Field(
             (96, 192, 384, 768),
@@ -53,8 +60,8 @@ class DptGaussianHead(GaussianHead):
             ge=0,
             le=4,
             description="degree of the harmonics handed on; default: all predicted. The "
-            "rasterizer the published "
-            "models were trained with evaluates only up to 3, so 3 shows exactly what it showed",
+            "rasterizer the published models were trained with evaluates only up to 3, so 3 shows "
+            "exactly what it showed",
         )
         scale_factor: float = Field(
             0.001, gt=0, description="of softplus(raw scale) [scene units]"
@@ -62,10 +69,15 @@ class DptGaussianHead(GaussianHead):
         max_scale: float = Field(
             0.3, gt=0, description="largest standard deviation [scene units]"
         )
-        strip_rows: int = Field(
+        dropout: float = Field(
+            0.0,
+            ge=0,
+            lt=1,
+            description="share of the attribute predictor's features left out while training",
+        )
+        strip_rows: Count = Field(
             16,
-            ge=1,
-            description="picture rows computed at a time in the last layers; fewer need less "
+            description="image rows computed at a time in the last layers; fewer need less "
             "memory, results are equal",
         )
         seed: int | None = Field(
@@ -77,10 +89,8 @@ class DptGaussianHead(GaussianHead):
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings = settings
-        self.token_widths, self.patch_size = (
-            tuple(backbone.feature_widths),
-            backbone.patch_size,
-        )
+        self.token_widths = tuple(backbone.feature_widths)
+        self.patch_size = backbone.patch_size
         if len(self.token_widths) != 4:
             raise SettingsError(
                 f"head: dpt-gaussian reads 4 levels, the backbone gives {len(self.token_widths)}."
@@ -90,18 +100,15 @@ class DptGaussianHead(GaussianHead):
                 "head: dpt-gaussian needs patches of 16 pixels, the backbone has "
                 f"{self.patch_size}."
             )
-        self.degree = min(
-            settings.harmonics_degree,
-            4 if settings.keep_degree is None else settings.keep_degree,
-        )
+        kept, predicted = settings.keep_degree, settings.harmonics_degree
+        self.degree = predicted if kept is None else min(kept, predicted)
         construct(self, self._build, settings.seed)
 
     def _build(self) -> None:
-        self.centres = nn.ModuleList(
-            CentrePredictor(self.token_widths, self.settings) for _ in range(ROLES)
-        )
+        sizes = self.token_widths, self.settings
+        self.centres = nn.ModuleList(CentrePredictor(*sizes) for _ in range(ROLES))
         self.attributes = nn.ModuleList(
-            AttributePredictor(self.token_widths, self.settings) for _ in range(ROLES)
+            AttributePredictor(*sizes) for _ in range(ROLES)
         )
 
     def forward(
@@ -115,15 +122,13 @@ class DptGaussianHead(GaussianHead):
             self.degree,
         )
 
-    def raw_points(
-        self, features: Features
-    ) -> Float[Tensor, "batch view 3 height width"]:
-        """Return the centre maps before the exponential."""
+    def raw_points(self, features: Features) -> PerView:
+        """Return the centre maps (three channels) before the exponential."""
         return self._per_view(self.centres, features, None)
 
     def raw_parameters(
         self, features: Features, images: Float[Tensor, "batch view 3 height width"]
-    ) -> Float[Tensor, "batch view channel height width"]:
+    ) -> PerView:
         """Return the attribute maps before any activation.
 
         Channels: opacity 1, scales 3, quaternion xyzw 4, harmonics colour-major.
@@ -131,33 +136,25 @@ class DptGaussianHead(GaussianHead):
         return self._per_view(self.attributes, features, images * 2 - 1)
 
     def _per_view(
-        self,
-        predictors: nn.ModuleList,
-        features: Features,
-        pixels: Float[Tensor, "batch view 3 height width"] | None,
-    ) -> Float[Tensor, "batch view channel height width"]:
+        self, predictors: nn.ModuleList, features: Features, pixels: PerView | None
+    ) -> PerView:
         """Run the right predictor on each view, one at a time: maps are large, and only one set is
         in memory.
         """
         batch, views = features.levels[0].shape[:2]
-        maps: Tensor | None = (
-            None  # [batch, view, height, width, channel], as the Gaussians are ordered
-        )
-        for predictor, role in zip(predictors, assign_roles(views)):
-            for view in range(views)[role.own]:
-                for scene in range(batch):
-                    levels = [
-                        _on_grid(level[scene, view], features.grid)
-                        for level in features.levels
-                    ]
-                    extra = () if pixels is None else (pixels[scene, view, None],)
-                    result = predictor(levels, *extra)[0].movedim(0, -1)
-                    maps = (
-                        result.new_empty(batch, views, *result.shape)
-                        if maps is None
-                        else maps
-                    )
-                    maps[scene, view] = result
+        # [batch, view, height, width, channel], as the Gaussians are ordered.
+        maps: Tensor | None = None
+        for scene, view in product(range(batch), range(views)):
+            levels = [
+                level[scene, view].T.unflatten(1, features.grid)[None]
+                for level in features.levels
+            ]
+            extra = () if pixels is None else (pixels[scene, view, None],)
+            predictor = predictors[min(view, ROLES - 1)]
+            result = predictor(levels, *extra)[0].movedim(0, -1)
+            if maps is None:
+                maps = result.new_empty(batch, views, *result.shape)
+            maps[scene, view] = result
         return maps.movedim(-1, 2)
 
 
@@ -170,21 +167,14 @@ class CentrePredictor(nn.Module):
         self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings
     ) -> None:
         super().__init__()
+        width, points = settings.feature_width, settings.point_width
         self.strip_rows = settings.strip_rows
-        self.trunk = DptTrunk(
-            token_widths, settings.layer_widths, settings.feature_width
-        )
-        self.conv1 = nn.Conv2d(
-            settings.feature_width, settings.point_width, 3, padding=1
-        )
-        self.conv2 = nn.Conv2d(
-            settings.point_width, settings.point_width, 3, padding=IN_STRIPS[3]
-        )
-        self.out = nn.Conv2d(settings.point_width, 3, 1)
+        self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
+        self.conv1 = nn.Conv2d(width, points, 3, padding=1)
+        self.conv2 = nn.Conv2d(points, points, 3, padding=IN_STRIPS[3])
+        self.out = nn.Conv2d(points, 3, 1)
 
-    def forward(
-        self, maps: list[Float[Tensor, "batch channel n m"]]
-    ) -> Float[Tensor, "batch 3 height width"]:
+    def forward(self, maps: list[Maps]) -> Maps:
         half = self.conv1(self.trunk(maps))
         height = 2 * half.shape[2]
 
@@ -206,39 +196,29 @@ class AttributePredictor(nn.Module):
         super().__init__()
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
+        self.dropout = settings.dropout
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
         self.shortcut = nn.Conv2d(3, width, 7, padding=IN_STRIPS[7])
         self.conv = nn.Conv2d(width, width, 3, padding=IN_STRIPS[3], bias=False)
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
-    def forward(
-        self,
-        maps: list[Float[Tensor, "batch channel n m"]],
-        pixels: Float[Tensor, "batch 3 height width"],
-    ) -> Float[Tensor, "batch channel height width"]:
+    def forward(self, maps: list[Maps], pixels: Maps) -> Maps:
         half = self.trunk(maps)
         height = 2 * half.shape[2]
         pixels = pixels.to(half.dtype)
 
+        def photo(start: int, stop: int) -> Tensor:
+            return pixels[:, :, start:stop]
+
         def seen(start: int, stop: int) -> Tensor:
-            near = with_border(
-                lambda first, last: pixels[:, :, first:last], start, stop, height, 3
-            )
+            near = with_border(photo, start, stop, height, 3)
             return double_rows(half, start, stop) + F.relu(self.shortcut(near))
 
         def strip(start: int, stop: int) -> Tensor:
-            return self.out(
-                F.relu(self.conv(with_border(seen, start, stop, height, 1)))
-            )
+            x = F.relu(self.conv(with_border(seen, start, stop, height, 1)))
+            return self.out(F.dropout(x, self.dropout, self.training))
 
         return in_strips(height, self.strip_rows, strip)
-
-
-def _on_grid(
-    tokens: Float[Tensor, "token channel"], grid: tuple[int, int]
-) -> Float[Tensor, "1 channel rows columns"]:
-    """Tokens as a map with the rows and columns of the patch grid."""
-    return tokens.T.unflatten(1, grid)[None]
 
 
 class DptTrunk(nn.Module):
@@ -253,27 +233,24 @@ class DptTrunk(nn.Module):
     ) -> None:
         super().__init__()
         self.reassemble = nn.ModuleList(
-            _reassemble(index, tokens, layer)
-            for index, (tokens, layer) in enumerate(zip(token_widths, layer_widths))
+            _reassemble(index, *widths)
+            for index, widths in enumerate(zip(token_widths, layer_widths))
         )
         self.project = nn.ModuleList(
             nn.Conv2d(layer, width, 3, padding=1, bias=False) for layer in layer_widths
         )
         self.fuse = nn.ModuleList(Fusion(width, skip=index < 3) for index in range(4))
 
-    def forward(
-        self, maps: list[Float[Tensor, "batch channel rows columns"]]
-    ) -> Float[Tensor, "batch width 8n 8m"]:
+    def forward(self, maps: list[Maps]) -> Maps:
         """`maps` are the token levels on the patch grid, finest use first."""
-        grid = maps[0].shape[-2:]
+        rows, columns = maps[0].shape[-2:]
         dtype = self.reassemble[0][1].weight.dtype  # may differ from the backbone's
         layers = [
-            self.project[i](self.reassemble[i](level.to(dtype)))
-            for i, level in enumerate(maps)
+            project(reassemble(level.to(dtype)))
+            for project, reassemble, level in zip(self.project, self.reassemble, maps)
         ]
-        path = self.fuse[3](layers[3])[
-            ..., : grid[0], : grid[1]
-        ]  # odd grids: 2 ceil(n/2) is one too many
+        # Odd grids: 2 ceil(n/2) is one too many.
+        path = self.fuse[3](layers[3])[..., :rows, :columns]
         for index in (2, 1, 0):
             path = self.fuse[index](path, layers[index])
         return path
@@ -287,9 +264,7 @@ class ResidualUnit(nn.Module):
         self.conv1 = nn.Conv2d(width, width, 3, padding=1)
         self.conv2 = nn.Conv2d(width, width, 3, padding=1)
 
-    def forward(
-        self, x: Float[Tensor, "batch width h w"]
-    ) -> Float[Tensor, "batch width h w"]:
+    def forward(self, x: Maps) -> Maps:
         return x + self.conv2(F.relu(self.conv1(F.relu(x))))
 
 
@@ -306,86 +281,61 @@ class Fusion(nn.Module):
         self.refine = ResidualUnit(width)
         self.out = nn.Conv2d(width, width, 1)
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch width h w"],
-        finer: Float[Tensor, "batch width h w"] | None = None,
-    ) -> Float[Tensor, "batch width 2h 2w"]:
+    def forward(self, x: Maps, finer: Maps | None = None) -> Maps:
         if self.skip is not None:
             x = x + self.skip(finer)
         return double(self.out(self.refine(x)))
 
 
-def double(
-    x: Float[Tensor, "batch channel h w"],
-) -> Float[Tensor, "batch channel 2h 2w"]:
+def double(x: Maps) -> Maps:
     """Upsample bilinearly by 2 and keep the corner pixels in place (`align_corners`)."""
     return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
 
 
-def double_rows(
-    x: Float[Tensor, "batch channel h w"], start: int, stop: int
-) -> Float[Tensor, "batch channel row 2w"]:
+def double_rows(x: Maps, start: int, stop: int) -> Maps:
     """Compute the rows `start` to `stop` (exclusive) of `double(x)` without the others."""
-    height = x.shape[2]
+    height, width = x.shape[2:]
     at = torch.arange(start, stop, device=x.device) * ((height - 1) / (2 * height - 1))
     low = at.long().clamp(max=max(height - 2, 0))
     high = (low + 1).clamp(max=height - 1)
     share = (at - low).to(x.dtype)[:, None, None]
-    nhwc = x.permute(
-        0, 2, 3, 1
-    )  # indexing this way round keeps channels-last maps channels-last
+    # Indexing this way round keeps channels-last maps channels-last.
+    nhwc = x.permute(0, 2, 3, 1)
     rows = torch.lerp(nhwc[:, low], nhwc[:, high], share).permute(0, 3, 1, 2)
-    return F.interpolate(
-        rows, size=(stop - start, 2 * x.shape[3]), mode="bilinear", align_corners=True
-    )
+    size = (stop - start, 2 * width)
+    return F.interpolate(rows, size, mode="bilinear", align_corners=True)
 
 
-def in_strips(
-    height: int,
-    rows: int,
-    compute: Callable[[int, int], Float[Tensor, "batch channel row width"]],
-) -> Float[Tensor, "batch channel height width"]:
+def in_strips(height: int, rows: int, compute: Rows) -> Maps:
     """Join `compute(start, stop)` over strips of at most `rows` rows.
 
     Large maps never exist as a whole, and a strip stays in the cache from one layer to the next.
     """
-    strips = [
-        compute(start, min(start + rows, height)) for start in range(0, height, rows)
-    ]
+    starts = range(0, height, rows)
+    strips = [compute(start, min(start + rows, height)) for start in starts]
     return strips[0] if len(strips) == 1 else torch.cat(strips, 2)
 
 
-def with_border(
-    rows_of: Callable[[int, int], Float[Tensor, "batch channel row width"]],
-    start: int,
-    stop: int,
-    height: int,
-    border: int,
-) -> Float[Tensor, "batch channel row+2border width"]:
+def with_border(rows: Rows, start: int, stop: int, height: int, border: int) -> Maps:
     """Return rows `start - border` to `stop + border` of a map with `height` rows, zero beyond its
     edges.
 
     A convolution without padding in the rows needs them to give exactly the rows `start` to `stop`.
     """
     first, last = max(start - border, 0), min(stop + border, height)
-    rows = rows_of(first, last)
     above, below = first - (start - border), stop + border - last
-    return F.pad(rows, (0, 0, above, below)) if above or below else rows
+    found = rows(first, last)
+    return F.pad(found, (0, 0, above, below)) if above or below else found
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:
     """Layers from tokens on the patch grid to a map at `index`'s resolution: x4, x2, x1, x1/2 of
     the grid's.
     """
-    project = nn.Conv2d(token_width, layer_width, 1)
-    resize = {
-        0: lambda: nn.ConvTranspose2d(layer_width, layer_width, 4, 4),
-        1: lambda: nn.ConvTranspose2d(layer_width, layer_width, 2, 2),
-        3: lambda: nn.Conv2d(layer_width, layer_width, 3, 2, padding=1),
-    }
-    return (
-        nn.Sequential(project, resize[index]())
-        if index in resize
-        else nn.Sequential(project)
-    )
+    layers = nn.Sequential(nn.Conv2d(token_width, layer_width, 1))
+    if index < 2:
+        scale = 4 >> index
+        layers.append(nn.ConvTranspose2d(layer_width, layer_width, scale, scale))
+    if index == 3:
+        layers.append(nn.Conv2d(layer_width, layer_width, 3, 2, padding=1))
+    return layers

@@ -30,14 +30,16 @@ WORTHWHILE = 1.2
 """How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing.
 """
 MEASURED_SECONDS = 0.05
+CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
 class EnginePlan:
-    """What the layers of a network hold and compute in."""
+    """What the layers of a network hold and compute in, and where."""
 
-    backbone: Precision  # int8: linears, with float32 between them
-    head: Precision
+    backbone: Precision = "float32"  # int8: linears, with float32 between them
+    head: Precision = "float32"
+    device: torch.device = CPU
 
 
 def make_plan(
@@ -70,7 +72,7 @@ def make_plan(
             "float32 takes its place."
         )
         parts = tuple("float32" if part == "bfloat16" else part for part in parts)
-    return EnginePlan(*parts)
+    return EnginePlan(*parts, device)
 
 
 @cache
@@ -81,21 +83,18 @@ def bfloat16_gain(device: torch.device) -> float:
     A processor may know bfloat16, only emulate it, or be slow in float32: nothing but the time
     tells.
     """
-    dtypes = torch.float32, torch.bfloat16
-    layers = [nn.Linear(1024, 1024, device=device, dtype=dtype) for dtype in dtypes]
-    inputs = [torch.ones(512, 1024, device=device, dtype=dtype) for dtype in dtypes]
-    best, spent = [float("inf")] * 2, 0.0
+    layers, seconds = [], []
+    for dtype in (torch.float32, torch.bfloat16):
+        x = torch.ones(512, 1024, device=device, dtype=dtype)
+        layers.append((nn.Linear(1024, 1024, device=device, dtype=dtype), x))
+        seconds.append([])
     with torch.inference_mode():
-        while spent < 2 * MEASURED_SECONDS:
-            for index, (layer, x) in enumerate(zip(layers, inputs)):
+        while sum(map(sum, seconds)) < 2 * MEASURED_SECONDS:
+            for (layer, x), taken in zip(layers, seconds):
                 start = _clock(device)
                 layer(x)
-                seconds = max(_clock(device) - start, 1e-9)
-                best[index], spent = (
-                    min(best[index], seconds),
-                    spent + max(seconds, 1e-4),
-                )
-    return best[0] / best[1]
+                taken.append(max(_clock(device) - start, 1e-4))
+    return min(seconds[0]) / min(seconds[1])
 
 
 def _clock(device: torch.device) -> float:
@@ -113,23 +112,15 @@ def prepare_leaf(
     name: str,
     leaf: nn.Module,
     plan: EnginePlan,
-    device: torch.device,
 ) -> None:
-    """Convert the leaf called `name` in place: dtype, memory layout, device, or the int8 form of
-    it.
-    """
+    """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
     form = plan.backbone if name.startswith("backbone.") else plan.head
-    if (
-        form == "int8"
-        and isinstance(leaf, nn.Linear | nn.Conv2d)
-        and min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS
-    ):
-        network.set_submodule(
-            name, (Int8Linear if isinstance(leaf, nn.Linear) else Int8Conv)(leaf)
-        )
-        return
-    dtype = DTYPES.get(form, torch.float32)
+    for kind, quantised in ((nn.Linear, Int8Linear), (nn.Conv2d, Int8Conv)):
+        if form != "int8" or not isinstance(leaf, kind):
+            continue
+        if min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS:
+            network.set_submodule(name, quantised(leaf))
+            return
+    leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
-        leaf.to(device=device, dtype=dtype, memory_format=torch.channels_last)
-    else:
-        leaf.to(device=device, dtype=dtype)
+        leaf.to(memory_format=torch.channels_last)

@@ -21,21 +21,20 @@ gradients explode.
 """
 
 
-def centres(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+Vectors = Float[Tensor, "*batch 3"]
+Maps = Float[Tensor, "batch view channel height width"]
+
+
+def centres(raw: Vectors) -> Vectors:
     """Place points at distance e^|raw| - 1 in the direction of `raw`, in the frame of view 0; z may
     be negative.
     """
     length = raw.norm(dim=-1, keepdim=True)
-    return (
-        raw
-        / length.clamp(min=1e-8)
-        * torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
-    )
+    distance = torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
+    return raw / length.clamp(min=1e-8) * distance
 
 
-def bounded_scales(
-    raw: Float[Tensor, "*batch 3"], factor: float, largest: float
-) -> Float[Tensor, "*batch 3"]:
+def bounded_scales(raw: Vectors, factor: float, largest: float) -> Vectors:
     """Compute standard deviations min(factor softplus(raw), largest) [scene units]."""
     return (factor * F.softplus(raw)).clamp(MIN_SCALE, largest)
 
@@ -49,16 +48,12 @@ def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]
     return torch.where(norm > MIN_QUAT, unit, torch.zeros_like(unit)).roll(1, -1)
 
 
-def harmonics_mask(
-    degree: int, like: Float[Tensor, "*shape"]
-) -> Float[Tensor, "coefficient"]:
+def harmonics_mask(degree: int, like: Tensor) -> Float[Tensor, "coefficient"]:
     """Return the fixed damping of view dependence: 1 for l = 0, 0.1 * 0.25^l for higher l."""
-    factors = [
-        1.0 if level == 0 else 0.1 * 0.25**level
-        for level in range(degree + 1)
-        for _ in range(2 * level + 1)
-    ]
-    return torch.tensor(factors, dtype=like.dtype, device=like.device)
+    factors = [1.0]
+    for level in range(1, degree + 1):
+        factors += [0.1 * 0.25**level] * (2 * level + 1)
+    return like.new_tensor(factors)
 
 
 def attribute_channels(degree: int) -> int:
@@ -70,7 +65,7 @@ def attribute_channels(degree: int) -> int:
 
 def adapt(
     points: Float[Tensor, "batch view 3 height width"],
-    attributes: Float[Tensor, "batch view channel height width"],
+    attributes: Maps,
     scale_factor: float,
     max_scale: float,
     degree: int,
@@ -78,28 +73,23 @@ def adapt(
     """Turn raw maps into one Gaussian per pixel, view-major and row-major, with harmonics kept up
     to `degree`.
     """
-    views, height, width = points.shape[1], *points.shape[3:]
     raw = _per_pixel(attributes)
     opacity, scale, quat, colour = raw.split((1, 3, 4, raw.shape[-1] - 8), -1)
-    harmonics = colour.unflatten(-1, (3, -1)).transpose(
-        -1, -2
-    )  # [batch, gaussian, coefficient, 3]
+    # [batch, gaussian, coefficient, 3]
+    harmonics = colour.unflatten(-1, (3, -1)).transpose(-1, -2)
     kept = (degree + 1) ** 2
+    view_index = torch.arange(points.shape[1], device=points.device)
     return Gaussians(
         means=centres(_per_pixel(points)),
         scales=bounded_scales(scale, scale_factor, max_scale),
         quats=quats_from_xyzw(quat),
         opacities=opacity.squeeze(-1).sigmoid(),
         harmonics=harmonics[..., :kept, :] * harmonics_mask(degree, raw)[:, None],
-        view_index=torch.arange(views, device=points.device).repeat_interleave(
-            height * width
-        ),
+        view_index=view_index.repeat_interleave(points[0, 0, 0].numel()),
     )
 
 
-def _per_pixel(
-    maps: Float[Tensor, "batch view channel height width"],
-) -> Float[Tensor, "batch gaussian channel"]:
+def _per_pixel(maps: Maps) -> Float[Tensor, "batch gaussian channel"]:
     """Maps to one row per pixel, in float32 at least."""
     wide = maps.float() if maps.dtype in (torch.float16, torch.bfloat16) else maps
     return wide.movedim(2, -1).flatten(1, 3)

@@ -20,13 +20,8 @@ overflows.
 """
 
 _int8_ops = torch.ops.onednn
-_FLOAT_OUTPUT = (
-    1.0,
-    0,
-    torch.float32,
-    "none",
-    [],
-)  # scale and zero point of a float are 1 and 0; nothing follows
+# Scale and zero point of a float are 1 and 0; nothing follows.
+_FLOAT_OUTPUT = (1.0, 0, torch.float32, "none", [])
 
 
 class _Int8Layer(nn.Module):
@@ -38,12 +33,14 @@ class _Int8Layer(nn.Module):
         self, layer: nn.Linear | nn.Conv2d, scales: Float[Tensor, "out"]
     ) -> None:
         super().__init__()
-        self.register_buffer("scales", scales, persistent=False)
-        self.register_buffer(
-            "zeros", torch.zeros(len(scales), dtype=torch.int32), persistent=False
-        )
         bias = None if layer.bias is None else layer.bias.detach().float()
-        self.register_buffer("bias", bias, persistent=False)
+        zeros = torch.zeros(len(scales), dtype=torch.int32)
+        for name, value in {"scales": scales, "zeros": zeros, "bias": bias}.items():
+            self.register_buffer(name, value, persistent=False)
+
+    def _weights(self) -> tuple:
+        """What oneDNN's products are given of the weights."""
+        return self._weight, self.scales, self.zeros, self.bias
 
 
 class Int8Linear(_Int8Layer):
@@ -59,8 +56,9 @@ class Int8Linear(_Int8Layer):
 
     def forward(self, x: Float[Tensor, "*batch in"]) -> Float[Tensor, "*batch out"]:
         values = quantise_input(x.reshape(-1, self.in_features).contiguous())
-        weights = self._weight, self.scales, self.zeros, self.bias
-        result = _int8_ops.qlinear_pointwise(*values, *weights, *_FLOAT_OUTPUT, "none")
+        result = _int8_ops.qlinear_pointwise(
+            *values, *self._weights(), *_FLOAT_OUTPUT, "none"
+        )
         return result.view(*x.shape[:-1], self.out_features)
 
 
@@ -80,9 +78,8 @@ class Int8Conv(_Int8Layer):
         self, x: Float[Tensor, "batch channel h w"]
     ) -> Float[Tensor, "batch out h2 w2"]:
         values = quantise_input(x.contiguous(memory_format=torch.channels_last))
-        weights = self._weight, self.scales, self.zeros, self.bias
         return _int8_ops.qconv_pointwise(
-            *values, *weights, *self.geometry, *_FLOAT_OUTPUT, ""
+            *values, *self._weights(), *self.geometry, *_FLOAT_OUTPUT, ""
         )
 
 
@@ -91,8 +88,8 @@ def quantise_weight(
 ) -> tuple[Tensor, Float[Tensor, "out"]]:
     """Return (int8 weight, scale per output channel), symmetric around 0."""
     scales = weight.float().flatten(1).abs().amax(1).clamp(min=1e-12) / 127
-    shape = (-1, *(1 for _ in weight.shape[1:]))
-    return (weight / scales.view(shape)).round().to(torch.int8), scales
+    levels = weight.flatten(1) / scales[:, None]
+    return levels.view_as(weight).round().to(torch.int8), scales
 
 
 def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
@@ -104,14 +101,12 @@ def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
     if not x.is_contiguous():
         values, scale, zero = quantise_input(x.permute(0, 2, 3, 1))
         return values.permute(0, 3, 1, 2), scale, zero
-    low, high = (value.item() for value in torch.aminmax(x))
-    low, high = min(low, 0.0), max(high, 0.0)
+    low, high = min(x.min().item(), 0.0), max(x.max().item(), 0.0)
     scale = max((high - low) / _LEVELS, 1e-12)
     zero = round(-low / scale)
     # OpenCV scales, rounds and narrows in one pass, four times faster than torch's conversion to
     # uint8. The absolute value it takes as well changes nothing: the zero point leaves at most a
     # rounding error below zero.
-    values = cv2.convertScaleAbs(
-        x.reshape(-1, x.shape[-1]).numpy(), alpha=1 / scale, beta=zero
-    )
+    rows = x.reshape(-1, x.shape[-1]).numpy()
+    values = cv2.convertScaleAbs(rows, alpha=1 / scale, beta=zero)
     return torch.from_numpy(values).view(x.shape), scale, zero

@@ -15,7 +15,10 @@ from edit3r.contract.interfaces import Backbone
 from edit3r.errors import RunError
 from edit3r.reporting import available_memory
 
-ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 or int8"
+ADVICE = (
+    "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 "
+    "or int8"
+)
 
 _WORKING_TENSORS = 14
 """Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their rotated copies,
@@ -44,11 +47,8 @@ def construct(module: nn.Module, build: Callable[[], None], seed: int | None) ->
 
 def leaf_names(module: nn.Module) -> list[str]:
     """Return the dotted names of all submodules that hold parameters themselves."""
-    return [
-        name
-        for name, part in module.named_modules()
-        if next(part.parameters(recurse=False), None) is not None
-    ]
+    names = [name for name, _ in module.named_parameters()]
+    return list(dict.fromkeys(name.rpartition(".")[0] for name in names))
 
 
 def draw_leaf(name: str, leaf: nn.Module, seed: int) -> None:
@@ -59,9 +59,8 @@ def draw_leaf(name: str, leaf: nn.Module, seed: int) -> None:
     """
     leaf.to_empty(device="cpu", recurse=False)
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(
-            seed ^ zlib.crc32(name.replace("decoders.1.", "decoders.0.").encode())
-        )
+        same = name.replace("decoders.1.", "decoders.0.")
+        torch.manual_seed(seed ^ zlib.crc32(same.encode()))
         leaf.reset_parameters()
 
 
@@ -92,22 +91,14 @@ def estimate_bytes(
 ) -> int:
     """Estimate the memory of one run beside the weights [bytes], usually within a factor of 1.5."""
     height, width = size
-    tokens = (
-        batch * views * (height // backbone.patch_size) * (width // backbone.patch_size)
-    )
-    channels = max(backbone.feature_widths)
-    token_bytes = (
-        4 * tokens * channels * (_WORKING_TENSORS + len(backbone.feature_widths))
-    )
-    gathered = (
-        4 * 2 * tokens * (views - 1) * channels
-    )  # keys and values of the other views
-    maps = (
-        4 * feature_width * (height // 2) * (width // 2) * _WORKING_MAPS
-    )  # one image at a time
-    return (
-        token_bytes + gathered + maps + batch * views * height * width * _PER_GAUSSIAN
-    )
+    pixels = height * width
+    tokens = batch * views * pixels // backbone.patch_size**2
+    # At the peak of a block, with the levels kept and the keys and values of the other views.
+    tensors = _WORKING_TENSORS + len(backbone.feature_widths) + 2 * (views - 1)
+    blocks = 4 * tokens * max(backbone.feature_widths) * tensors
+    # Dense heads take one image at a time.
+    heads = feature_width * pixels * _WORKING_MAPS
+    return blocks + heads + batch * views * pixels * _PER_GAUSSIAN
 
 
 def available_bytes(device: torch.device) -> int | None:
@@ -125,6 +116,5 @@ def check_fits(needed: int, device: torch.device, what: str) -> None:
     if free is not None and needed > free:
         raise RunError(
             f"{what} needs about {needed / 2**30:.1f} GiB of memory on {device}, "
-            f"{free / 2**30:.1f} GiB are free; "
-            f"{ADVICE}."
+            f"{free / 2**30:.1f} GiB are free; {ADVICE}."
         )

@@ -10,18 +10,20 @@ import argparse
 import pickle
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from edit3r.config import PartChoice
 from edit3r.errors import InputError
-from edit3r_model.full_network import NetworkConfig, PartConfig, empty_network
 
 PREFIX = "encoder."
-DRAWN_FROM_MAST3R = ("backbone.intrinsics_embed.", "head.attributes.")
+DRAWN = {"mast3r": ("backbone.intrinsics_embed.", "head.attributes.")}
 """What MASt3R does not have: as in the published recipe these parts start from random weights."""
+EMPTY = {"seed": None}
+"""Settings of a part that waits for its weights: nothing is drawn, no memory is taken."""
 LICENCES = {
     "noposplat": "not stated in the file; the published NoPoSplat weights start from MASt3R's, "
     "which are CC BY-NC-SA "
@@ -29,135 +31,56 @@ LICENCES = {
     "mast3r": "CC BY-NC-SA 4.0 (non-commercial), as MASt3R's publishers state",
 }
 
-# (pattern of our name, official names to be joined, separated by spaces). `{role}` is the suffix of
-# role 0 or 1, `{next}` the first number plus one.
-_BACKBONE = (
-    (r"patch_embed\.(.+)", "patch_embed.proj.{0}"),
-    (r"intrinsics_embed\.(.+)", "intrinsic_encoder.{0}"),
-    (r"encoder\.(.+)", "enc_blocks.{0}"),
-    (r"encoder_norm\.(.+)", "enc_norm.{0}"),
-    (r"decoder_norm\.(.+)", "dec_norm.{0}"),
-    (r"decoder_embed\.(.+)", "decoder_embed.{0}"),
-    (r"decoders\.(\d)\.(\d+)\.norm_memory\.(.+)", "dec_blocks{role}.{1}.norm_y.{2}"),
-    (
-        r"decoders\.(\d)\.(\d+)\.cross_attn\.query\.(.+)",
-        "dec_blocks{role}.{1}.cross_attn.projq.{2}",
-    ),
-    (
-        r"decoders\.(\d)\.(\d+)\.cross_attn\.key_value\.(.+)",
-        "dec_blocks{role}.{1}.cross_attn.projk.{2} dec_blocks{role}.{1}.cross_attn.projv.{2}",
-    ),
-    (r"decoders\.(\d)\.(.+)", "dec_blocks{role}.{1}"),
-)
-_TRUNK = (
-    (r"trunk\.reassemble\.(.+)", "act_postprocess.{0}"),
-    (r"trunk\.project\.(\d)\.(.+)", "scratch.layer{next}_rn.{1}"),
-    (r"trunk\.fuse\.(\d)\.out\.(.+)", "scratch.refinenet{next}.out_conv.{1}"),
-    (r"trunk\.fuse\.(\d)\.skip\.(.+)", "scratch.refinenet{next}.resConfUnit1.{1}"),
-    (r"trunk\.fuse\.(\d)\.refine\.(.+)", "scratch.refinenet{next}.resConfUnit2.{1}"),
-)
-_CENTRES = (
-    *_TRUNK,
-    (r"conv1\.(.+)", "head.0.{0}"),
-    (r"conv2\.(.+)", "head.2.{0}"),
-    (r"out\.(.+)", "head.4.{0}"),
-)
-_ATTRIBUTES = (
-    *_TRUNK,
-    (r"shortcut\.(.+)", "input_merger.0.{0}"),
-    (r"conv\.(.+)", "head.0.{0}"),
-    (r"out\.(.+)", "head.4.{0}"),
-)
+RENAMED = {
+    "backbone.patch_embed.": "backbone.patch_embed.proj.",
+    "backbone.intrinsics_embed.": "backbone.intrinsic_encoder.",
+    "backbone.encoder.": "backbone.enc_blocks.",
+    "backbone.encoder_norm.": "backbone.enc_norm.",
+    "backbone.decoders.0.": "backbone.dec_blocks.",
+    "backbone.decoders.1.": "backbone.dec_blocks2.",
+    "backbone.decoder_norm.": "backbone.dec_norm.",
+    ".norm_memory.": ".norm_y.",
+    ".cross_attn.query.": ".cross_attn.projq.",
+    "head.centres.0.": "downstream_head1.dpt.",
+    "head.centres.1.": "downstream_head2.dpt.",
+    "head.attributes.0.": "gaussian_param_head.dpt.",
+    "head.attributes.1.": "gaussian_param_head2.dpt.",
+    "dpt.trunk.reassemble.": "dpt.act_postprocess.",
+    "dpt.conv.": "dpt.head.0.",
+    "dpt.conv1.": "dpt.head.0.",
+    "dpt.conv2.": "dpt.head.2.",
+    "dpt.out.": "dpt.head.4.",
+    "dpt.shortcut.": "dpt.input_merger.0.",
+}
+"""Parts of our names, in this order, and what they are in official ones."""
+for _level in range(4):
+    _fuse, _theirs = f"trunk.fuse.{_level}.", f"scratch.refinenet{_level + 1}."
+    RENAMED |= {
+        f"trunk.project.{_level}.": f"scratch.layer{_level + 1}_rn.",
+        f"{_fuse}out.": f"{_theirs}out_conv.",
+        f"{_fuse}skip.": f"{_theirs}resConfUnit1.",
+        f"{_fuse}refine.": f"{_theirs}resConfUnit2.",
+    }
+
 _UNUSED = re.compile(
-    r"backbone\.mask_token$|.*\.scratch\.refinenet4\.resConfUnit1\..+|.*\.scratch\.layer_rn\.\d\.weight$"
+    r"backbone\.mask_token$|.*\.scratch\.refinenet4\.resConfUnit1\..+"
+    r"|.*\.scratch\.layer_rn\.\d\.weight$"
 )
 
 
-class OfficialState(Mapping[str, Tensor]):
-    """Official tensors under our names, joined on request; `drawn` are prefixes of what the file
-    lacks by design.
-    """
-
-    def __init__(
-        self, tensors: Mapping[str, Tensor], names: list[str], drawn: tuple[str, ...]
-    ) -> None:
-        self.tensors, self.drawn = tensors, drawn
-        self.names = {ours: found for ours in names if (found := self._find(ours))}
-
-    def _find(self, ours: str) -> tuple[str, ...]:
-        keys = tuple(
-            key if key in self.tensors else second_name(key)
-            for key in official_names(ours)
-        )
-        return keys if all(key in self.tensors for key in keys) else ()
-
-    def __getitem__(self, ours: str) -> Tensor:
-        parts = [self.tensors[key] for key in self.names[ours]]
-        return parts[0] if len(parts) == 1 else torch.cat(parts)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.names)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def unexpected(self) -> tuple[str, ...]:
-        """Return the official keys that nothing of ours reads and that are not known to be
-        unused.
-        """
-        read = {key for keys in self.names.values() for key in keys}
-        read |= {second_name(key) for key in read}
-        return tuple(
-            key for key in self.tensors if key not in read and not is_unused(key)
-        )
-
-
-def read_official(
-    content: Mapping[str, object], path: Path, source: str
-) -> tuple[str, NetworkConfig, OfficialState]:
-    """Return kind ("noposplat" or "mast3r"), sizes and tensors of a checkpoint dictionary;
-    InputError for others.
-    """
-    kind, tensors = _normalise(content, path)
-    config = infer_config(tensors, source)
-    drawn = DRAWN_FROM_MAST3R if kind == "mast3r" else ()
-    return kind, config, OfficialState(tensors, parameter_names(config), drawn)
-
-
-def parameter_names(config: NetworkConfig) -> list[str]:
-    """List all our parameter names of the published network with `config`'s sizes."""
-    network = empty_network(
-        config, heads=1, decoder_heads=1
-    )  # any divisor: no shape depends on the heads
-    return [name for name, _ in network.named_parameters()]
+def official_keys(ours: str, tensors: Mapping[str, Tensor]) -> tuple[str, ...]:
+    """The keys in `tensors` that, joined along the first axis, are our parameter."""
+    names = official_names(ours)
+    return tuple(name if name in tensors else second_name(name) for name in names)
 
 
 def official_names(ours: str) -> tuple[str, ...]:
-    """Return the official keys which, joined along the first axis, are our parameter `backbone.*`
-    or `head.*`.
-    """
-    part, _, rest = ours.partition(".")
-    rules, prefix = _BACKBONE, "backbone."
-    if part == "head":
-        predictor, role, rest = rest.split(".", 2)
-        if predictor == "centres":
-            rules, prefix = _CENTRES, f"downstream_head{int(role) + 1}.dpt."
-        else:
-            rules, prefix = (
-                _ATTRIBUTES,
-                f"gaussian_param_head{'2' if role == '1' else ''}.dpt.",
-            )
-    for pattern, templates in rules:
-        if found := re.fullmatch(pattern, rest):
-            numbers = {
-                "role": "2" if found[1] == "1" else "",
-                "next": int(found[1]) + 1 if found[1].isdigit() else 0,
-            }
-            return tuple(
-                prefix + template.format(*found.groups(), **numbers)
-                for template in templates.split()
-            )
-    raise KeyError(ours)
+    """Return the official keys which, joined along the first axis, are our parameter."""
+    name = ours
+    for part, theirs in RENAMED.items():
+        name = name.replace(part, theirs)
+    parts = ("projk", "projv") if ".key_value." in name else ("",)
+    return tuple(name.replace("key_value", part) for part in parts)
 
 
 def second_name(official: str) -> str:
@@ -171,54 +94,49 @@ def is_unused(official: str) -> bool:
     return _UNUSED.match(official) is not None
 
 
-def infer_config(state: Mapping[str, Tensor], source: str) -> NetworkConfig:
-    """Read a network's sizes off the shapes of official tensors; attention heads are not among
-    them.
+def infer_parts(state: Mapping[str, Tensor], source: str) -> dict[str, PartChoice]:
+    """Read the parts' sizes off the shapes of official tensors, except for attention heads.
+
+    The parts are built empty: their weights come from the file.
     """
     try:
-        return NetworkConfig(
-            PartConfig("asymmetric-vit", _backbone(state)),
-            PartConfig("dpt-gaussian", _head(state)),
-        )
+        backbone = PartChoice(name="asymmetric-vit", settings=_backbone(state) | EMPTY)
+        head = PartChoice(name="dpt-gaussian", settings=_head(state) | EMPTY)
     except KeyError as error:
         raise InputError(
             f"{source}: key {error.args[0]!r} is missing, so the network's sizes cannot be read "
-            "off it; expected a "
-            f"NoPoSplat or MASt3R checkpoint."
+            "off it; expected a NoPoSplat or MASt3R checkpoint."
         ) from None
+    return {"backbone": backbone, "head": head}
 
 
 def _backbone(state: Mapping[str, Tensor]) -> dict:
     """Settings of the backbone."""
-    width, channels, patch = state["backbone.patch_embed.proj.weight"].shape[:3]
-    settings = {
+    width, _, patch = state["backbone.patch_embed.proj.weight"].shape[:3]
+    return {
         "width": width,
         "depth": _count(state, r"backbone\.enc_blocks\.(\d+)\."),
-        "mlp_width": state["backbone.enc_blocks.0.mlp.fc1.weight"].shape[0],
-        "decoder_width": state["backbone.decoder_embed.weight"].shape[0],
+        "mlp_width": len(state["backbone.enc_blocks.0.mlp.fc1.weight"]),
+        "decoder_width": len(state["backbone.decoder_embed.weight"]),
         "decoder_depth": _count(state, r"backbone\.dec_blocks\.(\d+)\."),
-        "decoder_mlp_width": state["backbone.dec_blocks.0.mlp.fc1.weight"].shape[0],
+        "decoder_mlp_width": len(state["backbone.dec_blocks.0.mlp.fc1.weight"]),
         "patch_size": patch,
     }
-    if channels > 3:  # ray directions: 3, or (degree + 1)^2 harmonics of them
-        degree = 0 if channels == 6 else round((channels - 3) ** 0.5) - 1
-        return settings | {"intrinsics": "pixelwise", "intrinsics_degree": degree}
-    return settings
 
 
 def _head(state: Mapping[str, Tensor]) -> dict:
     """Settings of the head."""
     dpt = "downstream_head1.dpt"
     settings = {
-        "feature_width": state[f"{dpt}.scratch.refinenet1.out_conv.weight"].shape[0],
-        "point_width": state[f"{dpt}.head.0.weight"].shape[0],
+        "feature_width": len(state[f"{dpt}.scratch.refinenet1.out_conv.weight"]),
+        "point_width": len(state[f"{dpt}.head.0.weight"]),
         "layer_widths": tuple(
-            state[f"{dpt}.act_postprocess.{k}.0.weight"].shape[0] for k in range(4)
+            len(state[f"{dpt}.act_postprocess.{k}.0.weight"]) for k in range(4)
         ),
     }
     attributes = state.get("gaussian_param_head.dpt.head.4.weight")
     if attributes is not None:
-        settings["harmonics_degree"] = round(((attributes.shape[0] - 8) / 3) ** 0.5) - 1
+        settings["harmonics_degree"] = round(((len(attributes) - 8) / 3) ** 0.5) - 1
     return settings
 
 
@@ -245,11 +163,9 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
         reason = str(error).split("\n")[0]
         raise InputError(
             f"{path}: refused, it holds more than tensors and plain values ({reason}); nothing "
-            "in it was run. Ask its "
-            "publisher for a safetensors file, or, where you trust all that it may run, make "
-            "one of its state_dict "
-            "yourself: safetensors.torch.save_file(torch.load(FILE, "
-            "weights_only=False)['state_dict'], NEW_FILE)."
+            "in it was run. Ask its publisher for a safetensors file, or, where you trust all that "
+            "it may run, make one of its state_dict yourself: safetensors.torch.save_file("
+            "torch.load(FILE, weights_only=False)['state_dict'], NEW_FILE)."
         ) from None
     except (
         Exception
@@ -264,37 +180,19 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
     return content
 
 
-def _normalise(
-    content: Mapping[str, object], path: Path
-) -> tuple[str, dict[str, Tensor]]:
-    """(kind, official tensors without prefix) of a checkpoint dictionary; kind is "noposplat" or
-    "mast3r".
-    """
-    tensors = content.get("state_dict", content.get("model", content))
-    if not isinstance(tensors, Mapping):
-        raise InputError(
-            f"{path}: its 'state_dict' or 'model' is a {type(tensors).__name__}, expected a "
-            "mapping."
-        )
+def layout_of(content: Mapping[str, object]) -> tuple[str, dict[str, Tensor]] | None:
+    """("noposplat" or "mast3r", tensors by NoPoSplat's names without prefix); None for others."""
     tensors = {
         key: value
-        for key, value in tensors.items()
+        for key, value in content.items()
         if isinstance(key, str) and isinstance(value, Tensor)
     }
-    if any(key.startswith(PREFIX + "backbone.") for key in tensors):
-        return "noposplat", {
-            key.removeprefix(PREFIX): value for key, value in tensors.items()
-        }
-    if any(key.startswith("backbone.") for key in tensors):
-        return "noposplat", tensors
+    plain = {key.removeprefix(PREFIX): value for key, value in tensors.items()}
+    if any(key.startswith("backbone.enc_blocks.") for key in plain):
+        return "noposplat", plain
     if any(key.startswith("enc_blocks.") for key in tensors):
         return "mast3r", _from_mast3r(tensors)
-    known = ", ".join(list(tensors)[:3]) or "none"
-    raise InputError(
-        f"{path}: neither a NoPoSplat checkpoint (keys 'encoder.backbone...') nor a MASt3R one "
-        "(keys "
-        f"'enc_blocks...'); its first keys: {known}."
-    )
+    return None
 
 
 def _from_mast3r(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

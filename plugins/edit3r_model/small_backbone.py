@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.compute.layers import Conv2d, GroupNorm, bilinear
-from edit3r.config import Settings
+from edit3r.config import Index, Settings
 from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry
 from edit3r.contract.types import Features
 from edit3r.errors import InputError
@@ -31,6 +31,13 @@ SMALLEST = 8
 """Least height and width of its images [pixels]: one cell of the coarsest level."""
 
 
+UPSAMPLING = 36
+"""Channels that `convex_upsample` is given: 3x3 neighbours of each of 2x2 fine pixels."""
+
+Images = Float[Tensor, "batch view 3 height width"]
+Maps = Float[Tensor, "batch channel height width"]
+
+
 class MatchedUNet(GeometryBackbone):
     """U-Net with global attention at an eighth of the images' resolution; one level of features, at
     half of it.
@@ -42,11 +49,12 @@ class MatchedUNet(GeometryBackbone):
         width: int = Field(
             32, ge=8, le=512, multiple_of=8, description="channels of its features"
         )
-        seed: int = Field(0, ge=0, description="of the initial weights")
+        seed: Index = Field(0, description="of the initial weights")
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
-        self.settings, width = settings, settings.width
+        self.settings = settings
+        width = settings.width
         self.feature_widths = (width,)
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
@@ -54,7 +62,8 @@ class MatchedUNet(GeometryBackbone):
             self.blocks2 = nn.Sequential(ResidualBlock(width))
             self.down4 = Conv2d(width, 2 * width, 4, stride=2, padding=1)
             self.blocks4 = nn.Sequential(
-                ResidualBlock(2 * width), ResidualBlock(2 * width)
+                ResidualBlock(2 * width),
+                ResidualBlock(2 * width),
             )
             self.down8 = Conv2d(2 * width, 3 * width, 4, stride=2, padding=1)
             self.blocks8 = nn.Sequential(
@@ -70,62 +79,51 @@ class MatchedUNet(GeometryBackbone):
 
     def forward(
         self,
-        images: Float[Tensor, "batch view 3 height width"],
+        images: Images,
         intrinsics: Float[Tensor, "batch view 3 3"],
         geometry: MatchedGeometry | None = None,
     ) -> Features:
         """Encode unedited images; the depths of `geometry` have a median of about 1."""
-        size = tuple(images.shape[-2:])
+        height, width = images.shape[-2:]
         if geometry is None:
             raise InputError(
                 "matched-unet needs matched geometry: give the reconstructor a matcher, as "
                 "edit3r has."
             )
-        if min(size) < SMALLEST or size[0] % STRIDE or size[1] % STRIDE:
+        if min(height, width) < SMALLEST or height % STRIDE or width % STRIDE:
             raise InputError(
                 f"matched-unet takes even sides of at least {SMALLEST} pixels, got "
-                f"{size[0]}x{size[1]}."
+                f"{height}x{width}."
             )
         matches = find_correspondences(geometry.depths, intrinsics, geometry.c2w)
-        x = F.pixel_unshuffle(
-            self._inputs(images, geometry, matches).flatten(0, 1), STRIDE
-        )
-        x2 = self.blocks2(self.stem(x))
+        inputs = self._inputs(images, geometry, matches).flatten(0, 1)
+        x2 = self.blocks2(self.stem(F.pixel_unshuffle(inputs, STRIDE)))
         x4 = self.blocks4(self.down4(x2))
         x8 = self.blocks8(self.down8(x4))
-        x4 = self.out4(x4 + upsample_to(self.up4(x8), x4))
-        x2 = self.out2(x2 + upsample_to(self.up2(x4), x2))
-        return Features(
-            (x2.flatten(2).transpose(1, 2).unflatten(0, images.shape[:2]),),
-            tuple(x2.shape[-2:]),
-        )
+        x4 = self.out4(x4 + bilinear(self.up4(x8), x4.shape[-2:]))
+        x2 = self.out2(x2 + bilinear(self.up2(x4), x2.shape[-2:]))
+        tokens = x2.flatten(2).transpose(1, 2).unflatten(0, images.shape[:2])
+        return Features((tokens,), tuple(x2.shape[-2:]))
 
     def _inputs(
-        self,
-        images: Float[Tensor, "batch view 3 height width"],
-        geometry: MatchedGeometry,
-        matches: Correspondences,
+        self, images: Images, geometry: MatchedGeometry, matches: Correspondences
     ) -> Float[Tensor, "batch view 12 height width"]:
         """Own and warped colours, log depth and how far the views agree."""
-        index, confidence = partner_views(images.shape[1]), geometry.confidence
-        warped = warp(
-            torch.cat((images, confidence[:, :, None]), 2)[:, index],
-            matches.coordinates,
+        partners, inside = partner_views(images.shape[1]), matches.inside[:, :, None]
+        shown = torch.cat((images, geometry.confidence[:, :, None]), 2)
+        warped = warp(shown[:, partners], matches.coordinates) * inside
+        colours, confidence = warped.split((3, 1), 2)
+        gap = (images - colours).abs().mean(2, keepdim=True) * inside
+        maps = torch.stack(
+            (
+                torch.log(geometry.depths),
+                geometry.confidence,
+                matches.inside,
+                matches.depth_ratio,
+            ),
+            2,
         )
-        warped = warped * matches.inside[:, :, None]
-        gap = (images - warped[:, :, :3]).abs().mean(2, keepdim=True) * matches.inside[
-            :, :, None
-        ]
-        single = (
-            torch.log(geometry.depths),
-            confidence,
-            matches.inside,
-            matches.depth_ratio,
-        )
-        maps = torch.stack(single, 2)
-        return torch.cat(
-            (images - 0.5, warped[:, :, :3], warped[:, :, 3:], gap, maps), 2
-        )
+        return torch.cat((images - 0.5, colours, confidence, gap, maps), 2)
 
 
 def averaged(geometry: MatchedGeometry, size: tuple[int, int]) -> MatchedGeometry:
@@ -146,13 +144,9 @@ class ResidualBlock(nn.Module):
         super().__init__()
         self.norm = GroupNorm(8, width)
         self.first = Conv2d(width, width, 3, padding=1)
-        self.second = Conv2d(width, width, 3, padding=1)
-        nn.init.zeros_(self.second.weight)
-        nn.init.zeros_(self.second.bias)
+        self.second = zero_conv(width, width, 3)
 
-    def forward(
-        self, x: Float[Tensor, "batch channel height width"]
-    ) -> Float[Tensor, "batch channel height width"]:
+    def forward(self, x: Maps) -> Maps:
         return x + self.second(F.silu(self.first(F.silu(self.norm(x)))))
 
 
@@ -164,41 +158,25 @@ class GlobalBlock(nn.Module):
         self.heads = heads
         self.norm = GroupNorm(8, width)
         self.qkv = Conv2d(width, 3 * width, 1)
-        self.out = Conv2d(width, width, 1)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        self.out = zero_conv(width, width)
 
-    def forward(
-        self, x: Float[Tensor, "batch channel height width"]
-    ) -> Float[Tensor, "batch channel height width"]:
-        batch, width, rows, columns = x.shape
-        split = self.qkv(self.norm(x)).reshape(
-            batch, 3, self.heads, width // self.heads, rows * columns
-        )
+    def forward(self, x: Maps) -> Maps:
+        split = self.qkv(self.norm(x)).flatten(2).unflatten(1, (3, self.heads, -1))
         q, k, v = split.transpose(-1, -2).unbind(1)  # [batch, head, token, channel]
         mixed = F.scaled_dot_product_attention(q, k, v).transpose(-1, -2)
-        return x + self.out(mixed.reshape(batch, width, rows, columns))
+        return x + self.out(mixed.reshape(x.shape))
 
 
-def zero_conv(inputs: int, outputs: int) -> nn.Conv2d:
-    """Return a 1x1 convolution that starts at 0: it adds nothing until it is trained."""
-    conv = Conv2d(inputs, outputs, 1)
+def zero_conv(inputs: int, outputs: int, side: int = 1) -> Conv2d:
+    """Return a convolution that starts at 0: it adds nothing until it is trained."""
+    conv = Conv2d(inputs, outputs, side, padding=side // 2)
     nn.init.zeros_(conv.weight)
     nn.init.zeros_(conv.bias)
     return conv
 
 
-def upsample_to(
-    x: Float[Tensor, "batch channel height width"],
-    like: Float[Tensor, "batch other height2 width2"],
-) -> Float[Tensor, "batch channel height2 width2"]:
-    """Resize `x` bilinearly to the grid of `like`."""
-    return bilinear(x, like.shape[-2:])
-
-
 def convex_upsample(
-    values: Float[Tensor, "batch channel height width"],
-    logits: Float[Tensor, "batch 36 height width"],
+    values: Maps, logits: Float[Tensor, "batch 36 height width"]
 ) -> Float[Tensor, "batch channel height2 width2"]:
     """Double the size; each fine pixel is a convex mix of 3x3 coarse neighbours (Teed and Deng
     2020, section 3.3).
@@ -211,9 +189,7 @@ def convex_upsample(
     return F.pixel_shuffle(mixed.reshape(batch, channels * 4, rows, columns), 2)
 
 
-def convex_upsample_start(conv: Conv2d, first: int) -> None:
-    """Bias the 36 outputs from `first` on towards the coarse pixel each fine pixel lies in."""
+def convex_upsample_start(conv: Conv2d) -> None:
+    """Bias the first 36 outputs towards the coarse pixel each fine pixel lies in."""
     with torch.no_grad():
-        conv.bias[first + 16 : first + 20] = (
-            3.0  # neighbour 4 (the centre) of all four fine pixels
-        )
+        conv.bias[16:20] = 3.0  # neighbour 4 (the centre) of all four fine pixels

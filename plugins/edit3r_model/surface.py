@@ -11,10 +11,11 @@ from torch import Tensor
 
 from edit3r.contract.types import Gaussians
 
-__all__ = ["discs", "surface_normals"]
-
 _SMOOTH = 5
 """Side of the square of pixels over which normals are averaged: depths come in steps."""
+
+
+Points = Float[Tensor, "batch view height width 3"]
 
 
 def discs(
@@ -34,42 +35,28 @@ def discs(
     return replace(gaussians, scales=gaussians.scales * shape, quats=quats)
 
 
-def surface_normals(
-    points: Float[Tensor, "batch view height width 3"],
-) -> Float[Tensor, "batch view height width 3"]:
+def surface_normals(points: Points) -> Points:
     """Return unit normals of maps of points, on the side of positive z; (0, 0, 1) where neighbours
     tell nothing.
     """
     across, down = (_nearer_difference(points, axis) for axis in (3, 2))
-    maps = (
-        F.normalize(_facing(torch.linalg.cross(across, down)), dim=-1)
-        .flatten(0, 1)
-        .movedim(-1, 1)
-    )
+    normals = torch.linalg.cross(across, down)
+    # A disc has no front: all are turned to positive z.
+    normals = torch.where(normals[..., 2:] < 0, -normals, normals)
+    maps = F.normalize(normals, dim=-1).flatten(0, 1).movedim(-1, 1)
     padded = F.pad(maps, (_SMOOTH // 2,) * 4, mode="replicate")
-    smooth = (
-        F.avg_pool2d(padded, _SMOOTH, 1).movedim(1, -1).unflatten(0, points.shape[:2])
-    )
+    smooth = F.avg_pool2d(padded, _SMOOTH, 1).movedim(1, -1)
+    smooth = smooth.unflatten(0, points.shape[:2])
     upright = smooth.new_tensor([0.0, 0.0, 1e-6])
     return F.normalize(smooth + upright, dim=-1)
 
 
-def _nearer_difference(
-    points: Float[Tensor, "batch view height width 3"], axis: int
-) -> Float[Tensor, "batch view height width 3"]:
+def _nearer_difference(points: Points, axis: int) -> Points:
     """Difference to the nearer of the two neighbours along `axis`, so that no edge of an object is
     bridged.
     """
     steps = points.diff(dim=axis)
     ahead = torch.cat((steps, steps.narrow(axis, -1, 1)), axis)
     behind = torch.cat((steps.narrow(axis, 0, 1), steps), axis)
-    return torch.where(
-        ahead.norm(dim=-1, keepdim=True) < behind.norm(dim=-1, keepdim=True),
-        ahead,
-        behind,
-    )
-
-
-def _facing(normals: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-    """The normals turned to positive z: a disc has no front."""
-    return torch.where(normals[..., 2:] < 0, -normals, normals)
+    nearer = ahead.norm(dim=-1, keepdim=True) < behind.norm(dim=-1, keepdim=True)
+    return torch.where(nearer, ahead, behind)

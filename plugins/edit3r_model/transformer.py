@@ -16,6 +16,10 @@ from torch import Tensor, nn
 
 NORM_EPS = 1e-6
 
+Tokens = Float[Tensor, "batch token width"]
+Heads = Float[Tensor, "batch token head channel"]
+ByReader = Float[Tensor, "batch reader token width"]
+
 
 @dataclass(frozen=True)
 class Rotation:
@@ -24,25 +28,19 @@ class Rotation:
     cos: Float[Tensor, "token 1 channel"]
     sin: Float[Tensor, "token 1 channel"]  # negative for the first of each pair
 
-    def __call__(
-        self, x: Float[Tensor, "batch token head channel"]
-    ) -> Float[Tensor, "batch token head channel"]:
+    def __call__(self, x: Heads) -> Heads:
         """Rotate queries or keys; the dtype of `x` is kept."""
         partners = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
         return torch.addcmul(x * self.cos.to(x.dtype), partners, self.sin.to(x.dtype))
 
 
-def patch_positions(grid: tuple[int, int], extra_token: bool) -> Int[Tensor, "token 2"]:
-    """Return (row, column) of every patch, row-major; an extra token is placed first in the row
+def patch_positions(grid: tuple[int, int]) -> Int[Tensor, "token 2"]:
+    """Return (row, column) of every patch, row-major, then of the extra token: first in the row
     below the grid.
     """
     rows, columns = grid
-    positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).reshape(
-        -1, 2
-    )
-    if not extra_token:
-        return positions
-    return torch.cat((positions, torch.tensor([[rows, 0]])))
+    positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns))
+    return torch.cat((positions.reshape(-1, 2), torch.tensor([[rows, 0]])))
 
 
 def make_rotation(
@@ -54,9 +52,8 @@ def make_rotation(
     """Build the tables for tokens at `positions`, computed in float64 and kept in float32."""
     pairs = head_width // 4
     frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
-    angles = (
-        positions.double()[:, None, :, None, None] * frequencies
-    )  # [token, 1, axis, 1, pair]
+    # [token, 1, axis, 1, pair]
+    angles = positions.double()[:, None, :, None, None] * frequencies
     cos = angles.cos().expand(-1, -1, -1, 2, -1)
     sin = torch.cat((-angles.sin(), angles.sin()), -2)
     return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))
@@ -95,15 +92,11 @@ class SelfAttention(nn.Module):
         self.qkv = XavierLinear(width, 3 * width)
         self.proj = XavierLinear(width, width)
 
-    def forward(
-        self, x: Float[Tensor, "batch token width"], rotation: Rotation
-    ) -> Float[Tensor, "batch token width"]:
-        query_key, value = (
-            self.qkv(x).unflatten(-1, (3, self.heads, -1)).split((2, 1), 2)
-        )
-        query, key = (
-            rotation(query_key.flatten(2, 3)).unflatten(2, (2, self.heads)).unbind(2)
-        )
+    def forward(self, x: Tokens, rotation: Rotation) -> Tokens:
+        qkv = self.qkv(x).unflatten(-1, (3, self.heads, -1))
+        query_key, value = qkv.split((2, 1), 2)
+        rotated = rotation(query_key.flatten(2, 3))
+        query, key = rotated.unflatten(2, (2, self.heads)).unbind(2)
         return self.proj(attend(query, key, value.squeeze(2)))
 
 
@@ -124,25 +117,19 @@ class CrossAttention(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "batch reader token width"],
+        x: ByReader,
         memory: Float[Tensor, "batch source token width"],
         reads: Int[Tensor, "reader read"],
         rotation: Rotation,
-    ) -> Float[Tensor, "batch reader token width"]:
+    ) -> ByReader:
         """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory`
         that reader i sees.
         """
         batch, readers = x.shape[:2]
         query = rotation(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
-        key, value = (
-            self.key_value(memory)
-            .flatten(0, 1)
-            .unflatten(-1, (2, self.heads, -1))
-            .unbind(2)
-        )
-        key, value = (
-            _gather(tokens, reads, batch) for tokens in (rotation(key), value)
-        )
+        read = self.key_value(memory).flatten(0, 1)
+        key, value = read.unflatten(-1, (2, self.heads, -1)).unbind(2)
+        key, value = _gather(rotation(key), reads, batch), _gather(value, reads, batch)
         return self.proj(attend(query, key, value)).unflatten(0, (batch, readers))
 
 
@@ -154,9 +141,7 @@ class Mlp(nn.Module):
         self.fc1 = XavierLinear(width, hidden)
         self.fc2 = XavierLinear(hidden, width)
 
-    def forward(
-        self, x: Float[Tensor, "*batch width"]
-    ) -> Float[Tensor, "*batch width"]:
+    def forward(self, x: Tensor) -> Tensor:
         return self.fc2(F.gelu(self.fc1(x)))
 
 
@@ -170,9 +155,7 @@ class EncoderBlock(nn.Module):
         self.norm2 = layer_norm(width)
         self.mlp = Mlp(width, hidden)
 
-    def forward(
-        self, x: Float[Tensor, "batch token width"], rotation: Rotation
-    ) -> Float[Tensor, "batch token width"]:
+    def forward(self, x: Tokens, rotation: Rotation) -> Tokens:
         x = x + self.attn(self.norm1(x), rotation)
         return x + self.mlp(self.norm2(x))
 
@@ -192,29 +175,26 @@ class DecoderBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "batch reader token width"],
+        x: ByReader,
         memory: Float[Tensor, "batch source token width"],
         reads: Int[Tensor, "reader read"],
         rotation: Rotation,
-    ) -> Float[Tensor, "batch reader token width"]:
-        x = x + self.attn(self.norm1(x).flatten(0, 1), rotation).unflatten(
-            0, x.shape[:2]
-        )
-        x = x + self.cross_attn(
-            self.norm2(x), self.norm_memory(memory), reads, rotation
-        )
+    ) -> ByReader:
+        own = self.attn(self.norm1(x).flatten(0, 1), rotation)
+        x = x + own.unflatten(0, x.shape[:2])
+        memory = self.norm_memory(memory)
+        x = x + self.cross_attn(self.norm2(x), memory, reads, rotation)
         return x + self.mlp(self.norm3(x))
 
 
 def attend(
-    query: Float[Tensor, "batch token head channel"],
+    query: Heads,
     key: Float[Tensor, "batch source head channel"],
     value: Float[Tensor, "batch source head channel"],
-) -> Float[Tensor, "batch token width"]:
+) -> Tokens:
     """Attention softmax(q k^T / sqrt(channels)) v per head, by torch's fused kernel."""
-    mixed = F.scaled_dot_product_attention(
-        query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
-    )
+    query, key, value = (x.transpose(1, 2) for x in (query, key, value))
+    mixed = F.scaled_dot_product_attention(query, key, value)
     return mixed.transpose(1, 2).flatten(2)
 
 
@@ -224,6 +204,7 @@ def _gather(
     batch: int,
 ) -> Float[Tensor, "batch_reader read_token head channel"]:
     """Join, for each reader, the tokens of all the views that it reads."""
+    by_source = tokens.unflatten(0, (batch, -1))
     if reads.shape[0] == 1:  # one reader sees everything: no copy
-        return tokens.unflatten(0, (batch, -1)).flatten(1, 2)
-    return tokens.unflatten(0, (batch, -1))[:, reads].flatten(2, 3).flatten(0, 1)
+        return by_source.flatten(1, 2)
+    return by_source[:, reads].flatten(2, 3).flatten(0, 1)

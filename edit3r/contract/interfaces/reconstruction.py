@@ -46,10 +46,24 @@ class Reconstructor(Configured, ABC):
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
 
+    fuses_by_itself: bool = False
+    """Whether its Gaussians already settle disagreeing edits.
+
+    Refining towards each view's own edit would undo that, so no default refiner follows. An object
+    may set it by its parts.
+    """
+
     @property
     def network(self) -> nn.Module | None:
         """The trainable part; None for a reconstructor without one."""
         return None
+
+    def weights_metadata(self) -> dict[str, str]:
+        """What a file of the network's weights says of itself, so that loading builds the same.
+
+        By default nothing: the settings of who loads it say what to build.
+        """
+        return {}
 
 
 class EditsViews(ABC):

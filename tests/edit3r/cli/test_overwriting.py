@@ -7,7 +7,6 @@ from edit3r.cli.main import main
 COMMANDS = [
     "simplify scene.ply --out theirs.ply",
     "export scene.ply --to glb --out theirs.ply",
-    "conflicts run --out theirs.png",
     "evaluate nowhere --out theirs.md",
     "run a.jpg --preview theirs.jpg",
 ]

@@ -8,7 +8,7 @@ import torch
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.surroundings import apron, backdrop, lining
+from edit3r.geometry.surroundings import background_layer, rim, second_layer
 from edit3r_testing import photograph
 
 
@@ -26,27 +26,27 @@ def truth(pair):
 
 
 def test_the_rim_stays_out_of_every_photo(pair, truth):
-    rim = apron(pair.views, truth, 0.2, 0.6)
-    assert rim.count > 100
+    made = rim(pair.views, truth, 0.2, 0.6)
+    assert made.count > 100
     for view in (0, 1):
         places, depth = project(
-            rim.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
+            made.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
         )
         shown = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
         assert not shown.any()
 
 
 def test_the_rim_fades_outwards_to_nothing(pair, truth):
-    rim = apron(
+    made = rim(
         pair.views.select([0]), dataclasses.replace(truth, **_first(truth)), 0.2, 0.6
     )
-    places, _ = project(rim.means, pair.views.intrinsics[:, 0], truth.c2w[:, 0])
+    places, _ = project(made.means, pair.views.intrinsics[:, 0], truth.c2w[:, 0])
     height, width = pair.views.image_size
     beyond = (torch.maximum(-places, places - 1) * torch.tensor([width, height])).amax(
         -1
     )[0]
     near, far = (
-        rim.opacities[0][part]
+        made.opacities[0][part]
         for part in (beyond < beyond.quantile(0.2), beyond > beyond.quantile(0.8))
     )
     assert near.min() > far.max() and far.min() < 0.15 and near.max() > 0.5
@@ -63,15 +63,15 @@ def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
     grey = dataclasses.replace(
         pair.views, images=torch.full_like(pair.views.images, 0.25)
     )
-    rim = apron(grey, truth, 0.1, 0.6)
-    assert torch.allclose(dc_to_colour(rim.harmonics), torch.tensor(0.25), atol=1e-6)
+    made = rim(grey, truth, 0.1, 0.6)
+    assert torch.allclose(dc_to_colour(made.harmonics), torch.tensor(0.25), atol=1e-6)
 
 
-@pytest.mark.parametrize("layers", ["backdrop", "lining"])
+@pytest.mark.parametrize("layers", ["background_layer", "second_layer"])
 def test_no_layer_stands_before_a_photo(pair, truth, layers):
     layer = (
-        backdrop(pair.views, truth, 0.9)
-        if layers == "backdrop"
+        background_layer(pair.views, truth, 0.9)
+        if layers == "background_layer"
         else _lined(pair, truth)
     )
     assert layer.count > 50
@@ -90,18 +90,20 @@ def test_no_layer_stands_before_a_photo(pair, truth, layers):
         assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
 
 
-def test_a_flat_measured_wall_needs_no_backdrop(pair, truth):
+def test_a_flat_measured_wall_needs_no_background_layer(pair, truth):
     wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0))
-    assert backdrop(pair.views, wall, 0.9).count == 0
+    assert background_layer(pair.views, wall, 0.9).count == 0
     guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
-    assert backdrop(pair.views, guessed, 0.9).count > 0
+    assert background_layer(pair.views, guessed, 0.9).count > 0
 
 
 def _lined(pair, geometry, faint=0.5):
-    return lining(pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9)
+    return second_layer(
+        pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9
+    )
 
 
-def test_a_lining_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(
+def test_a_second_layer_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(
     pair, truth
 ):
     here = truth.c2w[:, :1]

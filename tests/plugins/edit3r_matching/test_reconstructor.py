@@ -10,7 +10,7 @@ from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.errors import MatchingError
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.surroundings import backdrop
+from edit3r.geometry.surroundings import background_layer
 from edit3r.geometry.warping import contradicted, seen_by_others
 
 
@@ -47,7 +47,7 @@ def build(geometry, **settings):
 
 
 def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
-    gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians
+    gaussians = build(truth, rim=0, background_layer=0)(pair.views).gaussians
     height, width = pair.views.image_size
     assert gaussians.count == 2 * height * width
     assert (
@@ -62,7 +62,9 @@ def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
 
 
 def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
-    gaussians = build(truth, apron=0, backdrop=0)(pair.views).gaussians.from_view(1)
+    gaussians = build(truth, rim=0, background_layer=0)(pair.views).gaussians.from_view(
+        1
+    )
     places, depth = project(
         gaussians.means, pair.views.intrinsics[:, 1], truth.c2w[:, 1]
     )
@@ -75,7 +77,7 @@ def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
 
 def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     edited = dataclasses.replace(pair.views, images=1 - pair.views.images)
-    reconstructor = build(truth, apron=0, backdrop=0)
+    reconstructor = build(truth, rim=0, background_layer=0)
     plain, other = reconstructor(pair.views), reconstructor(edited, source=pair.views)
     assert reconstructor.matcher.asked is pair.views
     assert torch.equal(plain.gaussians.means, other.gaussians.means)
@@ -112,7 +114,9 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     half[..., :40] = 0
     geometry = dataclasses.replace(truth, confidence=half)
     settings = build(geometry).settings
-    opacities = build(geometry, apron=0, backdrop=0)(pair.views).gaussians.opacities
+    opacities = build(geometry, rim=0, background_layer=0)(
+        pair.views
+    ).gaussians.opacities
     expected = [settings.guessed_opacity, settings.opacity, settings.lone_opacity]
     assert opacities.unique().tolist() == pytest.approx(expected)
     shown = seen_by_others(geometry, pair.views.intrinsics)
@@ -131,7 +135,7 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
     assert (
-        build(geometry, apron=0, backdrop=0)(pair.views).gaussians.count
+        build(geometry, rim=0, background_layer=0)(pair.views).gaussians.count
         == truth.depths.numel() - 16
     )
 
@@ -168,14 +172,14 @@ def test_photos_alone_give_a_scene_that_shows_them_again(pair):
         assert psnr(image, photo) > 20
 
 
-def test_the_backdrop_shows_the_background_where_a_foreground_was_taken_away(
+def test_the_background_layer_shows_the_background_where_a_foreground_was_taken_away(
     pair, truth
 ):
     """Without the pixels of the nearest things, their place is filled with what stands around and
     behind them.
     """
     full = build(truth)(pair.views).gaussians
-    layer = backdrop(pair.views, truth, 0.9)
+    layer = background_layer(pair.views, truth, 0.9)
     camera = Cameras(
         truth.c2w[:, :1], pair.views.intrinsics[:, :1], pair.views.image_size
     )

@@ -6,7 +6,9 @@ interpolation as matrices, the published order of operations. It shares no code 
 """
 
 import math
+import re
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 import torch.nn.functional as F
@@ -31,80 +33,62 @@ FULL = Sizes(1024, 24, 16, 768, 12, 12, 256, 128, (96, 192, 384, 768))
 
 def official_shapes(s: Sizes) -> dict[str, tuple[int, ...]]:
     """Every key of an official checkpoint of these sizes, with its shape."""
-    shapes: dict[str, tuple[int, ...]] = {
-        "backbone.mask_token": (1, 1, s.decoder_width)
-    }
+    shapes = {"backbone.mask_token": (1, 1, s.decoder_width)}
 
-    def linear(name, inputs, outputs):
-        shapes[f"{name}.weight"], shapes[f"{name}.bias"] = (outputs, inputs), (outputs,)
-
-    def norm(name, width):
-        shapes[f"{name}.weight"] = shapes[f"{name}.bias"] = (width,)
-
-    def conv(name, inputs, outputs, kernel, bias=True, transposed=False):
-        shapes[f"{name}.weight"] = (
-            *((inputs, outputs) if transposed else (outputs, inputs)),
-            kernel,
-            kernel,
-        )
+    def weight(name, *shape, bias=True):
+        shapes[f"{name}.weight"] = shape
         if bias:
-            shapes[f"{name}.bias"] = (outputs,)
+            shapes[f"{name}.bias"] = shape[:1]
 
-    conv("backbone.patch_embed.proj", 3, s.width, 16)
+    def block(name, w, norms):
+        for norm in norms:
+            weight(f"{name}.{norm}", w)
+        weight(f"{name}.attn.qkv", 3 * w, w)
+        weight(f"{name}.attn.proj", w, w)
+        weight(f"{name}.mlp.fc1", 4 * w, w)
+        weight(f"{name}.mlp.fc2", w, 4 * w)
+
+    width, decoder_width = s.width, s.decoder_width
+    weight("backbone.patch_embed.proj", width, 3, 16, 16)
     for i in range(s.depth):
-        block, w = f"backbone.enc_blocks.{i}", s.width
-        norm(f"{block}.norm1", w), norm(f"{block}.norm2", w)
-        linear(f"{block}.attn.qkv", w, 3 * w), linear(f"{block}.attn.proj", w, w)
-        linear(f"{block}.mlp.fc1", w, 4 * w), linear(f"{block}.mlp.fc2", 4 * w, w)
-    norm("backbone.enc_norm", s.width)
-    linear("backbone.decoder_embed", s.width, s.decoder_width)
-    for stack in ("dec_blocks", "dec_blocks2"):
-        for i in range(s.decoder_depth):
-            block, w = f"backbone.{stack}.{i}", s.decoder_width
-            for name in ("norm1", "norm2", "norm3", "norm_y"):
-                norm(f"{block}.{name}", w)
-            linear(f"{block}.attn.qkv", w, 3 * w), linear(f"{block}.attn.proj", w, w)
-            for name in ("projq", "projk", "projv", "proj"):
-                linear(f"{block}.cross_attn.{name}", w, w)
-            linear(f"{block}.mlp.fc1", w, 4 * w), linear(f"{block}.mlp.fc2", 4 * w, w)
-    norm("backbone.dec_norm", s.decoder_width)
-    linear("backbone.intrinsic_encoder", 9, s.width)
-    for name in (
-        "downstream_head1",
-        "downstream_head2",
-        "gaussian_param_head",
-        "gaussian_param_head2",
-    ):
-        dpt, tokens = f"{name}.dpt", (s.width, *[s.decoder_width] * 3)
-        for k in range(4):
-            conv(
-                f"{dpt}.scratch.layer{k + 1}_rn", s.layers[k], s.feature, 3, bias=False
-            )
-            conv(f"{dpt}.scratch.layer_rn.{k}", s.layers[k], s.feature, 3, bias=False)
-            conv(f"{dpt}.scratch.refinenet{k + 1}.out_conv", s.feature, s.feature, 1)
-            for unit in (1, 2):
-                for c in (1, 2):
-                    conv(
-                        f"{dpt}.scratch.refinenet{k + 1}.resConfUnit{unit}.conv{c}",
-                        s.feature,
-                        s.feature,
-                        3,
-                    )
-            conv(f"{dpt}.act_postprocess.{k}.0", tokens[k], s.layers[k], 1)
-        conv(f"{dpt}.act_postprocess.0.1", s.layers[0], s.layers[0], 4, transposed=True)
-        conv(f"{dpt}.act_postprocess.1.1", s.layers[1], s.layers[1], 2, transposed=True)
-        conv(f"{dpt}.act_postprocess.3.1", s.layers[3], s.layers[3], 3)
-        if name.startswith("downstream"):
-            (
-                conv(f"{dpt}.head.0", s.feature, s.point, 3),
-                conv(f"{dpt}.head.2", s.point, s.point, 3),
-            )
-            conv(f"{dpt}.head.4", s.point, 3, 1)
-        else:
-            conv(f"{dpt}.input_merger.0", 3, s.feature, 7)
-            conv(f"{dpt}.head.0", s.feature, s.feature, 3, bias=False)
-            conv(f"{dpt}.head.4", s.feature, s.channels, 1)
+        block(f"backbone.enc_blocks.{i}", width, ("norm1", "norm2"))
+    weight("backbone.enc_norm", width)
+    weight("backbone.decoder_embed", decoder_width, width)
+    for stack, i in product(("dec_blocks", "dec_blocks2"), range(s.decoder_depth)):
+        name = f"backbone.{stack}.{i}"
+        block(name, decoder_width, ("norm1", "norm2", "norm3", "norm_y"))
+        for part in ("projq", "projk", "projv", "proj"):
+            weight(f"{name}.cross_attn.{part}", decoder_width, decoder_width)
+    weight("backbone.dec_norm", decoder_width)
+    weight("backbone.intrinsic_encoder", width, 9)
+    for role in ("1", "2"):
+        _dpt_shapes(s, f"downstream_head{role}.dpt", weight)
+        _dpt_shapes(s, f"gaussian_param_head{role.strip('1')}.dpt", weight)
     return shapes
+
+
+def _dpt_shapes(s: Sizes, dpt: str, weight) -> None:
+    tokens = (s.width, *[s.decoder_width] * 3)
+    f, (first, second, _, last) = s.feature, s.layers
+    for k, layer in enumerate(s.layers):
+        fuse = f"{dpt}.scratch.refinenet{k + 1}"
+        weight(f"{dpt}.act_postprocess.{k}.0", layer, tokens[k], 1, 1)
+        weight(f"{dpt}.scratch.layer{k + 1}_rn", f, layer, 3, 3, bias=False)
+        weight(f"{dpt}.scratch.layer_rn.{k}", f, layer, 3, 3, bias=False)
+        weight(f"{fuse}.out_conv", f, f, 1, 1)
+        for unit, conv in product((1, 2), (1, 2)):
+            weight(f"{fuse}.resConfUnit{unit}.conv{conv}", f, f, 3, 3)
+    weight(f"{dpt}.act_postprocess.0.1", first, first, 4, 4)
+    weight(f"{dpt}.act_postprocess.1.1", second, second, 2, 2)
+    weight(f"{dpt}.act_postprocess.3.1", last, last, 3, 3)
+    if dpt.startswith("downstream"):
+        weight(f"{dpt}.head.0", s.point, f, 3, 3)
+        weight(f"{dpt}.head.2", s.point, s.point, 3, 3)
+        weight(f"{dpt}.head.4", 3, s.point, 1, 1)
+    else:
+        weight(f"{dpt}.input_merger.0", f, 3, 7, 7)
+        weight(f"{dpt}.head.0", f, f, 3, 3, bias=False)
+        weight(f"{dpt}.head.4", s.channels, f, 1, 1)
 
 
 def random_state(sizes: Sizes, seed: int) -> dict[str, torch.Tensor]:
@@ -114,18 +98,15 @@ def random_state(sizes: Sizes, seed: int) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(seed)
     state = {}
     for key, shape in official_shapes(sizes).items():
+        state[key] = torch.randn(shape, generator=generator)
         if len(shape) > 1:
-            fan_in = math.prod(shape[1:])
             gain = 1.2 if key.startswith("backbone") else 0.8
-            state[key] = torch.randn(shape, generator=generator) * (gain / fan_in**0.5)
+            state[key] *= gain / math.prod(shape[1:]) ** 0.5
         else:
-            state[key] = 0.2 * torch.randn(shape, generator=generator) + (
-                "norm" in key and key.endswith("weight")
-            )
+            state[key] = 0.2 * state[key] + ("norm" in key and key.endswith("weight"))
     for key in list(state):
-        if ".scratch.layer" in key and "_rn.weight" in key:
-            head, _, rest = key.partition(".scratch.layer")
-            state[f"{head}.scratch.layer_rn.{int(rest[0]) - 1}.weight"] = state[key]
+        if found := re.fullmatch(r"(.+)\.layer(\d)_rn\.weight", key):
+            state[f"{found[1]}.layer_rn.{int(found[2]) - 1}.weight"] = state[key]
     return state
 
 
@@ -139,26 +120,16 @@ class Reference:
     def tokens(self, images, intrinsics):
         """All levels, [B, V, N, C] each, without the intrinsics token."""
         images, intrinsics = images.double(), intrinsics.double()
-        batch, views, _, height, width = images.shape
-        grid = (height // 16, width // 16)
-        positions = [(r, c) for r in range(grid[0]) for c in range(grid[1])] + [
-            (grid[0], 0)
-        ]
-        encoded = [
-            [
-                self._encode(images[b, v], intrinsics[b, v], positions)
-                for v in range(views)
-            ]
-            for b in range(batch)
-        ]
-        scenes = [self._decode(scene, positions) for scene in encoded]
-        count = len(scenes[0])
-        return [
-            torch.stack(
-                [torch.stack([x[:-1] for x in scene[level]]) for scene in scenes]
-            )
-            for level in range(count)
-        ]
+        grid = [side // 16 for side in images.shape[-2:]]
+        positions = [(r, c) for r in range(grid[0]) for c in range(grid[1])]
+        positions.append((grid[0], 0))
+        scenes = []
+        for scene, lenses in zip(images, intrinsics):
+            pairs = zip(scene, lenses)
+            encoded = [self._encode(image, lens, positions) for image, lens in pairs]
+            levels = self._decode(encoded, positions)
+            scenes.append([torch.stack([x[:-1] for x in level]) for level in levels])
+        return [torch.stack(level) for level in zip(*scenes)]
 
     def _encode(self, image, intrinsics, positions):
         w = self.w
@@ -166,17 +137,11 @@ class Reference:
         patches = (image * 2 - 1).unfold(1, 16, 16).unfold(2, 16, 16)  # 3 n m 16 16
         patches = patches.permute(1, 2, 0, 3, 4).flatten(2).flatten(0, 1)
         tokens = patches @ kernel.T + w["backbone.patch_embed.proj.bias"]
-        x = torch.cat(
-            (
-                tokens,
-                self._linear("backbone.intrinsic_encoder", intrinsics.reshape(1, 9)),
-            )
-        )
+        lens = self._linear("backbone.intrinsic_encoder", intrinsics.reshape(1, 9))
+        x = torch.cat((tokens, lens))
         for i in range(self.s.depth):
             name = f"backbone.enc_blocks.{i}"
-            x = x + self._self_attention(
-                f"{name}.attn", self._norm(f"{name}.norm1", x), positions, self.s.heads
-            )
+            x = self._attend_to_itself(name, x, positions, self.s.heads)
             x = x + self._mlp(f"{name}.mlp", self._norm(f"{name}.norm2", x))
         return self._norm("backbone.enc_norm", x)
 
@@ -186,116 +151,91 @@ class Reference:
         for i in range(self.s.decoder_depth):
             following = []
             for view, x in enumerate(current):
-                others = [current[j] for j in range(len(current)) if j != view]
+                others = [x for j, x in enumerate(current) if j != view]
                 name = f"backbone.dec_blocks{'' if view == 0 else '2'}.{i}"
-                following.append(
-                    self._decoder_block(
-                        name, x, torch.cat(others), positions, len(others)
-                    )
-                )
+                following.append(self._decoder_block(name, x, others, positions))
             current = following
             levels.append(current)
         levels[-1] = [self._norm("backbone.dec_norm", x) for x in current]
         return levels
 
-    def _decoder_block(self, name, x, memory, positions, others):
-        heads = self.s.decoder_heads
-        x = x + self._self_attention(
-            f"{name}.attn", self._norm(f"{name}.norm1", x), positions, heads
-        )
-        y = self._norm(f"{name}.norm_y", memory)
-        q = self._linear(f"{name}.cross_attn.projq", self._norm(f"{name}.norm2", x))
-        k, v = (
-            self._linear(f"{name}.cross_attn.projk", y),
-            self._linear(f"{name}.cross_attn.projv", y),
-        )
-        mixed = self._attention(q, k, v, positions, positions * others, heads)
-        x = x + self._linear(f"{name}.cross_attn.proj", mixed)
+    def _decoder_block(self, name, x, others, positions):
+        cross, heads = f"{name}.cross_attn", self.s.decoder_heads
+        x = self._attend_to_itself(name, x, positions, heads)
+        y = self._norm(f"{name}.norm_y", torch.cat(others))
+        q = self._linear(f"{cross}.projq", self._norm(f"{name}.norm2", x))
+        k, v = (self._linear(f"{cross}.{part}", y) for part in ("projk", "projv"))
+        read = positions * len(others)
+        mixed = self._attention(q, k, v, positions, read, heads)
+        x = x + self._linear(f"{cross}.proj", mixed)
         return x + self._mlp(f"{name}.mlp", self._norm(f"{name}.norm3", x))
 
-    def _self_attention(self, name, x, positions, heads):
-        q, k, v = self._linear(f"{name}.qkv", x).chunk(3, -1)
-        return self._linear(
-            f"{name}.proj", self._attention(q, k, v, positions, positions, heads)
-        )
+    def _attend_to_itself(self, name, x, positions, heads):
+        qkv = self._linear(f"{name}.attn.qkv", self._norm(f"{name}.norm1", x))
+        mixed = self._attention(*qkv.chunk(3, -1), positions, positions, heads)
+        return x + self._linear(f"{name}.attn.proj", mixed)
 
     def _attention(self, q, k, v, positions_q, positions_k, heads):
-        size = q.shape[1] // heads
         results = []
-        for h in range(heads):
-            part = slice(h * size, (h + 1) * size)
-            qh, kh = _rotate(q[:, part], positions_q), _rotate(k[:, part], positions_k)
-            scores = qh @ kh.T / math.sqrt(size)
-            weights = (scores - scores.amax(1, keepdim=True)).exp()
-            results.append(weights / weights.sum(1, keepdim=True) @ v[:, part])
+        for qh, kh, vh in zip(*(x.chunk(heads, 1) for x in (q, k, v))):
+            qh, kh = _rotate(qh, positions_q), _rotate(kh, positions_k)
+            scores = qh @ kh.T / math.sqrt(qh.shape[1])
+            results.append(scores.softmax(1) @ vh)
         return torch.cat(results, 1)
 
     def _linear(self, name, x):
         return x @ self.w[f"{name}.weight"].T + self.w[f"{name}.bias"]
 
     def _norm(self, name, x):
-        centred = x - x.mean(-1, keepdim=True)
-        variance = (centred**2).mean(-1, keepdim=True)
-        return (
-            centred / (variance + 1e-6).sqrt() * self.w[f"{name}.weight"]
-            + self.w[f"{name}.bias"]
-        )
+        weight, bias = self.w[f"{name}.weight"], self.w[f"{name}.bias"]
+        return F.layer_norm(x, x.shape[-1:], weight, bias, 1e-6)
 
     def _mlp(self, name, x):
         hidden = self._linear(f"{name}.fc1", x)
-        return self._linear(
-            f"{name}.fc2", hidden * 0.5 * (1 + torch.erf(hidden / math.sqrt(2)))
-        )
+        exact_gelu = hidden * 0.5 * (1 + torch.erf(hidden / math.sqrt(2)))
+        return self._linear(f"{name}.fc2", exact_gelu)
 
     def raw(self, levels, images):
         """(points [B,V,3,H,W], parameters [B,V,83,H,W]) from `tokens`' levels."""
         depth = self.s.decoder_depth
         hooks = [levels[i] for i in (0, depth // 2, depth * 3 // 4, depth)]
-        batch, views, _, height, width = images.shape
-        grid = (height // 16, width // 16)
+        batch, views = images.shape[:2]
+        grid = [side // 16 for side in images.shape[-2:]]
         points, parameters = [], []
-        for b in range(batch):
-            for v in range(views):
-                maps = [x[b, v].T.reshape(1, -1, *grid) for x in hooks]
-                points.append(
-                    self._points(f"downstream_head{1 if v == 0 else 2}.dpt", maps)
-                )
-                pixels = images[b, v, None].double() * 2 - 1
-                parameters.append(
-                    self._parameters(
-                        f"gaussian_param_head{'' if v == 0 else '2'}.dpt", maps, pixels
-                    )
-                )
-        return tuple(
-            torch.cat(x).unflatten(0, (batch, views)) for x in (points, parameters)
-        )
+        for b, v in product(range(batch), range(views)):
+            role = "" if v == 0 else "2"
+            maps = [x[b, v].T.reshape(1, -1, *grid) for x in hooks]
+            pixels = images[b, v, None].double() * 2 - 1
+            points.append(self._points(f"downstream_head{role or '1'}.dpt", maps))
+            name = f"gaussian_param_head{role}.dpt"
+            parameters.append(self._parameters(name, maps, pixels))
+        rows = (torch.cat(x).unflatten(0, (batch, views)) for x in (points, parameters))
+        return tuple(rows)
 
     def _points(self, name, maps):
         x = _double(self._conv(f"{name}.head.0", self._trunk(name, maps), 1))
-        return self._conv(
-            f"{name}.head.4", self._conv(f"{name}.head.2", x, 1).clamp(min=0), 0
-        )
+        x = self._conv(f"{name}.head.2", x, 1).relu()
+        return self._conv(f"{name}.head.4", x, 0)
 
     def _parameters(self, name, maps, pixels):
-        x = _double(self._trunk(name, maps)) + self._conv(
-            f"{name}.input_merger.0", pixels, 3
-        ).clamp(min=0)
-        return self._conv(
-            f"{name}.head.4", self._conv(f"{name}.head.0", x, 1).clamp(min=0), 0
-        )
+        seen = self._conv(f"{name}.input_merger.0", pixels, 3).relu()
+        x = _double(self._trunk(name, maps)) + seen
+        x = self._conv(f"{name}.head.0", x, 1).relu()
+        return self._conv(f"{name}.head.4", x, 0)
 
     def _trunk(self, name, maps):
         layers = []
         for k in range(4):
             x = self._conv(f"{name}.act_postprocess.{k}.0", maps[k], 0)
+            last = f"{name}.act_postprocess.{k}.1"
             if k < 2:
-                x = self._grow(f"{name}.act_postprocess.{k}.1", x)
+                weight, bias = self.w[f"{last}.weight"], self.w[f"{last}.bias"]
+                x = F.conv_transpose2d(x, weight, bias, stride=weight.shape[-1])
             if k == 3:
-                x = self._conv(f"{name}.act_postprocess.{k}.1", x, 1, stride=2)
+                x = self._conv(last, x, 1, stride=2)
             layers.append(self._conv(f"{name}.scratch.layer_rn.{k}", x, 1))
-        path = self._fuse(f"{name}.scratch.refinenet4", layers[3])[
-            ..., : maps[0].shape[2], : maps[0].shape[3]
-        ]
+        path = self._fuse(f"{name}.scratch.refinenet4", layers[3])
+        path = path[..., : maps[0].shape[2], : maps[0].shape[3]]
         for k in (2, 1, 0):
             path = self._fuse(f"{name}.scratch.refinenet{k + 1}", path, layers[k])
         return path
@@ -303,36 +243,16 @@ class Reference:
     def _fuse(self, name, x, other=None):
         if other is not None:
             x = x + self._unit(f"{name}.resConfUnit1", other)
-        return self._conv(
-            f"{name}.out_conv", _double(self._unit(f"{name}.resConfUnit2", x)), 0
-        )
+        refined = self._unit(f"{name}.resConfUnit2", x)
+        return self._conv(f"{name}.out_conv", _double(refined), 0)
 
     def _unit(self, name, x):
-        return x + self._conv(
-            f"{name}.conv2",
-            self._conv(f"{name}.conv1", x.clamp(min=0), 1).clamp(min=0),
-            1,
-        )
+        hidden = self._conv(f"{name}.conv1", x.relu(), 1).relu()
+        return x + self._conv(f"{name}.conv2", hidden, 1)
 
     def _conv(self, name, x, padding, stride=1):
-        return F.conv2d(
-            x, self.w[f"{name}.weight"], self.w.get(f"{name}.bias"), stride, padding
-        )
-
-    def _grow(self, name, x):
-        weight, (rows, columns) = self.w[f"{name}.weight"], x.shape[2:]
-        k = weight.shape[-1]
-        grown = torch.einsum("bchw,cdij->bdhiwj", x, weight).reshape(
-            1, -1, rows * k, columns * k
-        )
-        return grown + self.w[f"{name}.bias"][:, None, None]
-
-    def gaussians(self, images, intrinsics):
-        """Dictionary of the published outputs; harmonics [B, G, 25, 3], quats xyzw, covariances [B,
-        G, 3, 3].
-        """
-        points, parameters = self.raw(self.tokens(images, intrinsics), images)
-        return to_gaussians(points, parameters)
+        weight, bias = self.w[f"{name}.weight"], self.w.get(f"{name}.bias")
+        return F.conv2d(x, weight, bias, stride, padding)
 
 
 def to_gaussians(points, parameters):

@@ -49,12 +49,8 @@ def test_int8_conv_errs_by_about_a_percent_whatever_the_inputs_scale(size):
 
 
 def test_quantised_inputs_never_wrap_around():
-    for x in (
-        torch.tensor([0.0, 0.0]),
-        torch.tensor([-3.0, -1.0]),
-        torch.tensor([2.0, 7.0]),
-        100 * torch.randn(1000),
-    ):
+    ranges = torch.tensor([[0.0, 0.0], [-3.0, -1.0], [2.0, 7.0]])
+    for x in (*ranges, 100 * torch.randn(1000)):
         values, scale, zero = quantise_input(x)
         assert 0 <= zero <= 255
         assert ((values.float() - zero) * scale - x).abs().max() <= 0.51 * scale + 1e-6
@@ -68,14 +64,12 @@ def test_weights_of_a_silent_channel_quantise_to_zero():
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])
 def test_strips_equal_the_whole_map(rows):
     conv, half = nn.Conv2d(4, 4, 3, padding=(0, 1)), torch.randn(1, 4, 5, 7)
-    strips = in_strips(
-        10,
-        rows,
-        lambda start, stop: conv(
-            with_border(partial(double_rows, half), start, stop, 10, 1)
-        ),
-    )
+
+    def strip(start, stop):
+        return conv(with_border(partial(double_rows, half), start, stop, 10, 1))
+
     whole = nn.functional.conv2d(double(half), conv.weight, conv.bias, padding=1)
+    strips = in_strips(10, rows, strip)
     torch.testing.assert_close(strips, whole, atol=1e-5, rtol=1e-5)
 
 
@@ -83,12 +77,9 @@ def test_strips_equal_the_whole_map(rows):
 def test_rows_of_a_doubled_map_are_its_rows(height):
     x = torch.randn(1, 2, height, 3)
     for start, stop in ((0, 2 * height), (0, 1), (height, 2 * height)):
-        torch.testing.assert_close(
-            double_rows(x, start, stop),
-            double(x)[:, :, start:stop],
-            atol=1e-6,
-            rtol=1e-5,
-        )
+        rows = double_rows(x, start, stop)
+        expected = double(x)[:, :, start:stop]
+        torch.testing.assert_close(rows, expected, atol=1e-6, rtol=1e-5)
 
 
 @pytest.fixture
@@ -135,12 +126,15 @@ def test_the_gain_is_a_ratio_of_times(monkeypatch):
 @pytest.mark.parametrize("backbone", ["float32", "bfloat16", "int8"])
 def test_any_precision_of_the_head_goes_with_any_of_the_backbone(backbone, head, gain):
     gain(2.0)
-    sizes = {"width": 64, "depth": 1, "decoder_width": 64, "decoder_depth": 4}
-    heads = {"feature_width": 64, "point_width": 64, "layer_widths": (64, 64, 64, 64)}
     built = edit3r.build(
-        "reconstructor", "noposplat", weights="random", device="cpu", backbone=sizes, head=heads,
-        precision=backbone, head_precision=head,
-    )  # fmt: skip
+        "reconstructor",
+        "noposplat",
+        weights="random",
+        backbone={"width": 64, "depth": 1, "decoder_width": 64, "decoder_depth": 4},
+        head={"feature_width": 64, "point_width": 64, "layer_widths": (64,) * 4},
+        precision=backbone,
+        head_precision=head,
+    )
     images = torch.rand(1, 2, 3, 32, 32)
     gaussians = built.network(images, torch.eye(3).expand(1, 2, 3, 3))
     assert gaussians.means.dtype == torch.float32 and gaussians.means.isfinite().all()

@@ -5,10 +5,11 @@ import torch
 from edit3r_model.backbone import assign_roles
 from edit3r_model.checkpoints import fill, load_weights
 from edit3r_model.dpt_head import double
-from edit3r_model.full_network import empty_network
+from edit3r_model.network import built
 from edit3r_model.transformer import NORM_EPS, Mlp, layer_norm
 from noposplat_reference import Reference, to_gaussians
 
+from edit3r.config import PartChoice
 from edit3r.errors import InputError
 from edit3r.geometry.rotations import covariances
 
@@ -23,9 +24,10 @@ CASES = {
 @pytest.fixture(scope="module")
 def network(checkpoint, sizes):
     loaded = load_weights(checkpoint)
-    network = empty_network(
-        loaded.config, heads=sizes.heads, decoder_heads=sizes.decoder_heads
-    )
+    heads = {"heads": sizes.heads, "decoder_heads": sizes.decoder_heads}
+    settings = loaded.parts["backbone"].settings | heads
+    backbone = PartChoice(name="asymmetric-vit", settings=settings)
+    network = built({**loaded.parts, "backbone": backbone})
     for _ in fill(network, loaded):
         pass
     return network.eval()
@@ -37,81 +39,52 @@ def case(request, official_state, sizes):
     batch, views, height, width = request.param
     generator = torch.Generator().manual_seed(views)
     images = torch.rand(batch, views, 3, height, width, generator=generator)
-    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]]).repeat(
-        batch, views, 1, 1
-    )
-    intrinsics[:, :, 0, 0] += 0.2 * torch.rand(
-        batch, views, generator=generator
-    )  # every view its own field of view
+    intrinsics = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]])
+    intrinsics = intrinsics.repeat(batch, views, 1, 1)
+    # Every view its own field of view.
+    intrinsics[:, :, 0, 0] += 0.2 * torch.rand(batch, views, generator=generator)
     reference = Reference(official_state, sizes)
     levels = reference.tokens(images, intrinsics)
     return images, intrinsics, levels, *reference.raw(levels, images)
+
+
+def near(ours, expected, atol, rtol=0.0, **told):
+    torch.testing.assert_close(ours.double(), expected, atol=atol, rtol=rtol, **told)
 
 
 @torch.no_grad()
 def test_all_token_levels_equal_the_independent_calculation(network, case):
     images, intrinsics, levels, *_ = case
     ours = network.backbone.forward_levels(images, intrinsics).levels
-    assert len(ours) == len(levels) == 11
-    for level, (mine, reference) in enumerate(zip(ours, levels)):
-        torch.testing.assert_close(
-            mine.double(),
-            reference,
-            atol=2e-5,
-            rtol=0,
-            msg=lambda m, i=level: f"level {i}: {m}",
-        )
+    assert len(ours) == 11
+    for level, (mine, expected) in enumerate(zip(ours, levels, strict=True)):
+        near(mine, expected, 2e-5, msg=f"level {level}")
 
 
 @torch.no_grad()
 def test_raw_maps_equal_the_independent_calculation(network, case):
     images, intrinsics, _, points, parameters = case
     features = network.backbone(images, intrinsics)
-    torch.testing.assert_close(
-        network.head.raw_points(features).double(), points, atol=2e-4, rtol=0
-    )
-    torch.testing.assert_close(
-        network.head.raw_parameters(features, images).double(),
-        parameters,
-        atol=2e-4,
-        rtol=0,
-    )
+    near(network.head.raw_points(features), points, 2e-4)
+    near(network.head.raw_parameters(features, images), parameters, 2e-4)
 
 
 @torch.no_grad()
 def test_gaussians_equal_the_independent_calculation(network, case):
     images, intrinsics, _, points, parameters = case
     ours, expected = network(images, intrinsics), to_gaussians(points, parameters)
-    reference_covariances = expected["covariances"]
-    torch.testing.assert_close(
-        ours.means.double(), expected["means"], atol=1e-3, rtol=1e-4
-    )
-    torch.testing.assert_close(
-        ours.opacities.double(), expected["opacities"], atol=1e-4, rtol=0
-    )
-    torch.testing.assert_close(
-        ours.scales.double(), expected["scales"], atol=2e-6, rtol=0
-    )
-    torch.testing.assert_close(
-        ours.quats.roll(-1, -1).double(), expected["quats"], atol=1e-4, rtol=0
-    )
-    torch.testing.assert_close(
-        ours.harmonics.double(), expected["harmonics"], atol=5e-4, rtol=0
-    )
-    torch.testing.assert_close(
-        covariances(ours.scales, ours.quats).double(),
-        reference_covariances,
-        atol=1e-7,
-        rtol=0,
-    )
+    near(ours.means, expected["means"], 1e-3, 1e-4)
+    near(ours.opacities, expected["opacities"], 1e-4)
+    near(ours.scales, expected["scales"], 2e-6)
+    near(ours.quats.roll(-1, -1), expected["quats"], 1e-4)
+    near(ours.harmonics, expected["harmonics"], 5e-4)
+    near(covariances(ours.scales, ours.quats), expected["covariances"], 1e-7)
 
 
 def test_gaussians_are_ordered_view_major_then_row_major(network):
     images, intrinsics = torch.rand(1, 3, 3, 16, 32), torch.eye(3).repeat(1, 3, 1, 1)
-    assert (
-        network(images, intrinsics).view_index.tolist()
-        == [0] * 512 + [1] * 512 + [2] * 512
-    )
+    expected = torch.arange(3).repeat_interleave(512)
+    assert torch.equal(network(images, intrinsics).view_index, expected)
 
 
 @torch.no_grad()
@@ -123,32 +96,20 @@ def test_portrait_keeps_attributes_at_their_pixels(network):
     features = network.backbone(images, torch.eye(3).repeat(1, 2, 1, 1))
     changed = images.clone()
     changed[0, 0, :, 80, 10] = 1 - changed[0, 0, :, 80, 10]
-    difference = (
-        network.head.raw_parameters(features, changed)
-        - network.head.raw_parameters(features, images)
-    ).abs()
-    rows, columns = difference[0, 0].sum(0).nonzero(as_tuple=True)
-    assert (
-        rows.min() >= 76
-        and rows.max() <= 84
-        and columns.min() >= 6
-        and columns.max() <= 14
-    )  # 7x7, then 3x3
+    before = network.head.raw_parameters(features, images)
+    moved = network.head.raw_parameters(features, changed) - before
+    for at, place in zip((80, 10), moved[0, 0].abs().sum(0).nonzero(as_tuple=True)):
+        assert place.min() >= at - 4 and place.max() <= at + 4  # 7x7, then 3x3
 
 
 @torch.no_grad()
 def test_order_of_views_after_the_first_only_permutes_their_gaussians(network):
     images, intrinsics = torch.rand(1, 3, 3, 32, 32), torch.eye(3).repeat(1, 3, 1, 1)
-    straight, swapped = (
-        network(images, intrinsics),
-        network(images[:, [0, 2, 1]], intrinsics),
-    )
-    torch.testing.assert_close(
-        straight.from_view(0).means, swapped.from_view(0).means, atol=1e-4, rtol=1e-4
-    )
-    torch.testing.assert_close(
-        straight.from_view(1).means, swapped.from_view(2).means, atol=1e-4, rtol=1e-4
-    )
+    straight = network(images, intrinsics)
+    swapped = network(images[:, [0, 2, 1]], intrinsics)
+    for view, other in ((0, 0), (1, 2)):
+        expected = swapped.from_view(other).means.double()
+        near(straight.from_view(view).means, expected, 1e-4, 1e-4)
 
 
 def test_each_view_reads_every_other_view_in_order():
@@ -176,9 +137,7 @@ def test_mlp_uses_the_exact_gelu():
         layer.weight.data.fill_(1.0), layer.bias.data.zero_()
     x = torch.tensor([[-2.0], [0.5], [2.0]], dtype=torch.float64)
     exact = x * 0.5 * (1 + torch.erf(x / 2**0.5))
-    torch.testing.assert_close(
-        mlp.double()(x), exact, atol=1e-12, rtol=0
-    )  # the tanh form differs by 3e-4
+    near(mlp.double()(x), exact, 1e-12)  # the tanh form differs by 3e-4
 
 
 def test_doubling_keeps_corners_and_a_linear_ramp():

@@ -7,59 +7,47 @@ from edit3r.geometry.rotations import quats_to_matrices
 
 SIZE = (24, 32)
 K = torch.tensor([[1.1, 0, 0.5], [0, 1.4, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
-C2W = torch.eye(4).repeat(1, 2, 1, 1)
 NORMAL = torch.nn.functional.normalize(torch.tensor([0.6, 0.2, 1.0]), dim=0)
 
 
-def _plane() -> torch.Tensor:
-    """Depths of the plane n.x = 3 in two cameras, the second turned half around the z axis and
-    moved.
+def flattened(thickness: float):
+    """Round Gaussians of the plane n.x = 3 in two cameras, the second turned half around the z axis
+    and moved; and the discs of them.
     """
-    C2W[0, 1, :2, :2] *= -1
-    C2W[0, 1, 0, 3] = 0.4
-    rays = unproject(torch.ones(1, 2, *SIZE), K, C2W) - C2W[:, :, None, None, :3, 3]
-    start = (C2W[:, :, :3, 3] @ NORMAL)[..., None, None]
-    return (3 - start) / (rays @ NORMAL)
-
-
-PLANE = _plane()
-
-
-def _flat(thickness: float = 0.25):
-    scales = torch.full_like(PLANE, 0.02)
-    cameras = Cameras(C2W, K, SIZE)
-    round_ones = pixels_to_gaussians(
-        torch.zeros(1, 2, 3, *SIZE), PLANE, cameras, scales, scales
-    )
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, :2, :2] *= -1
+    c2w[0, 1, 0, 3] = 0.4
+    rays = unproject(torch.ones(1, 2, *SIZE), K, c2w) - c2w[:, :, None, None, :3, 3]
+    start = (c2w[:, :, :3, 3] @ NORMAL)[..., None, None]
+    depths = (3 - start) / (rays @ NORMAL)
+    scales, black = torch.full_like(depths, 0.02), torch.zeros(1, 2, 3, *SIZE)
+    cameras = Cameras(c2w, K, SIZE)
+    round_ones = pixels_to_gaussians(black, depths, cameras, scales, scales)
     return round_ones, discs(round_ones, (2, *SIZE), thickness)
 
 
 def test_the_short_axis_of_every_disc_is_the_surface_s_normal_whatever_the_view():
-    _, flat = _flat()
+    _, flat = flattened(0.25)
     axes = quats_to_matrices(flat.quats[0])[..., 2]
     assert torch.allclose(axes @ NORMAL, torch.ones(len(axes)), atol=1e-4)
-    assert torch.allclose(
-        flat.scales[0], torch.tensor([0.02, 0.02, 0.005]).expand(len(axes), 3)
-    )
+    shape = torch.tensor([0.02, 0.02, 0.005]).expand(len(axes), 3)
+    assert torch.allclose(flat.scales[0], shape)
 
 
 def test_nothing_else_changes_and_a_thickness_of_1_stays_round():
-    round_ones, flat = _flat(1.0)
-    assert torch.equal(flat.scales, round_ones.scales) and torch.equal(
-        flat.means, round_ones.means
-    )
+    round_ones, flat = flattened(1.0)
+    assert torch.equal(flat.scales, round_ones.scales)
+    assert torch.equal(flat.means, round_ones.means)
 
 
 def test_an_edge_of_depth_is_not_bridged():
     depths = torch.full((1, 1, *SIZE), 2.0)
     depths[..., 16:] = 4.0
-    normals = surface_normals(
-        unproject(depths, K[:, :1], torch.eye(4).expand(1, 1, 4, 4))
-    )
-    assert torch.allclose(normals[..., 2], torch.ones(1, 1, *SIZE), atol=1e-4)
+    points = unproject(depths, K[:, :1], torch.eye(4).expand(1, 1, 4, 4))
+    upright = torch.ones(1, 1, *SIZE)
+    assert torch.allclose(surface_normals(points)[..., 2], upright, atol=1e-4)
 
 
 def test_points_that_coincide_have_a_normal_all_the_same():
-    assert torch.equal(
-        surface_normals(torch.zeros(1, 1, 8, 8, 3))[..., 2], torch.ones(1, 1, 8, 8)
-    )
+    normals = surface_normals(torch.zeros(1, 1, 8, 8, 3))
+    assert torch.equal(normals[..., 2], torch.ones(1, 1, 8, 8))

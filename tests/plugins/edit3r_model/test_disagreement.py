@@ -1,14 +1,9 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_model.edit_colour import (
-    change_of,
-    edits_conflict,
-    edits_disagree,
-    fit_colour_maps,
-    looks_of,
-    shown_by_views,
-)
+from edit3r_model.colour_maps import change_of, fit_colour_maps
+from edit3r_model.disagreement import edits_conflict, edits_disagree
+from edit3r_model.edited_views import EditedViews, find_exposure
 
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import Correspondences
@@ -69,12 +64,13 @@ def _edited(reference, other):
     return torch.stack([view[0] for view in views])[None]
 
 
-def _shown(edited, source, matches):
-    return shown_by_views(edited, source, looks_of(source, matches, matches.inside > 0))
+def _views(edited, source, matches):
+    exposure = find_exposure(source, matches, matches.inside > 0)
+    return EditedViews.of(edited, source, exposure, matches)
 
 
 def _gap(edited, source, matches):
-    return edits_disagree(edited, source, _shown(edited, source, matches), matches)
+    return edits_disagree(_views(edited, source, matches))
 
 
 def test_one_function_of_colour_in_both_views_is_no_disagreement_anywhere():
@@ -142,13 +138,8 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
 
 def _conflict(edited, matches=SAME_PLACE):
     """Where view 1 gives way, as the mean over the object and over all else."""
-    conflict = edits_conflict(
-        edited,
-        PAIR,
-        _shown(edited, PAIR, matches),
-        matches,
-        _gap(edited, PAIR, matches),
-    )
+    views = _views(edited, PAIR, matches)
+    conflict = edits_conflict(views, edits_disagree(views))
     assert not conflict[:, 0].any()
     core = -torch.nn.functional.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
     away = torch.nn.functional.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
@@ -239,13 +230,15 @@ def test_photos_of_one_exposure_have_one_look_exactly():
         (noisy, SAME_PLACE),
         (torch.cat((PAIR[:, :1], 0.5 * PAIR[:, 1:]), 1), outside),
     ):
-        assert (looks_of(photos, matches, torch.ones(1, 2, *SIZE) > 0) == none).all()
+        assert (
+            find_exposure(photos, matches, torch.ones(1, 2, *SIZE) > 0) == none
+        ).all()
 
 
 def test_exposure_and_white_balance_are_read_although_a_fifth_of_the_matches_is_wrong():
     photos = torch.stack((PAIR[:, 0], DARKER * PAIR[:, 0] + 0.05), 1)
     photos[:, 1, :, :8] = 1 - photos[:, 1, :, :8]
-    looks = looks_of(photos, SAME_PLACE, torch.ones(1, 2, *SIZE) > 0)
+    looks = find_exposure(photos, SAME_PLACE, torch.ones(1, 2, *SIZE) > 0)
     assert torch.equal(looks[:, 0, :, 0, 0], torch.tensor([[1.0, 1, 1, 0, 0, 0]]))
     assert torch.allclose(looks[0, 1, :3, 0, 0], DARKER[:, 0, 0], atol=0.04)
     assert torch.allclose(looks[0, 1, 3:, 0, 0], torch.tensor(0.05), atol=0.03)

@@ -1,0 +1,117 @@
+"""Views before and after an edit, beside the reference's edit as each of them would show it.
+
+Photos of one place differ in exposure and white balance. Gain and offset of each channel are read
+from the places that view and reference both surely show.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.geometry.warping import Correspondences, warp
+
+CHANGE = 2 / 255
+"""A change below this [sRGB] counts in proportion."""
+
+SAME_SURFACE = 0.05
+"""Largest difference of log depth at which a pixel and its point in the reference are taken for one
+surface.
+"""
+
+ALIKE = 0.1
+"""Mean difference of colours [sRGB] above which two images do not show one surface, whatever the
+depths say.
+"""
+
+FITS = 6
+"""Rounds of the robust fits."""
+
+MIN_VARIANCE = 1e-3
+"""Of colours [sRGB^2]: keeps the gain of a plain image near 1."""
+
+Images = Float[Tensor, "batch view 3 height width"]
+Maps = Float[Tensor, "batch view height width"]
+Exposure = Float[Tensor, "batch view 6 1 1"]
+
+
+@dataclass(frozen=True)
+class EditedViews:
+    """Views before and after the edit; `before` and `after` are the reference's images as each view
+    would show them.
+    """
+
+    source: Images
+    edited: Images
+    before: Images
+    after: Images
+    matches: Correspondences
+
+    @staticmethod
+    def of(
+        edited: Images, source: Images, exposure: Exposure, matches: Correspondences
+    ) -> "EditedViews":
+        """Show the reference with the exposure and white balance of each view."""
+        gain, offset = exposure.split(3, 2)
+        before = (gain * source[:, :1] + offset).clamp(0, 1)
+        after = (gain * edited[:, :1] + offset).clamp(0, 1)
+        return EditedViews(source, edited, before, after, matches)
+
+    @cached_property
+    def change(self) -> Images:
+        """What the edit did to each view."""
+        return self.edited - self.source
+
+    @cached_property
+    def reference(self) -> tuple[Images, Images]:
+        """`before` and `after` at the places that correspond to each view's pixels."""
+        both = torch.cat((self.before, self.after), 2)
+        return warp(both, self.matches.coordinates).split(3, 2)
+
+    @property
+    def reach(self) -> int:
+        """How far around a change an edit may be carried [pixels]: outlines and matches are off."""
+        return max(1, round(0.02 * max(self.source.shape[-2:])))
+
+    @property
+    def speck(self) -> int:
+        """Size of what is left out as chance [pixels]."""
+        return -(-self.reach // 5)
+
+
+def find_exposure(
+    source: Images,
+    matches: Correspondences,
+    measured: Bool[Tensor, "batch view height width"],
+) -> Exposure:
+    """Return gain and offset of each channel from the reference's colours to each view's.
+
+    They give the colours at matched places the same mean and spread, by moments that are reweighted
+    robustly (Cauchy weights). Exactly 1 and 0 for the reference, and where that takes less than a
+    third off the difference.
+    """
+    there = warp(source[:, :1].expand_as(source), matches.coordinates)
+    same = measured & (matches.depth_ratio.abs() < SAME_SURFACE)
+    seen = (matches.inside * same)[:, :, None]
+    weights = seen
+    for _ in range(FITS):
+        share = weights / _total(weights).clamp(min=1e-6)
+        mean, mean_own = _total(share * there), _total(share * source)
+        variance = _total(share * (there - mean).square())
+        variance_own = _total(share * (source - mean_own).square())
+        gain = ((variance_own + MIN_VARIANCE) / (variance + MIN_VARIANCE)).sqrt()
+        left = gain * (there - mean) + mean_own - source
+        left = left.abs().amax(2, keepdim=True)
+        weights = seen / (1 + (left / ALIKE).square())
+    unlike = (there - source).abs().amax(2, keepdim=True)
+    found = _total(seen * left) < 2 / 3 * _total(seen * unlike)
+    found[:, 0] = False
+    none = torch.cat((torch.ones_like(gain), torch.zeros_like(gain)), 2)
+    return torch.where(found, torch.cat((gain, mean_own - gain * mean), 2), none)
+
+
+def _total(x: Tensor) -> Tensor:
+    """The sum over each image."""
+    return x.sum((3, 4), keepdim=True)

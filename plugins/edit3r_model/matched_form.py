@@ -1,0 +1,180 @@
+"""The matched form: geometry from matching the unedited images, the edit from a small network.
+
+    unedited images ──► matcher ──► poses, depths ──► backbone ──► features ──► head ──► Gaussians
+    edited images ────────────────────────────────────────────────────────────┘
+    ──► rim, background layer and second layer around and behind them
+
+Every image pixel becomes one Gaussian, at the image's own resolution and sharpness.
+"""
+
+from dataclasses import replace
+from math import lcm
+
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r import config
+from edit3r.compute.layers import one_thread
+from edit3r.config import Share
+from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry, Matcher
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.geometry.cameras import scale_poses
+from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.maps import resize
+from edit3r.geometry.surroundings import background_layer, rim, second_layer
+from edit3r_model.network import GaussianNetwork
+from edit3r_model.small_backbone import averaged
+
+ROUNDING = 1e-5
+"""Differences of colour [sRGB] that come from turning colours into harmonics and back."""
+GRID = 8
+"""The network's images have sides that are multiples of this [pixels]."""
+
+
+class MatchedSettings(config.Settings):
+    """What counts where the head takes matched geometry."""
+
+    network_size: int = Field(
+        128,
+        ge=32,
+        le=256,
+        multiple_of=8,
+        description="longer side of its grid [pixels]",
+    )
+    rim: Share = Field(
+        0.12,
+        description="width of the blurred rim that continues each photo [long sides]; 0: none",
+    )
+    rim_opacity: float = Field(0.6, gt=0, lt=1, description="opacity of that rim")
+    background_layer: Share = Field(
+        0.9,
+        description="opacity of the blurred layer behind depth edges and guesses; 0: none",
+    )
+    second_layer: Share = Field(
+        0.9,
+        description="opacity of the second layer right behind faint measured surfaces; 0: none",
+    )
+
+
+class MatchedForm:
+    """Matched poses and depths, and a head that draws disagreeing edits to the reference's."""
+
+    def __init__(
+        self, settings: MatchedSettings, network: GaussianNetwork, matcher: Matcher
+    ) -> None:
+        self.settings = settings
+        self.network = network
+        self.matcher = matcher
+
+    def __call__(
+        self, views: Views, source: Views, grid: tuple[int, int] | None
+    ) -> Reconstruction:
+        """Reconstruct; differentiable only while the network is in training mode."""
+        with torch.no_grad():
+            matched = self.matcher.match(source)
+        grid = grid or views.image_size
+        views, source = matched.calibrated(views), matched.calibrated(source)
+        geometry = matched.at(grid)
+        learns = self.network.training and torch.is_grad_enabled()
+        # Silu, sigmoid and others round the last few values of what each thread is given in another
+        # way.
+        with one_thread(), torch.set_grad_enabled(learns):
+            made = self.from_geometry(views, source, geometry)
+            coarse = views.at(grid), source.at(grid)
+            made = self._with_surroundings(made, *coarse, geometry)
+        return replace(made, placed=geometry.registered, measured=matched.measured)
+
+    def from_geometry(
+        self, views: Views, source: Views, geometry: MatchedGeometry
+    ) -> Reconstruction:
+        """Reconstruct from given geometry, differentiably.
+
+        The Gaussians lie on the geometry's grid; the views may be finer.
+        """
+        unit = geometry.depths[:, 0].flatten(1).median(1).values
+        prior = _in_unit(geometry, unit)
+        gaussians = self._gaussians(views, source, prior)
+        # Back in the matcher's own unit; views that could not be placed are transparent.
+        factor = unit[:, None, None]
+        placed = geometry.registered[:, gaussians.view_index]
+        gaussians = replace(
+            gaussians,
+            means=gaussians.means * factor,
+            scales=gaussians.scales * factor,
+            opacities=gaussians.opacities * placed,
+        )
+        c2w = scale_poses(prior.c2w, unit[:, None])
+        size = tuple(prior.depths.shape[-2:])
+        return Reconstruction(gaussians, Cameras(c2w, source.intrinsics, size))
+
+    def _gaussians(
+        self, views: Views, source: Views, prior: MatchedGeometry
+    ) -> Gaussians:
+        """Backbone, then head; a backbone that takes no geometry is given none."""
+        backbone, head = self.network.backbone, self.network.head
+        coarse = source.at(tuple(prior.depths.shape[-2:]))
+        size = network_grid(
+            coarse.image_size, self.settings.network_size, backbone.patch_size
+        )
+        images = resize(coarse.images, size)
+        if isinstance(backbone, GeometryBackbone):
+            features = backbone(images, coarse.intrinsics, averaged(prior, size))
+        else:
+            features = backbone(images, coarse.intrinsics)
+        return head(features, views.images, source, prior)
+
+    def _with_surroundings(
+        self,
+        made: Reconstruction,
+        views: Views,
+        source: Views,
+        geometry: MatchedGeometry,
+    ) -> Reconstruction:
+        """Continue the fused images beyond their borders and behind their surfaces; say what
+        fusing added.
+        """
+        chosen = self.settings
+        shape = (*source.images.shape[:2], *source.image_size, 3)
+        colours = dc_to_colour(made.gaussians.harmonics[:, :, 0])
+        colours = colours.reshape(shape).permute(0, 1, 4, 2, 3)
+        fused = Views(colours, source.intrinsics)
+        parts = [made.gaussians]
+        if chosen.background_layer > 0:
+            parts.append(background_layer(fused, geometry, chosen.background_layer))
+        if chosen.second_layer > 0:
+            opacities = made.gaussians.opacities.view_as(geometry.depths)
+            parts.append(second_layer(fused, geometry, opacities, chosen.second_layer))
+        if chosen.rim > 0:
+            parts.append(rim(fused, geometry, chosen.rim, chosen.rim_opacity))
+        fusion = (colours - views.images).detach()
+        fusion = torch.where(fusion.abs() > ROUNDING, fusion, 0.0)
+        return replace(
+            made,
+            gaussians=Gaussians.cat(parts),
+            fusion=fusion if fusion.any() else None,
+        )
+
+
+def network_grid(
+    image_size: tuple[int, int], longest: int, patch_size: int
+) -> tuple[int, int]:
+    """Return (height, width) near the image's shape with the longer side `longest`, in multiples
+    of GRID and patch.
+    """
+    scale, unit = longest / max(image_size), lcm(GRID, patch_size)
+    height, width = (max(2, round(side * scale / unit)) * unit for side in image_size)
+    return height, width
+
+
+def _in_unit(
+    geometry: MatchedGeometry, unit: Float[Tensor, "batch"]
+) -> MatchedGeometry:
+    """The geometry with `unit` as its unit of length."""
+    factor = 1 / unit
+    return replace(
+        geometry,
+        c2w=scale_poses(geometry.c2w, factor[:, None]),
+        depths=geometry.depths * factor[:, None, None, None],
+    )

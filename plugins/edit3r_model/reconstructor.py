@@ -1,0 +1,207 @@
+"""Reconstructors `edit3r` and `noposplat`: parts, weights, and the form that the head asks for."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from pydantic import Field, model_validator
+
+from edit3r.config import PartChoice
+from edit3r.contract.interfaces import (
+    Backbone,
+    GaussianHead,
+    GeometryBackbone,
+    GeometryHead,
+    MatchedGeometry,
+    Matcher,
+    Reconstructor,
+    TakesGeometry,
+)
+from edit3r.contract.types import Reconstruction, Views
+from edit3r.errors import MissingDependencyError, SettingsError
+from edit3r.io.pretrained import pick_device
+from edit3r_model.checkpoints import load_weights, with_parts_of
+from edit3r_model.engine import EnginePlan, make_plan
+from edit3r_model.matched_form import MatchedForm, MatchedSettings
+from edit3r_model.network import UNTRAINED, GaussianNetwork, load_network
+from edit3r_model.official_checkpoints import EMPTY
+from edit3r_model.single_pass import SinglePass, SinglePassSettings
+
+
+class NetworkSettings(SinglePassSettings):
+    """Parts and weights. Weights that name their parts fill in those that the user left open."""
+
+    backbone: PartChoice
+    head: PartChoice
+    weights: str | None
+    seed: int = Field(0, description="of weights that are drawn rather than loaded")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_the_parts_of_its_weights(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping):
+            return values
+        weights = values.get("weights", cls.model_fields["weights"].default)
+        if not isinstance(weights, str) or weights in UNTRAINED:
+            return values
+        return with_parts_of(load_weights(weights), values)
+
+
+class Edit3rReconstructor(Reconstructor, TakesGeometry):
+    """A backbone and a head, in the form that the head asks for.
+
+    A head that takes matched geometry: poses and depths come from the matcher, the network draws
+    disagreeing edits to the reference's. View 0 is the reference: its edit is kept as it is. Where
+    another view's edit is the same function of colour, that view keeps its own edited colours
+    exactly, as it does without any edit.
+
+    Any other head: the paper's form, a single pass from the edited photos alone.
+    """
+
+    class Settings(NetworkSettings, MatchedSettings):
+        matcher: PartChoice = Field(
+            PartChoice(
+                name="classical",
+                settings={
+                    "working_size": 160,
+                    "detection_size": 448,
+                    "keypoints": 2500,
+                    "planes": 64,
+                },
+            ),
+            description="reads pose and depth from the photos; coarser and quicker than on its own",
+        )
+        backbone: PartChoice = Field(
+            PartChoice(name="matched-unet"),
+            description="images and geometry to features",
+        )
+        head: PartChoice = Field(
+            PartChoice(name="edit-fusion"), description="features to Gaussians"
+        )
+        weights: str = Field(
+            "shipped",
+            description="'shipped', 'untrained', 'official' (the authors' own), a file, the folder "
+            "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
+        )
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        backbone: Backbone,
+        head: GaussianHead,
+        matcher: Matcher | None = None,
+    ) -> None:
+        self.settings = settings
+        self.matcher = matcher
+        self.fuses_by_itself = not isinstance(head, GeometryHead)
+        _check_parts(settings, backbone, head, matcher)
+        network = GaussianNetwork(backbone, head)
+        plan = _plan(settings) if self.fuses_by_itself else EnginePlan()
+        self._network = load_network(network, settings.weights, plan, settings.seed)
+        if self.fuses_by_itself:
+            self.form = SinglePass(settings, network)
+        else:
+            self.form = MatchedForm(settings, network, matcher)
+
+    @property
+    def network(self) -> GaussianNetwork:
+        """The trainable part: backbone and head together."""
+        return self._network
+
+    def __call__(
+        self,
+        views: Views,
+        source: Views | None = None,
+        grid: tuple[int, int] | None = None,
+    ) -> Reconstruction:
+        """Reconstruct; without `source` the edited images must agree well enough to be matched.
+
+        A single pass uses neither `source` nor `grid`. Differentiable only while the network is in
+        training mode.
+        """
+        if self.fuses_by_itself:
+            return self.form(views)
+        return self.form(views, views if source is None else source, grid)
+
+    def from_geometry(
+        self, views: Views, source: Views, geometry: MatchedGeometry
+    ) -> Reconstruction:
+        """Reconstruct from given geometry, differentiably; a single pass has no use for it."""
+        if self.fuses_by_itself:
+            return self.form(views)
+        return self.form.from_geometry(views, source, geometry)
+
+    def weights_metadata(self) -> dict[str, str]:
+        """Which parts the network's weights are for, and the size they were trained at."""
+        about = {}
+        for kind, part in (
+            ("backbone", self.network.backbone),
+            ("head", self.network.head),
+        ):
+            # The correction of depth counts in training only.
+            kept = part.settings.model_dump(exclude={"depth_repair"})
+            choice = PartChoice(name=part.offer.component.name, settings=kept)
+            about[kind] = choice.model_dump_json()
+        if self.fuses_by_itself:
+            about["resolution"] = str(self.form.resolution)
+        return about
+
+
+class NoPoSplatReconstructor(Edit3rReconstructor):
+    """The same network by itself, without matcher: baseline, and reference of the training."""
+
+    class Settings(NetworkSettings):
+        backbone: PartChoice = Field(
+            PartChoice(name="asymmetric-vit", settings=EMPTY),
+            description="views to features",
+        )
+        head: PartChoice = Field(
+            PartChoice(name="dpt-gaussian", settings=EMPTY),
+            description="features to Gaussians",
+        )
+        weights: str | None = Field(
+            None,
+            description="'official' (the authors' own), NoPoSplat .ckpt, MASt3R .pth "
+            "(initialisation), .safetensors, our folder, hub id owner/name@revision, or 'random' "
+            "for an untrained network (tests and speed only)",
+        )
+
+
+def _plan(settings: SinglePassSettings) -> EnginePlan:
+    """Where and in which precision a single pass computes."""
+    best = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = pick_device(settings.device, best, "reconstructor.device")
+    return make_plan(settings.precision, settings.head_precision, device)
+
+
+def _check_parts(
+    settings: NetworkSettings,
+    backbone: Backbone,
+    head: GaussianHead,
+    matcher: Matcher | None,
+) -> None:
+    """Raise for parts and settings that do not go together, and where there are no weights."""
+    if settings.weights is None:
+        raise MissingDependencyError(
+            "reconstructor noposplat ships no weights; give some with --set "
+            "reconstructor.weights=FILE (a NoPoSplat .ckpt, or a folder written by edit3r convert),"
+            " or use the reconstructor edit3r."
+        )
+    if not isinstance(head, GeometryHead):
+        if isinstance(backbone, GeometryBackbone):
+            raise SettingsError(
+                "reconstructor.backbone: it needs matched geometry, and this head takes none; "
+                "choose another backbone, such as asymmetric-vit."
+            )
+        return
+    if matcher is None:
+        raise SettingsError(
+            "reconstructor.head: it needs matched geometry, and this reconstructor has no matcher; "
+            "use the reconstructor edit3r."
+        )
+    given = settings.model_fields_set & SinglePassSettings.model_fields.keys()
+    if given:
+        raise SettingsError(
+            f"reconstructor.{min(given)}: counts for a head that takes no geometry, as with "
+            "weights=official, not for this one."
+        )

@@ -1,0 +1,122 @@
+"""The single pass: photos of any size through a network that finds geometry by itself.
+
+Ye et al., No Pose, No Problem (ICLR 2025), and Edit3r, which trains the same network on edits. The
+Gaussians come in the frame of view 0 without cameras: the caller finds these from the centres
+(`edit3r.geometry.pose`).
+"""
+
+from typing import Literal
+
+import torch
+from pydantic import Field
+
+from edit3r import config
+from edit3r.contract.types import Gaussians, Reconstruction, Views
+from edit3r.errors import RunError, SettingsError
+from edit3r.io.pretrained import out_of_memory_told
+from edit3r.reporting import note
+from edit3r_model.engine import Precision
+from edit3r_model.memory import ADVICE, check_fits, estimate_bytes
+from edit3r_model.network import GaussianNetwork
+from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
+
+RESOLUTION = 256
+"""Where neither settings nor weights say: side of the square with the area that images are scaled
+down to [pixels].
+"""
+
+
+class SinglePassSettings(config.Settings):
+    """What counts where the head takes no geometry."""
+
+    resolution: int | None = Field(
+        None,
+        ge=16,
+        le=4096,
+        description="single pass: photos are scaled down to at most this squared [pixels]; "
+        "default: the weights', or 256",
+    )
+    fit: Literal["resize", "pad"] = Field(
+        "resize",
+        description="single pass: how sides become multiples of the patch: stretched to the "
+        "nearest, or padded",
+    )
+    grid_resolution: int | None = Field(
+        None,
+        ge=16,
+        le=8192,
+        description="single pass: one Gaussian per photo pixel up to this squared, with the "
+        "photo's own detail; default: one per pixel of the network's grid",
+    )
+    precision: Precision | Literal["auto"] = Field(
+        "float32",
+        description="single pass: of the network: float32, bfloat16, float16 (CUDA), int8 (CPU); "
+        "auto: bfloat16 where a product, timed while it loads, is faster than in float32",
+    )
+    head_precision: Precision | Literal["auto"] = Field(
+        "auto",
+        description="single pass: of the head; auto: as the backbone, beside int8 bfloat16 where "
+        "that is timed faster",
+    )
+    device: str = Field(
+        "auto",
+        description="single pass: cpu, cuda, cuda:1, ...; auto: cuda where there is one",
+    )
+
+
+class SinglePass:
+    """Images to the network's size, through the network, Gaussians to the size that was asked for.
+
+    In int8 it cannot be trained.
+    """
+
+    def __init__(self, settings: SinglePassSettings, network: GaussianNetwork) -> None:
+        self.settings = settings
+        self.network = network
+        self.resolution = settings.resolution or RESOLUTION
+
+    def __call__(self, views: Views) -> Reconstruction:
+        """Reconstruct `views`; differentiable only while the network is in training mode.
+
+        Raises InputError for views that cannot be used, RunError when memory ends.
+        """
+        chosen, backbone = self.settings, self.network.backbone
+        check_views(views)
+        fitted = fit_views(views, backbone.patch_size, self.resolution, chosen.fit)
+        gaussians = self._run(fitted.views).to(views.images.device)
+        _require_finite(gaussians)
+        gaussians = fitted.drop_padding(gaussians)
+        if chosen.grid_resolution is not None:
+            grid = fitted.inner_size
+            finer = finer_grid(grid, views.image_size, chosen.grid_resolution)
+            gaussians = regrid(gaussians, grid, finer, views.images)
+        return Reconstruction(gaussians)
+
+    def _run(self, views: Views) -> Gaussians:
+        """The network's own answer for views of a size that it takes."""
+        learns = self.network.training and torch.is_grad_enabled()
+        chosen, size = self.settings, views.image_size
+        if learns and "int8" in (chosen.precision, chosen.head_precision):
+            raise SettingsError(
+                "reconstructor.precision: int8 layers cannot be trained; set precision=float32."
+            )
+        note("reconstructor.network_input_size", list(size))
+        what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
+        device = (*self.network.parameters(), *self.network.buffers())[0].device
+        needed = estimate_bytes(
+            self.network.backbone, len(views.images), views.count, size
+        )
+        check_fits(needed, device, what)
+        with out_of_memory_told(what, ADVICE), torch.set_grad_enabled(learns):
+            inputs = views.to(device, torch.float32)
+            return self.network(inputs.images, inputs.intrinsics)
+
+
+def _require_finite(gaussians: Gaussians) -> None:
+    """Raise RunError that names the first tensor with NaN or infinite values."""
+    for name in ("means", "scales", "quats", "opacities", "harmonics"):
+        if not getattr(gaussians, name).isfinite().all():
+            raise RunError(
+                f"the network's {name} are not finite; in float16 this is an overflow: set "
+                "reconstructor.precision to bfloat16 or float32."
+            )
