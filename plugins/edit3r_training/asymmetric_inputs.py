@@ -22,37 +22,43 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Settings
+from edit3r.config import NonNegative, Settings, Share
 from edit3r.contract.interfaces import SceneSample
+
+REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
+DISAGREEMENT = 0.5
+"""Of mock-diffusion's edits of one scene: how much of each view's look is its own."""
+MIN_REGION = 0.015
+"""Share of the reference that an edited region covers at least."""
+
+Images = Float[Tensor, "view 3 height width"]
 
 
 class RegimeShares(Settings):
     """How often each regime is drawn (normalised to sum to 1)."""
 
-    reference: float = Field(
+    reference: NonNegative = Field(
         0.4,
-        ge=0,
         description="only the reference view is recoloured, the paper's set-up",
     )
-    disagreeing: float = Field(
-        0.3, ge=0, description="every view is recoloured differently"
+    disagreeing: NonNegative = Field(
+        0.3, description="every view is recoloured differently"
     )
-    agreeing: float = Field(0.15, ge=0, description="all views are recoloured alike")
-    unedited: float = Field(0.15, ge=0, description="nothing is recoloured")
-    viewwise: float = Field(
+    agreeing: NonNegative = Field(0.15, description="all views are recoloured alike")
+    unedited: NonNegative = Field(0.15, description="nothing is recoloured")
+    viewwise: NonNegative = Field(
         0.0,
-        ge=0,
-        description="no recoloring: every image edited on its own by mock-diffusion and asked "
-        "for as such",
+        description="no recoloring: every image edited on its own, by the data's own edits or else "
+        "by mock-diffusion, and asked for as such",
     )
-    whole_picture: float = Field(
-        0.15, ge=0, le=1, description="share of edits that change the whole image"
+    whole_picture: Share = Field(
+        0.15, description="share of edits that change the whole image"
     )
-    mask_jitter: float = Field(
-        0.3, ge=0, le=1, description="share of masks grown, shrunk or leaking a little"
+    mask_jitter: Share = Field(
+        0.3, description="share of masks grown, shrunk or leaking a little"
     )
-    palette_jitter: float = Field(
-        0.0, ge=0, le=1, description="share of edited images with colours a bit off"
+    palette_jitter: Share = Field(
+        0.0, description="share of edited images with colours a bit off"
     )
 
 
@@ -60,9 +66,9 @@ class RegimeShares(Settings):
 class EditedSample:
     """A sample with its edit: V context and T target views."""
 
-    edited: Float[Tensor, "view 3 height width"]  # what the network is given
-    truth: Float[Tensor, "view 3 height width"]  # what each context view should show
-    target: Float[Tensor, "target 3 height width"]  # what each target view should show
+    edited: Images  # what the network is given
+    truth: Images  # what each context view should show
+    target: Images  # what each target view should show
     regime: str
 
 
@@ -70,64 +76,65 @@ def edit_sample(
     sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
 ) -> EditedSample:
     """Draw a regime and edit the sample; without masks only the whole image can be edited."""
-    names = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
-    weights = np.array([getattr(shares, name) for name in names])
-    regime = str(rng.choice(names, p=weights / weights.sum()))
-    everything = torch.cat((sample.context, sample.target))
+    weights = np.array([getattr(shares, name) for name in REGIMES])
+    regime = str(rng.choice(REGIMES, p=weights / weights.sum()))
+    photos = torch.cat((sample.context, sample.target))
     views = len(sample.context)
     if regime == "unedited":
         return EditedSample(sample.context, sample.context, sample.target, regime)
     if regime == "viewwise":
-        images = _edited_one_by_one(everything, rng)
-        return EditedSample(images[:views], images[:views], images[views:], regime)
+        edits = _own_edits(sample, photos, rng)
+        return EditedSample(edits[:views], edits[:views], edits[views:], regime)
     masks = _regions(sample, shares, rng)
-    chosen = [visible_parameters(rng, everything, mask) for mask in masks]
-    truth = recolored(everything, masks, chosen)
-    edited = [_edited_view(sample.context[0], masks[:, 0], chosen, shares, rng)]
+
+    def parameters() -> list:
+        return [visible_parameters(rng, photos, mask) for mask in masks]
+
+    chosen = parameters()
+    truth = recolored(photos, masks, chosen)
+    edited = [_edited_view(photos[0], masks[:, 0], chosen, shares, rng)]
     for view in range(1, views):
         if regime == "reference":
-            edited.append(sample.context[view])
+            edited.append(photos[view])
             continue
         if regime == "disagreeing":
-            chosen = [visible_parameters(rng, everything, mask) for mask in masks]
-        edited.append(
-            _edited_view(sample.context[view], masks[:, view], chosen, shares, rng)
-        )
+            chosen = parameters()
+        own = masks[:, view]
+        edited.append(_edited_view(photos[view], own, chosen, shares, rng))
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
 
 
-def _edited_one_by_one(
-    images: Float[Tensor, "view 3 height width"],
-    rng: np.random.Generator,
-    disagreement: float = 0.5,
-) -> Float[Tensor, "view 3 height width"]:
-    """What training without recoloring has: images of one scene that a 2D editor edited
-    independently.
+def _own_edits(sample: SceneSample, photos: Images, rng: np.random.Generator) -> Images:
+    """What training without recoloring has: images that a 2D editor edited one by one.
+
+    The data's own, else those of mock-diffusion.
     """
-    seeds = rng.integers(2**31, size=len(images) + 1)
+    if sample.edited_context is not None and sample.edited_target is not None:
+        return torch.cat((sample.edited_context, sample.edited_target))
+    seeds = rng.integers(2**31, size=len(photos) + 1)
     first, *others = (torch.Generator().manual_seed(int(seed)) for seed in seeds)
     shared = torch.rand(6, generator=first)
-    return torch.cat(
-        [
-            with_look(image[None], shared, own, disagreement)
-            for image, own in zip(images, others)
-        ]
-    )
+    edits = [
+        with_look(image[None], shared, own, DISAGREEMENT)
+        for image, own in zip(photos, others)
+    ]
+    return torch.cat(edits)
 
 
 def _regions(
     sample: SceneSample, shares: RegimeShares, rng: np.random.Generator
 ) -> Float[Tensor, "region view height width"]:
     """Soft masks of one to three regions to edit, over context and target views."""
-    shape = (len(sample.context) + len(sample.target), *sample.context.shape[-2:])
-    if sample.context_masks is None or rng.random() < shares.whole_picture:
-        return torch.ones(1, *shape)
+    count = len(sample.context) + len(sample.target)
+    everything = torch.ones(1, count, *sample.context.shape[-2:])
     masks = sample.context_masks
+    if masks is None or rng.random() < shares.whole_picture:
+        return everything
     if sample.target_masks is not None:
         masks = torch.cat((masks, sample.target_masks), 1)
-    visible = np.flatnonzero(masks[:, 0].mean((1, 2)).numpy() > 0.015)
+    visible = np.flatnonzero(masks[:, 0].mean((1, 2)).numpy() > MIN_REGION)
     if len(visible) == 0:
-        return torch.ones(1, *shape)
+        return everything
     count = min(len(visible), int(rng.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
     return masks[rng.choice(visible, count, replace=False)]
 

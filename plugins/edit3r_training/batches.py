@@ -17,6 +17,8 @@ from edit3r.geometry.cameras import scale_poses, unproject
 from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
 from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
+Images = Float[Tensor, "batch view 3 height width"]
+
 
 @dataclass(frozen=True)
 class TrainingBatch:
@@ -26,18 +28,13 @@ class TrainingBatch:
 
     source: Views  # unedited context
     edited: Views  # what the reconstructor is given
-    truth: Float[
-        Tensor, "batch view 3 height width"
-    ]  # what each context view should show
-    target: Float[
-        Tensor, "batch target 3 height width"
-    ]  # what each target view should show
+    truth: Images  # what each context view should show
+    target: Images  # what each target view should show
     context_cameras: Cameras
     target_cameras: Cameras
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
-    geometry: (
-        MatchedGeometry | None
-    )  # as a matcher would give it, where the data has depths
+    # as a matcher would give it, where the data has depths
+    geometry: MatchedGeometry | None
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
@@ -47,10 +44,8 @@ class TrainingBatch:
         """Surface points of all context pixels, view-major, row-major."""
         if self.depths is None:
             return None
-        points = unproject(
-            self.depths, self.source.intrinsics, self.context_cameras.c2w
-        )
-        return points.reshape(len(points), -1, 3)
+        c2w = self.context_cameras.c2w
+        return unproject(self.depths, self.source.intrinsics, c2w).flatten(1, 3)
 
 
 Unit = Literal["matcher", "baseline"]
@@ -87,28 +82,29 @@ def _batch_of_one(
     match_as: Match,
 ) -> TrainingBatch:
     """The batch of one scene."""
-    edit, match, unit = edit_sample(sample, shares, rng), None, 1.0
+    edit, depths = edit_sample(sample, shares, rng), sample.context_depths
+    geometry, unit = None, 1.0
     if wished_unit == "baseline":
-        unit = 1 / max(float(sample.context_cameras.c2w[0, -1, :3, 3].norm()), 1e-9)
-    elif sample.context_depths is not None:
+        baseline = float(sample.context_cameras.c2w[0, -1, :3, 3].norm())
+        unit = 1 / max(baseline, 1e-9)
+    elif depths is not None:
         match = match_as(sample, rng)
-        unit = match.unit  # the matcher cannot know the scene's own
+        # The matcher cannot know the scene's own unit.
+        geometry, unit = match.geometry, match.unit
+
+    def scaled(cameras: Cameras) -> Cameras:
+        return replace(cameras, c2w=scale_poses(cameras.c2w, unit))
+
     intrinsics = sample.context_cameras.intrinsics
-    cameras = sample.context_cameras, sample.target_cameras
-    context_cameras, target_cameras = (
-        replace(own, c2w=scale_poses(own.c2w, unit)) for own in cameras
-    )
     return TrainingBatch(
         source=Views(sample.context[None], intrinsics),
         edited=Views(edit.edited[None], intrinsics),
         truth=edit.truth[None],
         target=edit.target[None],
-        context_cameras=context_cameras,
-        target_cameras=target_cameras,
-        depths=None
-        if sample.context_depths is None
-        else sample.context_depths[None] * unit,
-        geometry=None if match is None else match.geometry,
+        context_cameras=scaled(sample.context_cameras),
+        target_cameras=scaled(sample.target_cameras),
+        depths=None if depths is None else depths[None] * unit,
+        geometry=geometry,
     )
 
 
@@ -121,11 +117,8 @@ def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
         return function(*values)
     if not is_dataclass(first):
         return first
-    names = [field.name for field in fields(first)]
-    return replace(
-        first,
-        **{
-            n: _with_tensors(function, *(getattr(value, n) for value in values))
-            for n in names
-        },
-    )
+    made = {}
+    for name in (field.name for field in fields(first)):
+        inner = (getattr(value, name) for value in values)
+        made[name] = _with_tensors(function, *inner)
+    return replace(first, **made)

@@ -1,17 +1,14 @@
-"""Checkpoints that bring training back exactly: weights, averaged weights, optimiser, random
-states, step.
+"""Checkpoints that bring training back exactly: weights, averaged weights, optimiser, step.
 
 They hold tensors and plain values only and are read as such, so that no code of a stranger's file
 can run.
 """
 
 import json
-import random
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -27,7 +24,6 @@ _PARTS = {
     "skipped",
     "best",
     "config",
-    "random",
 }
 
 
@@ -57,7 +53,6 @@ class TrainingState:
             "best": self.best,
             "validated": self.validated,
             "config": json.dumps(self.config, default=str),
-            "random": _random_states(),
         }
         what, then = (
             f"the checkpoint of step {self.step}",
@@ -83,7 +78,6 @@ class TrainingState:
                 float(content["best"]),
                 int(content.get("validated", content["step"])),
             )
-            _restore_random_states(content["random"])
         except (
             Exception
         ) as error:  # damaged numbers make whoever gets them raise what they like
@@ -132,22 +126,3 @@ def _read(path: Path) -> dict[str, Any]:
             "is read; put it back from a copy, or start again with --overwrite instead of --resume."
         )
     return content
-
-
-def _random_states() -> dict[str, Any]:
-    """The states of all generators as tensors and plain values."""
-    kind, keys, *rest = np.random.get_state()
-    numpy_state = (kind, torch.from_numpy(keys.astype(np.int64)), *rest)
-    return {
-        "python": random.getstate(),
-        "numpy": numpy_state,
-        "torch": torch.get_rng_state(),
-    }
-
-
-def _restore_random_states(states: dict[str, Any]) -> None:
-    """Undo `_random_states`."""
-    kind, keys, *rest = states["numpy"]
-    random.setstate(states["python"])
-    np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
-    torch.set_rng_state(states["torch"])

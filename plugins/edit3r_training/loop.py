@@ -2,20 +2,15 @@
 
 The rest is: the learning-rate schedule, gradient clipping, averaged weights, steps that are not
 finite, several processes, the log, checkpoints, resuming, stopping at a signal, validation, and the
-best weights. Data and random numbers of a step are functions of the seed and the step, so a resumed
-run gives exactly the weights of a straight one.
+best weights. Data and random numbers of a batch are functions of the seed and its number, so a
+resumed run gives exactly the weights of a straight one.
 """
 
-import json
-import signal
-import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import ClassVar
 
 import torch
@@ -24,13 +19,15 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r import reporting
-from edit3r.config import Settings
+from edit3r.config import Count, Index, Settings, Share
 from edit3r.contract.interfaces import TrainingJob
-from edit3r.errors import MatchingError, PluginError, RunError, SettingsError
+from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.io.weight_files import WEIGHTS, save_weights
 from edit3r_training.checkpoint import LAST, TrainingState, copied_weights
+from edit3r_training.journal import Journal
 from edit3r_training.processes import Processes, joined_processes, own_device
-from edit3r_training.schedule import warmup_cosine
+from edit3r_training.schedule import seed_everything, warmup_cosine
+from edit3r_training.stopping import StopRequest
 
 
 class LoopSettings(Settings):
@@ -38,13 +35,11 @@ class LoopSettings(Settings):
     defaults.
     """
 
-    steps: int = Field(1000, ge=1, description="optimiser steps")
+    steps: Count = Field(1000, description="optimiser steps")
     lr: float = Field(1e-3, gt=0, le=1, description="highest learning rate")
-    warmup: int = Field(100, ge=1, description="steps of linear warm-up")
-    floor: float = Field(
+    warmup: Count = Field(100, description="steps of linear warm-up")
+    floor: Share = Field(
         0.05,
-        ge=0,
-        le=1,
         description="learning rate at the last step, as a share of the highest",
     )
     pretrained: tuple[str, ...] = Field(
@@ -55,12 +50,11 @@ class LoopSettings(Settings):
     pretrained_rate: float = Field(
         0.1, gt=0, le=1, description="their share of the highest learning rate"
     )
-    accumulate: int = Field(
+    accumulate: Count = Field(
         1,
-        ge=1,
         description="batches a step, one after the other; their gradients are averaged",
     )
-    weight_decay: float = Field(0.02, ge=0, le=1, description="AdamW's")
+    weight_decay: Share = Field(0.02, description="AdamW's")
     clip: float = Field(1.0, gt=0, description="largest gradient norm")
     average: float = Field(
         0.999,
@@ -68,17 +62,17 @@ class LoopSettings(Settings):
         lt=1,
         description="decay of the averaged weights that are evaluated and kept",
     )
-    seed: int = Field(0, ge=0, description="of data order and all random choices")
-    validate_every: int = Field(
-        500, ge=1, description="steps between evaluations on held-out scenes"
+    seed: Index = Field(0, description="of data order and all random choices")
+    validate_every: Count = Field(
+        500, description="steps between evaluations on held-out scenes"
     )
-    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
-    log_every: int = Field(20, ge=1, description="steps between log lines")
+    checkpoint_every: Count = Field(500, description="steps between checkpoints")
+    log_every: Count = Field(20, description="steps between log lines")
     device: str = Field(
         "cpu",
         description="where network and batches live; cuda: every process its own GPU",
     )
-    threads: int = Field(0, ge=0, description="CPU threads; 0 leaves torch's choice")
+    threads: Index = Field(0, description="CPU threads; 0 leaves torch's choice")
 
 
 @dataclass(frozen=True)
@@ -112,7 +106,8 @@ class Recipe(ABC):
         """The loss of this process's share of a batch; `step` counts batches from 0, `accumulate`
         of them a step.
 
-        Raises MatchingError when nothing can be learnt from the data; the step is then skipped.
+        The random numbers of torch, numpy and Python follow from seed, batch and process. Raises
+        MatchingError when nothing can be learnt from the data; the step is then skipped.
         """
 
     @abstractmethod
@@ -123,10 +118,6 @@ class Recipe(ABC):
         `score` (lower is better) decides about the best weights. The network has its averaged
         weights meanwhile.
         """
-
-    def save_best(self, folder: Path, weights: Mapping[str, Tensor]) -> None:
-        """Write the best weights so far to `folder`."""
-        save_weights(folder / WEIGHTS, weights)
 
 
 def train(recipe: Recipe, settings: LoopSettings, job: TrainingJob) -> Path:
@@ -157,22 +148,19 @@ class _Loop:
         settings: LoopSettings,
         job: TrainingJob,
         processes: Processes,
-        stop: "StopRequest",
+        stop: StopRequest,
     ) -> None:
-        self.recipe, self.settings, self.job, self.processes, self.stop = (
-            recipe,
-            settings,
-            job,
-            processes,
-            stop,
-        )
+        self.recipe = recipe
+        self.settings = settings
+        self.job = job
+        self.processes = processes
+        self.stop = stop
         self.state = self._start()
         self.journal = Journal(job.out, self.state.step) if processes.writes else None
 
     def _start(self) -> TrainingState:
         """The first state, or that of the last checkpoint."""
         network, last = self.recipe.network, self.job.out / LAST
-        torch.manual_seed(self.settings.seed)
         network.train()
         self.processes.share_weights(network)
         self.recipe.begin()  # before a resumed run's weights are read
@@ -184,31 +172,34 @@ class _Loop:
             betas=self.recipe.betas,
             weight_decay=self.settings.weight_decay,
         )
+        config = dict(self.job.config or {})
         state = TrainingState(
-            network,
-            optimizer,
-            copied_weights(network),
-            config=dict(self.job.config or {}),
+            network, optimizer, copied_weights(network), config=config
         )
         if self.job.resume:
             state.load(last)
         elif self.processes.writes:
-            last.unlink(
-                missing_ok=True
-            )  # another training's, which --resume must not take for this one's
-            self.recipe.save_best(
-                self.job.out / "best", state.average
-            )  # so that there always is one
+            # Another training's, which --resume must not take for this one's.
+            last.unlink(missing_ok=True)
+            self._save_best(state)  # so that there always is one
         return state
 
     def run(self) -> None:
         """All steps that are left, with their validations and checkpoints."""
+        chosen, state = self.settings, self.state
         try:
-            self._run()
-            if (
-                self.processes.any(self.stop.asked)
-                and self.state.step < self.settings.steps
-            ):
+            if self._is_due(chosen.validate_every) and state.validated < state.step:
+                self._validate()  # what an interrupt kept from being done
+            stopped = False
+            while state.step < chosen.steps and not stopped:
+                self._step()
+                stopped = self.processes.any(self.stop.asked)
+                if self._is_due(chosen.validate_every):
+                    self._validate()
+                if stopped or self._is_due(chosen.checkpoint_every):
+                    self._save()
+                reporting.progress("training", state.step, chosen.steps)
+            if stopped and state.step < chosen.steps:
                 self._tell_stopped()
         except KeyboardInterrupt:
             self._save()
@@ -217,47 +208,30 @@ class _Loop:
         if self.stop.interrupted:
             raise KeyboardInterrupt
 
+    def _is_due(self, every: int) -> bool:
+        """Whether what happens every so many steps, and after the last, happens now."""
+        step = self.state.step
+        return step > 0 and (step % every == 0 or step == self.settings.steps)
+
     def _tell_stopped(self) -> None:
         reporting.warn(
             f"training stopped at step {self.state.step}; continue with --resume."
         )
-
-    def _run(self) -> None:
-        chosen, state, stopped = self.settings, self.state, False
-        if state.validated < state.step and (
-            state.step % chosen.validate_every == 0 or state.step == chosen.steps
-        ):
-            self._validate()  # what an interrupt kept from being done
-        while state.step < chosen.steps and not stopped:
-            self._step()
-            last, stopped = (
-                state.step == chosen.steps,
-                self.processes.any(self.stop.asked),
-            )
-            if last or state.step % chosen.validate_every == 0:
-                self._validate()
-            if last or stopped or state.step % chosen.checkpoint_every == 0:
-                self._save()
-            reporting.progress("training", state.step, chosen.steps)
 
     def _save(self) -> None:
         if self.processes.writes:
             with self.stop.held():
                 self.state.save(self.job.out / LAST)
 
+    def _save_best(self, state: TrainingState) -> None:
+        metadata = self.job.reconstructor.weights_metadata()
+        save_weights(self.job.out / "best" / WEIGHTS, state.average, metadata)
+
     def _step(self) -> None:
         """One optimiser step; one that is not finite is counted and left out."""
         chosen, state = self.settings, self.state
         parameters = list(state.network.parameters())
-        for group, rate in zip(state.optimizer.param_groups, self.rates):
-            floor = min(
-                1.0, chosen.floor / rate
-            )  # one lowest learning rate for all groups
-            group["lr"] = (
-                chosen.lr
-                * rate
-                * warmup_cosine(state.step, chosen.steps, chosen.warmup, floor)
-            )
+        self._set_rates()
         state.optimizer.zero_grad(set_to_none=True)
         loss = self._backward()
         total = self.processes.average_gradients(parameters, loss.total)
@@ -277,24 +251,31 @@ class _Loop:
         if state.step % chosen.log_every == 0:
             self._log(total, loss.terms, norm)
 
+    def _set_rates(self) -> None:
+        """The step's learning rates: groups fall from shares of the highest to one lowest."""
+        chosen = self.settings
+        for group, rate in zip(self.state.optimizer.param_groups, self.rates):
+            floor = min(1.0, chosen.floor / rate)
+            factor = warmup_cosine(self.state.step, chosen.steps, chosen.warmup, floor)
+            group["lr"] = chosen.lr * rate * factor
+
     def _backward(self) -> StepLoss:
         """The mean loss of the step's batches, gradients computed."""
         count = self.settings.accumulate
-        losses = [
-            self._backward_of(self.state.step * count + part) for part in range(count)
-        ]
+        total = torch.zeros((), device=self.recipe.device)
         terms: dict[str, Tensor] = {}
-        for loss in losses:
-            terms |= {
-                name: terms.get(name, 0) + term.detach() / count
-                for name, term in loss.terms.items()
-            }
-        return StepLoss(sum(loss.total.detach() / count for loss in losses), terms)
+        for batch in range(self.state.step * count, (self.state.step + 1) * count):
+            loss = self._backward_of(batch)
+            total = total + loss.total.detach() / count
+            for name, term in loss.terms.items():
+                terms[name] = terms.get(name, 0) + term.detach() / count
+        return StepLoss(total, terms)
 
     def _backward_of(self, batch: int) -> StepLoss:
         """One batch's loss, gradients added; zero and no gradients for photos that cannot be
         matched.
         """
+        seed_everything(self.settings.seed, batch, self.processes.rank)
         try:
             loss = self.recipe.loss(batch, self.processes)
         except MatchingError as error:
@@ -303,25 +284,18 @@ class _Loop:
         if not loss.total.requires_grad:
             raise PluginError(
                 f"training: the loss of step {self.state.step + 1} does not depend on the "
-                "network's weights; give a "
-                "term a weight, and let the reconstructor compute with gradients (no "
-                "torch.no_grad)."
+                "network's weights; give a term a weight, and let the reconstructor compute with "
+                "gradients (no torch.no_grad)."
             )
         (loss.total / self.settings.accumulate).backward()
         return loss
 
-    def _log(
-        self,
-        total: Float[Tensor, ""],
-        terms: Mapping[str, Tensor],
-        norm: Float[Tensor, ""],
-    ) -> None:
-        values = self.processes.means(
-            [{name: float(term.detach()) for name, term in terms.items()}]
-        )
+    def _log(self, total: Tensor, terms: Mapping[str, Tensor], norm: Tensor) -> None:
+        own = {name: float(term) for name, term in terms.items()}
+        values = self.processes.means([own])
         if self.journal is not None:
             line = {
-                "loss": float(total.detach()),
+                "loss": float(total),
                 **values,
                 "norm": float(norm),
                 "skipped": self.state.skipped,
@@ -342,7 +316,7 @@ class _Loop:
                 self.journal.write(state.step, values, kind="validation")
         with self.stop.held():
             if improved and self.processes.writes:
-                self.recipe.save_best(self.job.out / "best", state.average)
+                self._save_best(state)
             state.best = min(state.best, score)
             state.validated = state.step
 
@@ -360,26 +334,20 @@ def parameter_groups(
     }
     for beginning in settings.pretrained:
         if not any(name.startswith(beginning) for name in named):
-            parts = ", ".join(
-                sorted({name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named})[
-                    :12
-                ]
-            )
+            groups = {name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named}
             raise SettingsError(
                 f"trainer.pretrained: no weight's name begins with {beginning!r}; there are "
-                f"{parts}."
+                f"{', '.join(sorted(groups)[:12])}."
             )
-    slow = {name for name in named if name.startswith(settings.pretrained)}
-    full = [value for name, value in named.items() if name not in slow]
-    groups = [
-        (1.0, full),
-        (settings.pretrained_rate, [named[name] for name in named if name in slow]),
-    ]
+    full, slow = [], []
+    for name, value in named.items():
+        (slow if name.startswith(settings.pretrained) else full).append(value)
+    groups = [(1.0, full), (settings.pretrained_rate, slow)]
     return [(rate, values) for rate, values in groups if values]
 
 
 @contextmanager
-def _averaged_weights(state: TrainingState, stop: "StopRequest") -> Iterator[None]:
+def _averaged_weights(state: TrainingState, stop: StopRequest) -> Iterator[None]:
     """The network carries its averaged weights inside, for evaluation."""
     own = copied_weights(state.network)
     try:
@@ -390,105 +358,3 @@ def _averaged_weights(state: TrainingState, stop: "StopRequest") -> Iterator[Non
         with stop.held():
             state.network.load_state_dict(own)
             state.network.train()
-
-
-class StopRequest(ExitStack):
-    """Context manager; `asked` turns True at SIGINT or SIGTERM. A second signal acts as it would
-    have before.
-
-    With `at_once`, SIGINT raises KeyboardInterrupt too, but not inside `held()`.
-    """
-
-    asked = False  # by any signal
-    interrupted = False  # by SIGINT
-
-    def __init__(self, at_once: bool = False) -> None:
-        super().__init__()
-        self.at_once = at_once
-
-    def __enter__(self) -> "StopRequest":
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self.callback(signal.signal, number, signal.signal(number, self._ask))
-        return self
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """What must be done whole: SIGINT raises after it."""
-        before, self.at_once = self.at_once, False
-        try:
-            yield
-        finally:
-            self.at_once = before
-        if before and self.interrupted:
-            self.at_once = False  # once is enough
-            raise KeyboardInterrupt
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        self.interrupted |= number == signal.SIGINT
-        self.close()  # the handlers that were there before
-        if self.interrupted and self.at_once:
-            self.at_once = False
-            raise KeyboardInterrupt
-
-
-class Journal:
-    """The log: one JSON object a line in `log.jsonl`, and TensorBoard when it is installed.
-
-    On resuming, lines beyond the resumed step are taken out.
-    """
-
-    def __init__(self, folder: Path, step: int = 0) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / "log.jsonl"
-        self._start = time.time()
-        self._forget_after(step)
-        self._board = _tensorboard(folder)
-
-    def write(
-        self, step: int, values: Mapping[str, float], kind: str = "train"
-    ) -> None:
-        """Record `values` of a step; `kind` is 'train' or 'validation'."""
-        line = {
-            "kind": kind,
-            "step": step,
-            "seconds": round(time.time() - self._start, 2),
-        }
-        line |= {name: round(float(value), 6) for name, value in values.items()}
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            raise RunError(
-                f"{self.path}: the log could not be written ({error}); free some disk space."
-            ) from error
-        if self._board is not None:
-            for name, value in values.items():
-                self._board.add_scalar(f"{kind}/{name}", value, step)
-
-    def _forget_after(self, step: int) -> None:
-        if self.path.is_file():
-            lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines(
-                keepends=True
-            )
-            kept = [
-                line for line in lines if line.endswith("\n") and _step_of(line) <= step
-            ]
-            self.path.write_text("".join(kept), encoding="utf-8")
-
-
-def _step_of(line: str) -> float:
-    """The step of a line of the log; infinite for what is no such line, so that it is taken out."""
-    try:
-        return float(json.loads(line)["step"])
-    except (ValueError, KeyError, TypeError):
-        return float("inf")
-
-
-def _tensorboard(folder: Path):
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:  # an extra; the JSON lines hold the same numbers
-        return None
-    return SummaryWriter(str(folder / "tensorboard"))

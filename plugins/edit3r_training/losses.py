@@ -21,10 +21,11 @@ from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
 COMPARED_BLOCKS = (0, 2, 4, 10)
 """Blocks of EfficientNet-lite0 whose outputs `PerceptualLoss` compares: strides 2, 4, 8 and 16."""
 
-CLIP_MEAN, CLIP_STD = (
-    (0.48145466, 0.4578275, 0.40821073),
-    (0.26862954, 0.26130258, 0.27577711),
-)
+CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
+CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
+
+Scalar = Float[Tensor, ""]
+Means = Float[Tensor, "batch gaussian 3"]
 
 
 class MseLoss(Loss):
@@ -41,7 +42,7 @@ class MseLoss(Loss):
             description="pixels averaged along each side before comparing; 1: plain MSE",
         )
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "mse", "rendered", "target")
         difference = (inputs.rendered - inputs.target).flatten(0, 1)
         cell = min(self.settings.cell, *difference.shape[-2:])
@@ -58,7 +59,7 @@ class CenterLoss(Loss):
             description="distance at which the square turns linear [scene units]",
         )
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "center", "gaussians", "reference")
         return F.smooth_l1_loss(
             inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta
@@ -81,17 +82,19 @@ class PointsLoss(Loss):
             description="share of the reference's points left out at each end",
         )
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "point-distillation", "gaussians", "reference")
-        ours, theirs = (
-            c.means / c.means.norm(dim=-1).mean(1)[:, None, None]
-            for c in (inputs.gaussians, inputs.reference)
-        )
-        far = (
-            theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]
-        )  # rank by distance, in [0, 1)
-        kept = (far >= self.settings.outliers) & (far < 1 - self.settings.outliers)
+        ours = _in_own_unit(inputs.gaussians.means)
+        theirs = _in_own_unit(inputs.reference.means)
+        rank = theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]  # in [0, 1)
+        share = self.settings.outliers
+        kept = (rank >= share) & (rank < 1 - share)
         return (ours - theirs)[kept].norm(dim=-1).mean()
+
+
+def _in_own_unit(means: Means) -> Means:
+    """Points in the unit of their mean distance from view 0."""
+    return means / means.norm(dim=-1).mean(1)[:, None, None]
 
 
 class GeometryLoss(Loss):
@@ -106,47 +109,37 @@ class GeometryLoss(Loss):
             512, ge=1, le=8192, description="centres drawn from each view"
         )
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "geometry", "gaussians")
-        chosen = self._sample(inputs.gaussians.view_index)
+        chosen = self._sample(inputs.gaussians.view_index.cpu())
         value = pairwise_chamfer(inputs.gaussians.means, chosen)
         if inputs.reference is None:
             return value
         return value - pairwise_chamfer(inputs.reference.means, chosen).detach()
 
-    def _sample(
-        self, view_index: Int[Tensor, " gaussian"]
-    ) -> list[Int[Tensor, " chosen"]]:
-        """Indices of the centres drawn from each view; drawn on the CPU, whose random state
-        checkpoints restore.
-        """
-        views = [
-            torch.nonzero(view_index == view).flatten()
-            for view in view_index.unique()
-            if view >= 0
-        ]
-        return [
-            own[torch.randperm(len(own))[: self.settings.samples].to(own.device)]
-            for own in views
-        ]
+    def _sample(self, view_index: Int[Tensor, " gaussian"]) -> list[Tensor]:
+        """Indices of the centres drawn from each view."""
+        chosen = []
+        for view in view_index[view_index >= 0].unique():
+            own = torch.nonzero(view_index == view).flatten()
+            chosen.append(own[torch.randperm(len(own))[: self.settings.samples]])
+        return chosen
 
 
-def pairwise_chamfer(
-    means: Float[Tensor, "batch gaussian 3"], views: list[Int[Tensor, " chosen"]]
-) -> Float[Tensor, ""]:
+def pairwise_chamfer(means: Means, views: list[Int[Tensor, " chosen"]]) -> Scalar:
     """L_geom = 1 / (V (V - 1)) sum_{i < j} Chamfer_L1(mu_i, mu_j), with the factor as the paper
     writes it.
     """
     count = len(views)
-    if count < 2:
-        return means.sum() * 0
-    pairs = [chamfer_l1(means[:, a], means[:, b]) for a, b in combinations(views, 2)]
-    return sum(pairs) / (count * (count - 1))
+    total = means.sum() * 0
+    for a, b in combinations(views, 2):
+        total = total + chamfer_l1(means[:, a], means[:, b])
+    return total / max(count * (count - 1), 1)
 
 
 def chamfer_l1(
     a: Float[Tensor, "batch point 3"], b: Float[Tensor, "batch point2 3"]
-) -> Float[Tensor, ""]:
+) -> Scalar:
     """Mean L1 distance to the nearest point of the other set, both ways."""
     distances = torch.cdist(a, b, p=1)
     return distances.min(2).values.mean() + distances.min(1).values.mean()
@@ -172,14 +165,13 @@ class PerceptualLoss(Loss):
         self.settings = settings
         self._network = frozen_efficientnet()
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "perceptual", "rendered", "target")
         predicted = self._features(inputs.rendered)
         with torch.no_grad():
             wished = self._features(inputs.target)
-        return sum(
-            F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)
-        ) / len(predicted)
+        gaps = [F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)]
+        return sum(gaps) / len(gaps)
 
     def _features(
         self, images: Float[Tensor, "batch view 3 height width"]
@@ -205,7 +197,7 @@ class LpipsLoss(Loss):
         self.settings = settings
         self._metric = _lpips_vgg()
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "lpips", "rendered", "target")
         metric = self._metric.to(inputs.rendered.device)
         return metric(
@@ -226,7 +218,7 @@ class ClipLoss(Loss):
         self.settings = settings
         self._model = _frozen_clip(settings.model)
 
-    def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
+    def __call__(self, inputs: LossInputs) -> Scalar:
         _require(inputs, "clip", "rendered", "target")
         predicted = self._embed(inputs.rendered.flatten(0, 1))
         with torch.no_grad():
@@ -237,13 +229,9 @@ class ClipLoss(Loss):
         self, images: Float[Tensor, "image 3 height width"]
     ) -> Float[Tensor, "image feature"]:
         side = self._model.config.image_size
-        x = F.interpolate(
-            images, (side, side), mode="bicubic", align_corners=False, antialias=True
-        )
-        x = (x - x.new_tensor(CLIP_MEAN)[:, None, None]) / x.new_tensor(CLIP_STD)[
-            :, None, None
-        ]
-        return self._model.to(x.device)(pixel_values=x).image_embeds
+        x = F.interpolate(images, (side, side), mode="bicubic", antialias=True)
+        mean, std = (x.new_tensor(v)[:, None, None] for v in (CLIP_MEAN, CLIP_STD))
+        return self._model.to(x.device)(pixel_values=(x - mean) / std).image_embeds
 
 
 def _lpips_vgg() -> nn.Module:
@@ -255,16 +243,13 @@ def _lpips_vgg() -> nn.Module:
         reason = str(error).splitlines()[0]
         raise MissingDependencyError(
             f"loss 'lpips' could not get its VGG weights ({reason}); connect to the network "
-            "once, or use the loss "
-            "'perceptual', which works offline."
+            "once, or use the loss 'perceptual', which works offline."
         ) from error
 
 
 def _frozen_clip(name: str) -> nn.Module:
-    chosen = ChosenWeights(name, "losses.clip.model")
-    network = load_pretrained(
-        foreign("transformers", "CLIPVisionModelWithProjection"), chosen
-    )
+    vision = foreign("transformers", "CLIPVisionModelWithProjection")
+    network = load_pretrained(vision, ChosenWeights(name, "losses.clip.model"))
     return network.eval().requires_grad_(False)
 
 
@@ -276,7 +261,6 @@ def _require(inputs: LossInputs, loss: str, *names: str) -> None:
     if missing:
         raise SettingsError(
             f"loss {loss!r} compares {' and '.join(names)}, but this training step has no "
-            f"{missing[0]}; "
-            "take the loss out of the configuration or use data that brings it (depths give a "
-            "reference)."
+            f"{missing[0]}; take the loss out of the configuration or use data that brings it "
+            "(depths give a reference)."
         )

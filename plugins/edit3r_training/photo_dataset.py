@@ -14,10 +14,13 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config, reporting
+from edit3r.config import Count, Index, Share
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.types import Cameras
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import relative_to_first
+
+Images = Float[Tensor, "view 3 height width"]
 
 MIRROR = torch.diag(torch.tensor([-1.0, 1, 1, 1]))
 
@@ -26,8 +29,8 @@ class PhotoSettings(config.Settings):
     """What all datasets of photos can be set to; each gives its own defaults."""
 
     root: str = Field(description="folder with the scenes")
-    samples: int = Field(1, ge=1, description="draws per scene")
-    seed: int = Field(0, ge=0, description="of view choice and mirroring")
+    samples: Count = Field(1, description="draws per scene")
+    seed: Index = Field(0, description="of view choice and mirroring")
     image_size: int = Field(
         256, ge=16, le=1024, description="side of the centred square [pixels]"
     )
@@ -45,9 +48,14 @@ class PhotoSettings(config.Settings):
         le=1,
         description="share of the training in which `gap_start` grows evenly to `gap`",
     )
-    mirror: float = Field(
-        0.5, ge=0, le=1, description="share of samples mirrored left to right"
+    baseline: tuple[float, float] = Field(
+        (1e-3, 1e10),
+        description="from first to last context camera [units of the data]; others are skipped",
     )
+    max_fov: float = Field(
+        100.0, gt=0, lt=180, description="wider images are skipped [degrees]"
+    )
+    mirror: Share = Field(0.5, description="share of samples mirrored left to right")
 
 
 class PhotoDataset(Dataset):
@@ -89,29 +97,25 @@ class PhotoDataset(Dataset):
         """Return the sample with the gap of that time of a training: a curriculum from near views
         to far ones.
         """
-        gap = growing_gap(
-            self.settings.gap_start,
-            self.settings.gap,
-            progress / self.settings.gap_growth,
-        )
+        chosen = self.settings
+        way = progress / chosen.gap_growth
+        gap = growing_gap(chosen.gap_start, chosen.gap, way)
         if not 0 <= index < len(self):
             raise IndexError(index)
         for attempt in range(len(self.scenes)):
             scene = self.scenes[(index + attempt) % len(self.scenes)]
-            rng = np.random.default_rng((self.settings.seed, index))
+            rng = np.random.default_rng((chosen.seed, index))
             try:
                 drawn = self._draw(scene, rng, gap)
+                drawn.check(chosen)
             except InputError as error:
                 self._skip(self._label(scene), str(error))
-            else:
-                return drawn.sample(
-                    self.settings.context,
-                    f"{drawn.scene}-{index}",
-                    self.settings.mirror,
-                    rng,
-                )
+                continue
+            name = f"{drawn.scene}-{index}"
+            mirrored = rng.random() < chosen.mirror
+            return drawn.sample(chosen.context, name, mirrored)
         raise InputError(
-            f"{self.settings.root}: none of its {len(self.scenes)} scenes can be used."
+            f"{chosen.root}: none of its {len(self.scenes)} scenes can be used."
         )
 
     def _skip(self, label: str, reason: str) -> None:
@@ -128,44 +132,60 @@ class DrawnPhotos:
     """Photos of one scene, the context views first, as the dataset's files have them."""
 
     scene: str
-    images: Float[Tensor, "view 3 height width"]
+    images: Images
     c2w: Float[Tensor, "view 4 4"]  # in any frame and unit
     intrinsics: Float[Tensor, "view 3 3"]  # normalised
     masks: Float[Tensor, "object view height width"] | None = None
+    edited: Images | None = None
 
-    def sample(
-        self, context: int, name: str, mirror: float, rng: np.random.Generator
-    ) -> SceneSample:
+    def check(self, settings: PhotoSettings) -> None:
+        """Raise InputError for cameras that stand too near or too far apart, and for wide lenses.
+
+        A clip of a camera that stands still would be blown up without end.
+        """
+        least, most = settings.baseline
+        baseline = (self.c2w[settings.context - 1] - self.c2w[0])[:3, 3].norm().item()
+        if not least <= baseline <= most:
+            raise InputError(
+                f"{self.scene}: its context cameras are {baseline:.3g} apart; expected {least:g} "
+                f"to {most:g} (setting baseline)."
+            )
+        focal = self.intrinsics.diagonal(dim1=-2, dim2=-1)[:, :2]
+        fov = 2 * torch.atan(0.5 / focal).max().rad2deg().item()
+        if fov > settings.max_fov:
+            raise InputError(
+                f"{self.scene}: a field of view of {fov:.0f} degrees; expected at most "
+                f"{settings.max_fov:g} (setting max_fov)."
+            )
+
+    def sample(self, context: int, name: str, mirrored: bool) -> SceneSample:
         """Make a sample of the views, the first `context` of which are context and the rest
         targets.
 
         Poses are relative to the first view. Lengths are divided by the distance between the first
-        and the last context camera. With probability `mirror`, images, masks and poses are mirrored
-        left to right.
+        and the last context camera. `mirrored`: images, masks and poses are flipped left to right.
         """
-        images, intrinsics, masks = self.images, self.intrinsics, self.masks
         poses = relative_to_first(self.c2w[None].double())[0]
-        baseline = poses[context - 1, :3, 3].norm()
-        poses[:, :3, 3] /= baseline.clamp(min=1e-9)
-        poses = poses.float()
-        if rng.random() < mirror:
-            images = images.flip(-1)
-            masks = None if masks is None else masks.flip(-1)
+        poses[:, :3, 3] /= poses[context - 1, :3, 3].norm()
+        poses, intrinsics = poses.float(), self.intrinsics
+        images, masks, edited = self.images, self.masks, self.edited
+        if mirrored:
             poses = MIRROR @ poses @ MIRROR
             intrinsics = intrinsics.clone()
             intrinsics[:, 0, 2] = 1 - intrinsics[:, 0, 2]
-        size = (images.shape[-2], images.shape[-1])
+            images = images.flip(-1)
+            masks = None if masks is None else masks.flip(-1)
+            edited = None if edited is None else edited.flip(-1)
+        cameras = Cameras(poses[None], intrinsics[None], tuple(images.shape[-2:]))
         return SceneSample(
             context=images[:context],
             target=images[context:],
-            context_cameras=Cameras(
-                poses[None, :context], intrinsics[None, :context], size
-            ),
-            target_cameras=Cameras(
-                poses[None, context:], intrinsics[None, context:], size
-            ),
+            context_cameras=cameras.select(range(context)),
+            target_cameras=cameras.select(range(context, cameras.count)),
             context_masks=None if masks is None else masks[:, :context],
             target_masks=None if masks is None else masks[:, context:],
+            edited_context=None if edited is None else edited[:context],
+            edited_target=None if edited is None else edited[context:],
             name=name,
         )
 
@@ -199,10 +219,8 @@ def choose_by_gap(
     width = int(rng.integers(least, most + 1))
     first = int(rng.integers(count - width))
     chosen = np.linspace(first, first + width, context).round().astype(int)
-    return [
-        *map(int, chosen),
-        *map(int, rng.integers(first, first + width + 1, targets)),
-    ]
+    between = rng.integers(first, first + width + 1, targets)
+    return [*chosen.tolist(), *between.tolist()]
 
 
 def choose_by_angle(
@@ -242,6 +260,6 @@ def _near_middle(
     needed.
     """
     middle = c2w[context, :3, 3].mean(0)
-    order = np.argsort(np.linalg.norm(c2w[:, :3, 3] - middle, axis=1), kind="stable")
-    near = [int(i) for i in order if i not in context][: 2 * targets] or context
-    return [int(i) for i in rng.choice(near, targets, replace=len(near) < targets)]
+    order = np.linalg.norm(c2w[:, :3, 3] - middle, axis=1).argsort(kind="stable")
+    near = order[~np.isin(order, context)][: 2 * targets].tolist() or context
+    return rng.choice(near, targets, replace=len(near) < targets).tolist()

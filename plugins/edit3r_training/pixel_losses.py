@@ -20,14 +20,15 @@ CHANGED = 0.02
 """A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit."""
 
 
+Depths = Float[Tensor, "batch view height width"]
+
+
 @dataclass(frozen=True)
 class PixelMaps:
     """The Gaussians of every view as images: each at the pixel it came from."""
 
     colours: Float[Tensor, "batch view 3 height width"]
-    depths: Float[
-        Tensor, "batch view height width"
-    ]  # camera z in its own (predicted) view
+    depths: Depths  # camera z in its own (predicted) view
     opacities: Float[Tensor, "batch view height width"]
 
 
@@ -38,31 +39,25 @@ def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
     Depths are those in the predicted cameras, or in the true `cameras` of the views where none were
     predicted.
     """
-    gaussians, views, image_size = (
-        reconstruction.gaussians,
-        cameras.count,
-        cameras.image_size,
-    )
-    pixels = views * image_size[0] * image_size[1]
+    gaussians, (height, width) = reconstruction.gaussians, cameras.image_size
+    shape = (len(gaussians.means), cameras.count, height, width)
+    pixels = cameras.count * height * width
     if gaussians.count < pixels:
         raise SettingsError(
             f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the "
-            "recolor trainer needs "
-            "one that gives every pixel its own."
+            "recolor trainer needs one that gives every pixel its own."
         )
     if gaussians.count > pixels:
         gaussians = gaussians.select(torch.arange(pixels))
-    shape = (gaussians.means.shape[0], views, *image_size)
-    colours = (
-        dc_to_colour(gaussians.harmonics[:, :, 0])
-        .reshape(*shape, 3)
-        .permute(0, 1, 4, 2, 3)
+    colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3)
+    seen_from = reconstruction.cameras or cameras
+    means = gaussians.means.reshape(*shape, 3)
+    points = transform_points(invert_rigid(seen_from.c2w), means)
+    return PixelMaps(
+        colours=colours.permute(0, 1, 4, 2, 3),
+        depths=points[..., 2],
+        opacities=gaussians.opacities.reshape(shape),
     )
-    seen_from = cameras if reconstruction.cameras is None else reconstruction.cameras
-    points = transform_points(
-        invert_rigid(seen_from.c2w), gaussians.means.reshape(*shape, 3)
-    )
-    return PixelMaps(colours, points[..., 2], gaussians.opacities.reshape(shape))
 
 
 def colour_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
@@ -81,7 +76,7 @@ def colour_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
 
 def depth_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
     """Robust error of log depth and of its differences between neighbours."""
-    gap = torch.log(maps.depths.clamp(min=1e-4)) - torch.log(batch.depths)
+    gap = _log_gap(maps.depths, batch)
     value = F.smooth_l1_loss(gap.clamp(-1, 1), torch.zeros_like(gap), beta=0.03)
     slopes = [gap.diff(dim=axis).clamp(-0.3, 0.3).abs().mean() for axis in (-1, -2)]
     return value + 0.25 * sum(slopes)
@@ -93,11 +88,14 @@ def opacity_error(
     """Cross-entropy to an opacity of 0.95 where the log depth is right within `tolerance`, to 0.3
     where it is not.
     """
-    gap = (
-        torch.log(maps.depths.detach().clamp(min=1e-4)) - torch.log(batch.depths)
-    ).abs()
+    gap = _log_gap(maps.depths.detach(), batch).abs()
     wished = torch.where(gap < tolerance, 0.95, 0.3)
     return F.binary_cross_entropy(maps.opacities.clamp(1e-4, 1 - 1e-4), wished)
+
+
+def _log_gap(depths: Depths, batch: TrainingBatch) -> Depths:
+    """Log of predicted over true depth."""
+    return torch.log(depths.clamp(min=1e-4)) - torch.log(batch.depths)
 
 
 def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
@@ -115,11 +113,7 @@ def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
         "uptake": change_uptake(shown, wished, inside),
         "error": change_error(shown, wished, inside),
         "leak": mean_change(shown, (1 - inside).expand_as(shown)),
-        "depth": float(
-            torch.log(maps.depths.clamp(min=1e-4) / batch.depths).abs().mean()
-        )
-        if known
-        else 0.0,
+        "depth": float(_log_gap(maps.depths, batch).abs().mean()) if known else 0.0,
     }
 
 

@@ -1,5 +1,6 @@
 """Dataset `procedural`: endless random scenes, each a function of (seed, index)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -12,11 +13,12 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r import config
+from edit3r.config import Count, Index, Share
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.types import Cameras
 from edit3r.geometry.cameras import intrinsics_from_fov
 from edit3r_training.procedural_scenes import (
-    Scene,
+    ProceduralScene,
     random_cameras,
     random_scene,
     texture_bank,
@@ -31,7 +33,10 @@ EIGHT_BITS = (
     "edited_context",
     "edited_target",
 )
+"""Images and masks of a sample: kept in 8 bits, as photos are."""
 EDITS = ("recolor", "add", "remove", "global")
+
+Images = Float[Tensor, "view 3 height width"]
 
 
 class ProceduralDataset(Dataset):
@@ -40,8 +45,8 @@ class ProceduralDataset(Dataset):
     """
 
     class Settings(config.Settings):
-        scenes: int = Field(100_000, ge=1, description="number of samples")
-        seed: int = Field(0, ge=0, description="two seeds share no scene")
+        scenes: Count = Field(100_000, description="number of samples")
+        seed: Index = Field(0, description="two seeds share no scene")
         image_size: int = Field(
             64, ge=8, le=1024, description="height and width of the images [pixels]"
         )
@@ -54,15 +59,15 @@ class ProceduralDataset(Dataset):
         objects: tuple[int, int] = Field(
             (5, 16), description="least and most objects besides the room"
         )
-        outdoor: float = Field(
-            0.35, ge=0, le=1, description="share of open grounds instead of rooms"
+        outdoor: Share = Field(
+            0.35, description="share of open grounds instead of rooms"
         )
         textures: int = Field(96, ge=4, le=512, description="size of the texture bank")
         edit: Literal["none", "recolor", "add", "remove", "global", "any"] = Field(
             "none", description="the edited truth that comes along"
         )
-        edit_seed: int = Field(
-            0, ge=0, description="other numbers edit the same scenes in other ways"
+        edit_seed: Index = Field(
+            0, description="other numbers edit the same scenes in other ways"
         )
         keep: bool = Field(
             False,
@@ -79,12 +84,10 @@ class ProceduralDataset(Dataset):
     def __getitem__(self, index: int) -> SceneSample:
         if not 0 <= index < len(self):
             raise IndexError(index)
-        if index in self._kept:
-            return _unpacked(self._kept[index])
-        packed = _packed(self._made(index))
+        packed = self._kept.get(index) or _packed(self._made(index))
         if self.settings.keep:
             self._kept[index] = packed
-        return _unpacked(packed)
+        return _with_images(packed, lambda x: x.float() / 255)
 
     def _made(self, index: int) -> SceneSample:
         """Draw scene, cameras and edit, and cast the images; for `add` the unedited scene lacks its
@@ -93,13 +96,12 @@ class ProceduralDataset(Dataset):
         chosen = self.settings
         rng = np.random.default_rng((chosen.seed, index))
         poses = random_cameras(rng, chosen.context, chosen.targets, chosen.angles)
-        k = intrinsics_from_fov(
-            float(np.deg2rad(rng.uniform(42, 68))),
-            (chosen.image_size, chosen.image_size),
-        )
+        size = (chosen.image_size, chosen.image_size)
+        k = intrinsics_from_fov(float(np.deg2rad(rng.uniform(42, 68))), size)
+        least, most = chosen.objects
         scene = random_scene(
             rng,
-            objects=int(rng.integers(chosen.objects[0], chosen.objects[1] + 1)),
+            objects=int(rng.integers(least, most + 1)),
             texture_count=chosen.textures,
             avoid=poses[:, :3, 3],
             outdoor=bool(rng.random() < chosen.outdoor),
@@ -107,72 +109,63 @@ class ProceduralDataset(Dataset):
         if chosen.edit_seed:
             rng = np.random.default_rng((chosen.seed, index, chosen.edit_seed))
         edit = str(rng.choice(EDITS)) if chosen.edit == "any" else chosen.edit
-        unedited = (
-            scene.first(scene.count - 1) if edit == "add" and scene.count > 2 else scene
-        )
+        adds = edit == "add" and scene.count > 2
+        unedited = scene.first(scene.count - 1) if adds else scene
         shown = self._cast(unedited, poses, k)
         edited = None if edit == "none" else self._edited(edit, scene, shown, rng)
         return self._sample(shown, edited, name=f"procedural-{chosen.seed}-{index}")
 
     def _cast(
         self,
-        scene: Scene,
+        scene: ProceduralScene,
         poses: Float[np.ndarray, "view 4 4"],
         k: Float[Tensor, "3 3"],
     ) -> "_CastViews":
         """All views of a scene; `poses` camera-to-world, `k` normalised intrinsics."""
         size = (self.settings.image_size, self.settings.image_size)
-        bank = texture_bank(self.settings.textures)
-        return _CastViews(
-            poses,
-            k,
-            scene.count,
-            [cast(scene, bank, pose, k.double().numpy(), size) for pose in poses],
-        )
+        bank, lens = texture_bank(self.settings.textures), k.double().numpy()
+        views = [cast(scene, bank, pose, lens, size) for pose in poses]
+        return _CastViews(poses, k, scene.count, views)
 
     def _edited(
-        self, edit: str, scene: Scene, shown: "_CastViews", rng: np.random.Generator
-    ) -> Float[Tensor, "view 3 height width"]:
+        self,
+        edit: str,
+        scene: ProceduralScene,
+        shown: "_CastViews",
+        rng: np.random.Generator,
+    ) -> Images:
         """The images of the edited scene."""
         if edit in ("recolor", "global"):
             objects = shown.masks[1:] if shown.objects > 1 else shown.masks
-            region = (
-                torch.ones_like(objects[0])
-                if edit == "global"
-                else objects[_pick(rng, objects)]
-            )
-            return recolored(
-                shown.images,
-                region[None],
-                [visible_parameters(rng, shown.images, region)],
-            )
+            region = torch.ones_like(objects[0])
+            if edit == "recolor":
+                region = objects[_pick(rng, objects)]
+            parameters = visible_parameters(rng, shown.images, region)
+            return recolored(shown.images, region[None], [parameters])
         after = scene
         if edit == "remove" and scene.count > 1:
             after = scene.without(1 + _pick(rng, shown.masks[1:]))
         return self._cast(after, shown.poses, shown.intrinsics).images
 
     def _sample(
-        self,
-        shown: "_CastViews",
-        edited: Float[Tensor, "view 3 height width"] | None,
-        name: str,
+        self, shown: "_CastViews", edited: Images | None, name: str
     ) -> SceneSample:
         """The sample with poses relative to the first view."""
-        views, images, masks = self.settings.context, shown.images, shown.masks
         relative = torch.from_numpy(np.linalg.inv(shown.poses[0]) @ shown.poses).float()
         relative[0] = torch.eye(4)
         k = shown.intrinsics.expand(1, len(relative), 3, 3)
         size = (self.settings.image_size, self.settings.image_size)
+        cameras, views = Cameras(relative[None], k, size), self.settings.context
+        count = cameras.count
+        depths = np.stack([view.depth for view in shown.views[:views]])
         return SceneSample(
-            context=images[:views],
-            target=images[views:],
-            context_cameras=Cameras(relative[None, :views], k[:, :views], size),
-            target_cameras=Cameras(relative[None, views:], k[:, views:], size),
-            context_depths=torch.from_numpy(
-                np.stack([view.depth for view in shown.views[:views]])
-            ),
-            context_masks=masks[:, :views],
-            target_masks=masks[:, views:],
+            context=shown.images[:views],
+            target=shown.images[views:],
+            context_cameras=cameras.select(range(views)),
+            target_cameras=cameras.select(range(views, count)),
+            context_depths=torch.from_numpy(depths),
+            context_masks=shown.masks[:, :views],
+            target_masks=shown.masks[:, views:],
             edited_context=None if edited is None else edited[:views],
             edited_target=None if edited is None else edited[views:],
             name=name,
@@ -189,52 +182,35 @@ class _CastViews:
     views: list[CastImage]
 
     @cached_property
-    def images(self) -> Float[Tensor, "view 3 height width"]:
-        return (
-            torch.from_numpy(np.stack([view.image for view in self.views]))
-            .permute(0, 3, 1, 2)
-            .contiguous()
-        )
+    def images(self) -> Images:
+        images = torch.from_numpy(np.stack([view.image for view in self.views]))
+        return images.permute(0, 3, 1, 2).contiguous()
 
     @cached_property
     def masks(self) -> Float[Tensor, "object view height width"]:
-        return torch.from_numpy(
-            np.stack([view.coverage(self.objects) for view in self.views], 1)
-        )
+        masks = [view.coverage(self.objects) for view in self.views]
+        return torch.from_numpy(np.stack(masks, 1))
 
 
 def _packed(sample: SceneSample) -> SceneSample:
-    """Images and masks in 8 bits, as photos are; objects that no view shows are left out."""
-    seen = (sample.context_masks.amax((1, 2, 3)) > 0) | (
-        sample.target_masks.flatten(1).sum(1) > 0
-    )
+    """Images and masks in 8 bits; objects that no view shows are left out."""
+    seen = sample.context_masks.amax((1, 2, 3)) > 0
+    seen |= sample.target_masks.flatten(1).sum(1) > 0
     kept = replace(
         sample,
         context_masks=sample.context_masks[seen],
         target_masks=sample.target_masks[seen],
     )
-    eight = {
-        name: getattr(kept, name)
-        for name in EIGHT_BITS
-        if getattr(kept, name) is not None
-    }
-    return replace(
-        kept,
-        **{
-            name: (value * 255).round().to(torch.uint8) for name, value in eight.items()
-        },
-    )
+    return _with_images(kept, lambda x: (x * 255).round().to(torch.uint8))
 
 
-def _unpacked(sample: SceneSample) -> SceneSample:
-    eight = {
-        name: getattr(sample, name)
-        for name in EIGHT_BITS
-        if getattr(sample, name) is not None
-    }
-    return replace(
-        sample, **{name: value.float() / 255 for name, value in eight.items()}
-    )
+def _with_images(
+    sample: SceneSample, function: Callable[[Tensor], Tensor]
+) -> SceneSample:
+    """The sample with `function` of all its images and masks."""
+    images = {name: getattr(sample, name) for name in EIGHT_BITS}
+    changed = {name: function(x) for name, x in images.items() if x is not None}
+    return replace(sample, **changed)
 
 
 def _pick(

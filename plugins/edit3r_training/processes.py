@@ -2,13 +2,13 @@
 
 Every process holds the whole network and its own share of each batch. Gradients are averaged after
 each backward pass in one message, so all processes take the same optimiser step; nothing has to
-wrap the network, which a reconstructor keeps to itself. One process is the same code with nothing
-to send.
+wrap the network, which a reconstructor calls in its own way. One process is the same code with
+nothing to send.
 """
 
 import importlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -39,9 +39,7 @@ class Processes:
             for tensor in network.state_dict().values():
                 dist.broadcast(tensor, src=0)
 
-    def average_gradients(
-        self, parameters: Iterable[nn.Parameter], loss: Tensor
-    ) -> Tensor:
+    def average_gradients(self, parameters: list[nn.Parameter], loss: Tensor) -> Tensor:
         """Average all gradients in place and return the average loss; both NaN where any process's
         are.
 
@@ -50,30 +48,17 @@ class Processes:
         """
         if self.count == 1:
             return loss
-        parameters = list(parameters)
-        for dtype in sorted({parameter.dtype for parameter in parameters}, key=str):
-            self._average(
-                [parameter for parameter in parameters if parameter.dtype == dtype]
-            )
-        mean = loss.detach().clone()
-        dist.all_reduce(mean)
-        return mean / self.count
-
-    def _average(self, parameters: list[nn.Parameter]) -> None:
-        """One message: all gradients end to end, then 1 for each that exists."""
-        exist = parameters[0].new_tensor(
-            [float(p.grad is not None) for p in parameters]
-        )
+        exist = loss.new_tensor([float(p.grad is not None) for p in parameters])
         given = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
-        message = torch.cat([*(grad.flatten() for grad in given), exist]).detach()
-        dist.all_reduce(message)
-        *averaged, found = message.split(
-            [*(p.numel() for p in parameters), len(parameters)]
+        message = torch.cat(
+            [*(grad.flatten() for grad in given), exist, loss.detach()[None]]
         )
+        dist.all_reduce(message)
+        sizes = [*(p.numel() for p in parameters), len(parameters), 1]
+        *averaged, found, mean = (message / self.count).split(sizes)
         for parameter, grad, anywhere in zip(parameters, averaged, found.tolist()):
-            parameter.grad = (
-                (grad / self.count).view_as(parameter) if anywhere else None
-            )
+            parameter.grad = grad.view_as(parameter) if anywhere else None
+        return mean[0]
 
     def gathered(self, rows: list[Any]) -> list[Any]:
         """The lists of all processes joined, first process first; the same everywhere."""
@@ -88,10 +73,8 @@ class Processes:
         names.
         """
         full = [row for row in self.gathered(rows) if row]
-        return {
-            name: float(np.mean([row[name] for row in full]))
-            for name in (full[0] if full else ())
-        }
+        names = full[0] if full else ()
+        return {name: float(np.mean([row[name] for row in full])) for name in names}
 
     def any(self, asked: bool) -> bool:
         """Whether any process says so; all must ask at the same place."""
@@ -110,19 +93,16 @@ def own_device(name: str) -> torch.device:
         raise SettingsError(
             f"trainer.device: no torch device is called {name!r}; expected cpu, cuda or cuda:1."
         ) from None
-    if device.type == "cuda":
-        index = (
-            int(os.environ.get("LOCAL_RANK", "0"))
-            if device.index is None
-            else device.index
+    if device.type != "cuda":
+        return device
+    own = int(os.environ.get("LOCAL_RANK", "0"))
+    index = own if device.index is None else device.index
+    if index >= torch.cuda.device_count():
+        raise SettingsError(
+            f"trainer.device: cuda:{index} asked for, but {torch.cuda.device_count()} GPUs are "
+            "there."
         )
-        device = torch.device("cuda", index)
-        if index >= torch.cuda.device_count():
-            raise SettingsError(
-                f"trainer.device: {device} asked for, but {torch.cuda.device_count()} GPUs are "
-                "there."
-            )
-    return device
+    return torch.device("cuda", index)
 
 
 def is_first_process() -> bool:
@@ -145,14 +125,10 @@ def joined_processes(device: torch.device | None = None) -> Iterator[Processes]:
     if int(os.environ.get("WORLD_SIZE", "1")) < 2:
         yield Processes()
         return
-    missing = [
-        name
-        for name in ("RANK", "MASTER_ADDR", "MASTER_PORT")
-        if name not in os.environ
-    ]
+    missing = {"RANK", "MASTER_ADDR", "MASTER_PORT"} - os.environ.keys()
     if missing:
         raise SettingsError(
-            f"WORLD_SIZE is set but {missing[0]} is not; start several processes with torchrun."
+            f"WORLD_SIZE is set but {max(missing)} is not; start several processes with torchrun."
         )
     on_gpu = device is not None and device.type == "cuda"
     if on_gpu:

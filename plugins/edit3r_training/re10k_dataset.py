@@ -68,19 +68,16 @@ class Re10kDataset(PhotoDataset):
         if key not in self.places:
             raise InputError(f"{self.settings.root}: no chunk has the scene {key!r}.")
         chunk, place = self.places[key]
-        cameras, files, _ = _checked(_read_chunk(chunk)[place])
-        if max(indices) >= len(files):
+        scene = _checked(_read_chunk(chunk)[place])
+        count = len(scene["images"])
+        if max(indices) >= count:
             raise InputError(
-                f"scene {key}: frame {max(indices)} is asked for, it has {len(files)}."
+                f"scene {key}: frame {max(indices)} is asked for, it has {count}."
             )
-        squares = [
-            _square(files[index], cameras[index], self.settings.image_size, key)
-            for index in indices
-        ]
-        poses = _c2w(cameras[list(indices)]).numpy()
+        drawn = self._drawn(scene, list(indices))
         return [
-            Photo(i.permute(1, 2, 0).numpy(), k.double().numpy(), c2w)
-            for (i, k), c2w in zip(squares, poses)
+            Photo(image.permute(1, 2, 0).numpy(), k.double().numpy(), c2w.numpy())
+            for image, k, c2w in zip(drawn.images, drawn.intrinsics, drawn.c2w)
         ]
 
     def _label(self, scene: tuple[Path, int]) -> str:
@@ -89,21 +86,31 @@ class Re10kDataset(PhotoDataset):
     def _draw(
         self, scene: tuple[Path, int], rng: np.random.Generator, gap: tuple[int, int]
     ) -> DrawnPhotos:
-        chosen = self.settings
-        cameras, files, key = _checked(_read_chunk(scene[0])[scene[1]])
-        views = choose_by_gap(rng, len(files), chosen.context, chosen.targets, gap)
+        chosen, (chunk, place) = self.settings, scene
+        content = _checked(_read_chunk(chunk)[place])
+        count = len(content["images"])
+        views = choose_by_gap(rng, count, chosen.context, chosen.targets, gap)
         if views is None:
             raise InputError(
-                f"scene {key} has {len(files)} frames, too few for {chosen.context} context views."
+                f"scene {content['key']} has {count} frames, too few for {chosen.context} context "
+                "views."
             )
-        images, intrinsics = zip(
-            *(
-                _square(files[view], cameras[view], chosen.image_size, key)
-                for view in views
-            )
-        )
+        return self._drawn(content, views)
+
+    def _drawn(self, scene: dict, views: list[int]) -> DrawnPhotos:
+        """Some frames of a checked scene."""
+        cameras, files, key = scene["cameras"][views], scene["images"], scene["key"]
+        size = self.settings.image_size
+        squares = [_square(files[v], c, size, key) for v, c in zip(views, cameras)]
+        images, intrinsics = zip(*squares)
+        # The file has row-major 3x4 world-to-camera matrices.
+        w2c = torch.eye(4, dtype=torch.float64).repeat(len(views), 1, 1)
+        w2c[:, :3] = cameras[:, 6:].double().reshape(-1, 3, 4)
         return DrawnPhotos(
-            key, torch.stack(images), _c2w(cameras[views]), torch.stack(intrinsics)
+            scene=key,
+            images=torch.stack(images),
+            c2w=invert_rigid(w2c),
+            intrinsics=torch.stack(intrinsics),
         )
 
 
@@ -123,10 +130,8 @@ def _read_chunk(path: Path) -> list:
     return content
 
 
-def _checked(
-    scene: dict,
-) -> tuple[Float[Tensor, "frame 18"], list[UInt8[Tensor, " byte"]], str]:
-    """Cameras, JPEG files and key; InputError when they are not what the layout promises."""
+def _checked(scene: dict) -> dict:
+    """The scene, its key as text; InputError when it is not what the layout promises."""
     missing = [name for name in ("key", "cameras", "images") if name not in scene]
     if missing:
         raise InputError(f"a scene without {missing[0]!r}.")
@@ -138,14 +143,7 @@ def _checked(
         )
     if not cameras.isfinite().all():
         raise InputError(f"scene {key}: its cameras are not finite.")
-    return cameras, files, key
-
-
-def _c2w(cameras: Float[Tensor, "view 18"]) -> Float[Tensor, "view 4 4"]:
-    """Camera-to-world poses from the row-major 3x4 world-to-camera matrices of the file."""
-    w2c = torch.eye(4, dtype=torch.float64).repeat(len(cameras), 1, 1)
-    w2c[:, :3] = cameras[:, 6:].double().reshape(-1, 3, 4)
-    return invert_rigid(w2c)
+    return {**scene, "key": key}
 
 
 def _square(
@@ -153,9 +151,8 @@ def _square(
 ) -> tuple[Float[Tensor, "3 size size"], Float[Tensor, "3 3"]]:
     """The centred square of one frame in [0, 1], and its normalised intrinsics."""
     try:
-        image = Image.open(io.BytesIO(file.numpy().tobytes()), formats=FORMATS).convert(
-            "RGB"
-        )
+        content = io.BytesIO(file.numpy().tobytes())
+        image = Image.open(content, formats=FORMATS).convert("RGB")
     except (
         UnidentifiedImageError,
         OSError,
@@ -165,9 +162,6 @@ def _square(
         raise InputError(f"scene {key}: a frame is no image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
-    intrinsics = frame.follow(
-        torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    ).float()
-    return torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255).permute(
-        2, 0, 1
-    ), intrinsics
+    k = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    square = torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255)
+    return square.permute(2, 0, 1), frame.follow(k).float()

@@ -22,6 +22,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.config import Index, NonNegative, Share
 from edit3r.contract.interfaces import (
     LossInputs,
     Reconstructor,
@@ -60,27 +61,24 @@ class RecolorTrainer(Trainer):
         regimes: RegimeShares = Field(
             RegimeShares(), description="what is edited, how often"
         )
-        colour: float = Field(
-            1.0, ge=0, description="weight of the pixel-by-pixel colour error"
+        colour: NonNegative = Field(
+            1.0, description="weight of the pixel-by-pixel colour error"
         )
-        depth: float = Field(
-            1.0, ge=0, description="weight of the pixel-by-pixel depth error"
+        depth: NonNegative = Field(
+            1.0, description="weight of the pixel-by-pixel depth error"
         )
-        opacity: float = Field(
-            0.1, ge=0, description="weight of the pixel-by-pixel opacity error"
+        opacity: NonNegative = Field(
+            0.1, description="weight of the pixel-by-pixel opacity error"
         )
-        render_every: int = Field(
+        render_every: Index = Field(
             1,
-            ge=0,
             description="every n-th step also renders, for the job's losses; 0: never",
         )
         render_context: bool = Field(
             True, description="also render the input views; false: novel views alone"
         )
-        drop_first: float = Field(
+        drop_first: Share = Field(
             0.5,
-            ge=0,
-            le=1,
             description="how often the reference's Gaussians are left out",
         )
         unit: Unit = Field(
@@ -89,10 +87,8 @@ class RecolorTrainer(Trainer):
             "last input camera, which "
             "a network that sees images alone can tell",
         )
-        matched: float = Field(
+        matched: Share = Field(
             0.0,
-            ge=0,
-            le=1,
             description="share of the geometry that is matched, not simulated",
         )
         precision: Literal["float32", "bfloat16"] = Field(
@@ -126,17 +122,15 @@ class RecolorRecipe(Recipe):
                 "training.reconstructor: it has no network, so there is nothing to train."
             )
         super().__init__(job.reconstructor.network)
-        self.settings, self.job = settings, job
+        self.settings = settings
+        self.job = job
         self._reference = GeometricReference()
-        self._matches: dict[
-            str, SimulatedMatch | None
-        ] = {}  # by sample, where really matched
-        self._loader = (
-            ThreadPoolExecutor(settings.workers) if settings.workers else None
-        )
-        self._ahead: dict[
-            int, list[Future[SceneSample]]
-        ] = {}  # samples being loaded, by step
+        # By sample, where really matched.
+        self._matches: dict[str, SimulatedMatch | None] = {}
+        workers = settings.workers
+        self._loader = ThreadPoolExecutor(workers) if workers else None
+        # Samples being loaded, by step.
+        self._ahead: dict[int, list[Future[SceneSample]]] = {}
 
     def begin(self) -> None:
         """Freeze the geometric reference while the network has its start weights."""
@@ -149,34 +143,33 @@ class RecolorRecipe(Recipe):
 
     def validate(self, step: int, processes: Processes) -> dict[str, float]:
         """Measures of the held-out scenes, and a sheet of images of the first ones."""
-        sheet = (
-            self.job.out / "sheets" / f"{step:07d}.png" if processes.writes else None
-        )
-        chosen = self.settings
+        sheet = self.job.out / "sheets" / f"{step:07d}.png"
+        chosen, data = self.settings, self.job.validation_data
         batches = held_out_batches(
-            self.job.validation_data,
-            chosen.regimes,
-            chosen.batch,
-            chosen.unit,
-            self._match,
+            data, chosen.regimes, chosen.batch, chosen.unit, self._match
         )
         return held_out_measures(
-            self.job, processes, batches, chosen.score == "renderings", sheet
+            self.job,
+            processes,
+            batches,
+            rendered=chosen.score == "renderings",
+            sheet=sheet if processes.writes else None,
         )
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who
         draws them.
         """
-        size, seed = self.settings.batch, self.settings.seed
-        generators = [
-            step_generator(seed, step, processes.rank * size + slot)
-            for slot in range(size)
-        ]
+        chosen = self.settings
+        slots = range(
+            processes.rank * chosen.batch, (processes.rank + 1) * chosen.batch
+        )
+        generators = [step_generator(chosen.seed, step, slot) for slot in slots]
         samples = self._samples(step, processes)
-        return make_batch(
-            samples, self.settings.regimes, generators, self.settings.unit, self._match
-        ).to(self.device)
+        batch = make_batch(
+            samples, chosen.regimes, generators, chosen.unit, self._match
+        )
+        return batch.to(self.device)
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
         """What is said of a sample's geometry: now and then what the matcher itself says, where it
@@ -186,53 +179,42 @@ class RecolorRecipe(Recipe):
         if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
         if sample.name not in self._matches:
-            self._matches[sample.name] = really_match(
-                sample, self.job.reconstructor.matcher
-            )
+            matcher = self.job.reconstructor.matcher
+            self._matches[sample.name] = really_match(sample, matcher)
         return self._matches[sample.name] or simulate_match(sample, rng)
 
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
         """The samples of a step; with workers, those of the next are begun."""
         if self._loader is None:
-            return [
-                self._sample(index, step) for index in self._indices(step, processes)
-            ]
-        for wanted in (step, step + 1):
-            if wanted not in self._ahead:
-                self._ahead[wanted] = [
-                    self._begun(index, wanted)
-                    for index in self._indices(wanted, processes)
+            return [self._sample(*one) for one in self._wanted(step, processes)]
+        for near in (step, step + 1):
+            if near not in self._ahead:
+                # What a worker warns of is collected as if it were loaded here.
+                self._ahead[near] = [
+                    self._loader.submit(copy_context().run, self._sample, *one)
+                    for one in self._wanted(near, processes)
                 ]
         return [future.result() for future in self._ahead.pop(step)]
 
-    def _begun(self, index: int, step: int) -> "Future[SceneSample]":
-        """A sample that a worker loads; what it warns of is collected as if it were loaded here."""
-        return self._loader.submit(copy_context().run, self._sample, index, step)
+    def _wanted(self, step: int, processes: Processes) -> list[tuple[int, int]]:
+        """(index, step) of every sample of a step."""
+        chosen, place = self.settings, (processes.rank, processes.count)
+        length = len(self.job.train_data)
+        indices = batch_indices(step, chosen.batch, length, chosen.seed, *place)
+        return [(index, step) for index in indices]
 
     def _sample(self, index: int, step: int) -> SceneSample:
         """One sample, as hard as it should be at that step."""
-        return self.job.train_data.at_progress(
-            index, step / (self.settings.steps * self.settings.accumulate)
-        )
-
-    def _indices(self, step: int, processes: Processes) -> list[int]:
-        chosen, length = self.settings, len(self.job.train_data)
-        return batch_indices(
-            step, chosen.batch, length, chosen.seed, processes.rank, processes.count
-        )
+        steps = self.settings.steps * self.settings.accumulate
+        return self.job.train_data.at_progress(index, step / steps)
 
     def _terms(self, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""
         chosen = self.settings
-        with torch.autocast(
-            self.device.type, torch.bfloat16, enabled=chosen.precision == "bfloat16"
-        ):
+        half = chosen.precision == "bfloat16"
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=half):
             reconstruction = reconstruct(self.job, batch)
-        terms = (
-            self._pixel_terms(batch, reconstruction)
-            if chosen.colour or chosen.depth or chosen.opacity
-            else {}
-        )
+        terms = self._pixel_terms(batch, reconstruction)
         if chosen.render_every and step % chosen.render_every == 0:
             terms |= self._rendered_terms(batch, reconstruction.gaussians, step)
         return terms
@@ -241,15 +223,19 @@ class RecolorRecipe(Recipe):
         self, batch: TrainingBatch, reconstruction: Reconstruction
     ) -> dict[str, Tensor]:
         """The weighted errors of every pixel's own Gaussian."""
-        chosen, terms = self.settings, {}
+        chosen = self.settings
+        errors = {"colour": colour_error}
+        if batch.depths is not None:
+            errors |= {"depth": depth_error, "opacity": opacity_error}
+        weights = {name: getattr(chosen, name) for name in errors}
+        if not any(weights.values()):
+            return {}
         maps = pixel_maps(reconstruction, batch.context_cameras)
-        if chosen.colour:
-            terms["colour"] = chosen.colour * colour_error(maps, batch)
-        if batch.depths is not None and chosen.depth:
-            terms["depth"] = chosen.depth * depth_error(maps, batch)
-        if batch.depths is not None and chosen.opacity:
-            terms["opacity"] = chosen.opacity * opacity_error(maps, batch)
-        return terms
+        return {
+            name: weight * errors[name](maps, batch)
+            for name, weight in weights.items()
+            if weight
+        }
 
     def _rendered_terms(
         self, batch: TrainingBatch, gaussians: Gaussians, step: int
@@ -259,17 +245,15 @@ class RecolorRecipe(Recipe):
         First-view drop (section 3.3): now and then without the reference's Gaussians, so that the
         others have to show the edit; the reference's own view cannot be asked for then.
         """
-        dropped = (
-            step_generator(self.settings.seed, step, 1_000_000).random()
-            < self.settings.drop_first
-        )
+        chosen = self.settings
+        draw = step_generator(chosen.seed, step, 1_000_000).random()
+        dropped = draw < chosen.drop_first
         shown = gaussians.without_view(0) if dropped else gaussians
-        first = int(dropped) if self.settings.render_context else batch.source.count
+        first = int(dropped) if chosen.render_context else batch.source.count
         cameras, wished = _supervised_views(batch, first)
         rendered = self.job.rasterizer.render(shown, cameras).images
-        inputs = LossInputs(
-            rendered, wished, gaussians, self._reference(batch, gaussians)
-        )
+        reference = self._reference(batch, gaussians)
+        inputs = LossInputs(rendered, wished, gaussians, reference)
         return {
             name: weight * loss(inputs)
             for name, (weight, loss) in self.job.losses.items()
@@ -281,9 +265,10 @@ def _supervised_views(
 ) -> tuple[Cameras, Float[Tensor, "batch view 3 height width"]]:
     """Cameras and wished images of the context views from `first` on and of the target views."""
     context, target = batch.context_cameras, batch.target_cameras
+    kept = context.select(range(first, context.count))
     cameras = Cameras(
-        torch.cat((context.c2w[:, first:], target.c2w), 1),
-        torch.cat((context.intrinsics[:, first:], target.intrinsics), 1),
+        torch.cat((kept.c2w, target.c2w), 1),
+        torch.cat((kept.intrinsics, target.intrinsics), 1),
         context.image_size,
     )
     return cameras, torch.cat((batch.truth[:, first:], batch.target), 1)
@@ -306,13 +291,9 @@ class GeometricReference:
         there are no depths.
         """
         frozen = job.reference
-        if frozen is None and (
-            not job.losses or job.train_data[0].context_depths is not None
-        ):
-            return GeometricReference()
-        if frozen is None:
+        if frozen is None and job.losses and job.train_data[0].context_depths is None:
             frozen = copy.deepcopy(job.reconstructor)
-        if frozen.network is not None:
+        if frozen is not None and frozen.network is not None:
             device = next(job.reconstructor.network.parameters()).device
             frozen.network.eval().requires_grad_(False).to(device)
         return GeometricReference(frozen)
@@ -320,12 +301,10 @@ class GeometricReference:
     @torch.no_grad()
     def __call__(self, batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
         """Reference Gaussians, one for each predicted; None when there are none."""
-        frozen = self.frozen
-        centres = (
-            batch.true_centres()
-            if frozen is None
-            else frozen(batch.source, batch.source).gaussians.means
-        )
+        if self.frozen is None:
+            centres = batch.true_centres()
+        else:
+            centres = self.frozen(batch.source, batch.source).gaussians.means
         if centres is None or centres.shape != gaussians.means.shape:
             return None
         return replace(gaussians, means=centres)

@@ -3,8 +3,10 @@ theirs.
 """
 
 import math
+import random
 
 import numpy as np
+import torch
 
 
 def warmup_cosine(step: int, steps: int, warmup: int, floor: float = 0.05) -> float:
@@ -32,6 +34,14 @@ def batch_indices(
 def step_generator(seed: int, step: int, slot: int) -> np.random.Generator:
     """The random numbers of one sample of one step: nothing to save, nothing to restore."""
     return np.random.default_rng((seed, step, slot))
+
+
+def seed_everything(*numbers: int) -> None:
+    """Start the generators of torch, numpy and Python from these numbers, for whoever uses them."""
+    seed = int(np.random.SeedSequence(numbers).generate_state(1)[0])
+    random.seed(seed)
+    np.random.seed(seed)
+    torch.manual_seed(seed)
 
 
 def _shuffled(position: int, length: int, seed: int) -> int:

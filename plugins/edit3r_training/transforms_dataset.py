@@ -16,6 +16,7 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.config import Count
 from edit3r.errors import InputError
 from edit3r.io.cameras import CAMERA_FILES, PosedCamera
 from edit3r.io.decode import read_image
@@ -37,7 +38,7 @@ class TransformsDataset(PhotoDataset):
 
     class Settings(PhotoSettings):
         root: str = Field(description="folder that holds scene folders, at any depth")
-        samples: int = Field(100, ge=1, description="draws per scene")
+        samples: Count = Field(100, description="draws per scene")
         targets: int = Field(2, ge=0, le=16, description="novel views")
         select: Literal["angle", "gap"] = Field(
             "angle", description="choose views by angle, or by gap in the sequence"
@@ -52,6 +53,11 @@ class TransformsDataset(PhotoDataset):
             "",
             description="folder with what `edit3r recolor` wrote for each scene, under the "
             "scene's name; empty: none",
+        )
+        edits: str = Field(
+            "",
+            description="folder with an editor's image of every photo, SCENE/PHOTO.png or .jpg, "
+            "for the regime viewwise; empty: none",
         )
 
     @cached_property
@@ -80,20 +86,22 @@ class TransformsDataset(PhotoDataset):
             raise InputError(
                 f"{scene}: no {chosen.context} photos fit the {chosen.select} asked for."
             )
-        photos, cameras = zip(
-            *(
-                (folder.load(view, chosen.image_size), folder.cameras[view])
-                for view in views
-            )
-        )
+        size = chosen.image_size
+        photos = [folder.load(view, size) for view in views]
+        cameras = [folder.cameras[view] for view in views]
+        edited = None
+        if chosen.edits:
+            edits = Path(chosen.edits) / folder.name
+            edited = torch.stack([_edit_of(edits, camera, size) for camera in cameras])
+        images = torch.from_numpy(np.stack([photo.image for photo in photos]))
+        lenses = torch.from_numpy(np.stack([photo.intrinsics for photo in photos]))
         return DrawnPhotos(
-            folder.name,
-            torch.from_numpy(np.stack([p.image for p in photos]))
-            .permute(0, 3, 1, 2)
-            .contiguous(),
-            torch.from_numpy(np.stack([p.c2w for p in photos])),
-            torch.from_numpy(np.stack([p.intrinsics for p in photos])).float(),
-            None if regions is None else regions.masks(cameras, chosen.image_size),
+            scene=folder.name,
+            images=images.permute(0, 3, 1, 2).contiguous(),
+            c2w=torch.from_numpy(np.stack([photo.c2w for photo in photos])),
+            intrinsics=lenses.float(),
+            masks=None if regions is None else regions.masks(cameras, size),
+            edited=edited,
         )
 
     def _choose(
@@ -141,13 +149,11 @@ class SceneRegions:
         """Soft masks of every object on the centred squares of these photos; zero where an object
         is not seen.
         """
-        numbers = [region.id for region in self.recipe.regions]
-        return torch.stack(
-            [
-                torch.stack([self._mask(n, camera, size) for camera in cameras])
-                for n in numbers
-            ]
-        )
+        objects = [
+            torch.stack([self._mask(region.id, camera, size) for camera in cameras])
+            for region in self.recipe.regions
+        ]
+        return torch.stack(objects)
 
     def _mask(
         self, number: int, camera: PosedCamera, size: int
@@ -156,7 +162,23 @@ class SceneRegions:
         file = self.path / MASKS / str(number) / f"{Path(camera.file).stem}.png"
         if not file.is_file():
             return torch.zeros(size, size)
-        mask = read_image(file).convert("L")
-        frame = frame_for((mask.height, mask.width), (size, size)).through(camera.lens)
-        cut = frame.cut(mask, Image.Resampling.BILINEAR)
-        return torch.from_numpy(np.asarray(cut, np.float32) / 255)
+        return _cut(read_image(file).convert("L"), camera, size)
+
+
+def _edit_of(
+    folder: Path, camera: PosedCamera, size: int
+) -> Float[Tensor, "3 size size"]:
+    """The edited image of one photo, cut as the photo is; raises InputError where it is missing."""
+    name = Path(camera.file).stem
+    files = [folder / f"{name}{suffix}" for suffix in (".png", ".jpg")]
+    found = [file for file in files if file.is_file()]
+    if not found:
+        raise InputError(f"{folder}: no edited image {name}.png or {name}.jpg in it.")
+    return _cut(read_image(found[0]), camera, size).permute(2, 0, 1)
+
+
+def _cut(image: Image.Image, camera: PosedCamera, size: int) -> Tensor:
+    """The centred square of an image in [0, 1], without the lens distortion of its photo."""
+    frame = frame_for((image.height, image.width), (size, size)).through(camera.lens)
+    cut = frame.cut(image, Image.Resampling.BILINEAR)
+    return torch.from_numpy(np.asarray(cut, np.float32) / 255)

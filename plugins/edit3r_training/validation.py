@@ -1,12 +1,9 @@
 """What a network does with held-out scenes, measured, and shown on a sheet of images."""
 
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from edit3r import reporting
 from edit3r.contract.interfaces import Dataset, TakesGeometry, TrainingJob
@@ -55,48 +52,36 @@ def held_out_measures(
     `sheet` is where to write images of the first scenes; None on processes that do not write.
     """
     device = next(job.reconstructor.network.parameters()).device
-    made = _reconstructions(
-        job, [batch.to(device) for batch in batches[processes.rank :: processes.count]]
-    )
-    maps = [
-        (pixel_maps(reconstruction, batch.context_cameras), batch)
-        for reconstruction, batch in made
-    ]
-    rows = [_measured(m, b) for m, b in maps]
-    if rendered:
-        rows = [row | _novel(job, *one) for row, one in zip(rows, made)]
+    rows, shown = [], None
+    for held_out in batches[processes.rank :: processes.count]:
+        batch = held_out.to(device)
+        try:
+            made = reconstruct(job, batch)
+        except MatchingError:
+            continue
+        maps = pixel_maps(made, batch.context_cameras)
+        row = _measured(maps, batch)
+        rows.append(row | _novel(job, made, batch) if rendered else row)
+        shown = shown or (maps, batch)
     values = processes.means(rows)
     if not values:
         reporting.warn(
             "none of the held-out scenes could be matched; the best weights are the first ones."
         )
-    if sheet is not None and maps:
-        _save_sheet(sheet, *maps[0])
+    if sheet is not None and shown is not None:
+        _save_sheet(sheet, *shown)
     return values
 
 
-def _reconstructions(
-    job: TrainingJob, batches: Sequence[TrainingBatch]
-) -> list[tuple[Reconstruction, TrainingBatch]]:
-    """What the network makes of each batch; those that cannot be matched are left out."""
-    found = []
-    for batch in batches:
-        with contextlib.suppress(MatchingError):
-            found.append((reconstruct(job, batch), batch))
-    return found
-
-
 def _novel(
-    job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatch
+    job: TrainingJob, made: Reconstruction, batch: TrainingBatch
 ) -> dict[str, float]:
     """Mean squared error of the rendered target views, which is the score too."""
     if batch.target_cameras.count == 0:
         raise SettingsError(
             "trainer.score: renderings need held-out scenes with novel views; give them targets."
         )
-    rendered = job.rasterizer.render(
-        reconstruction.gaussians, batch.target_cameras
-    ).images
+    rendered = job.rasterizer.render(made.gaussians, batch.target_cameras).images
     error = float((rendered - batch.target).square().mean())
     return {"novel": error, "score": error}
 
@@ -121,10 +106,8 @@ def held_out_batches(
 def _measured(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:
     """All measures of one batch; `score` decides about the best weights."""
     colour = float(colour_error(maps, batch))
-    score = colour + (
-        float(depth_error(maps, batch)) if batch.depths is not None else 0.0
-    )
-    return {"colour": colour, **edit_measures(maps, batch), "score": score}
+    depth = 0.0 if batch.depths is None else float(depth_error(maps, batch))
+    return {"colour": colour, **edit_measures(maps, batch), "score": colour + depth}
 
 
 def _save_sheet(
@@ -135,31 +118,15 @@ def _save_sheet(
 
     Where the data has depths, the last view's inverse depth follows: true, matched and predicted.
     """
-    lines = []
-    for scene in range(min(rows, len(batch.truth))):
-        last = batch.truth.shape[1] - 1
-        images = [
-            batch.source.images[scene, 0],
-            batch.edited.images[scene, 0],
-            batch.source.images[scene, last],
-            batch.edited.images[scene, last],
-            batch.truth[scene, last],
-            maps.colours[scene, last],
-        ]
-        if batch.depths is not None and batch.geometry is not None:
-            shown = (batch.depths, batch.geometry.depths, maps.depths)
-            images += [
-                _inverse_depth(d[scene, last], batch.depths[scene, last]) for d in shown
-            ]
-        lines.append(torch.cat(images, -1))
+    source, edited, truth = batch.source.images, batch.edited.images, batch.truth
+    columns = [source[:, 0], edited[:, 0], source[:, -1], edited[:, -1], truth[:, -1]]
+    columns.append(maps.colours[:, -1])
+    if batch.geometry is not None:
+        near = batch.depths[:, -1].amin((1, 2), keepdim=True)
+        for depths in (batch.depths, batch.geometry.depths, maps.depths):
+            # Inverse depth, white where the true depth is smallest.
+            grey = (near / depths[:, -1].clamp(min=1e-6)).clamp(0, 1)
+            columns.append(grey[:, None].expand_as(truth[:, -1]))
+    lines = torch.cat(columns, -1)[:rows]
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_image(torch.cat(lines, -2).nan_to_num(), path)
-
-
-def _inverse_depth(
-    depths: Float[Tensor, "height width"], truth: Float[Tensor, "height width"]
-) -> Float[Tensor, "3 height width"]:
-    """Inverse depth as grey, white where the true depth is smallest."""
-    inverse = 1 / depths.clamp(min=1e-6)
-    top = (1 / truth).max()
-    return (inverse / top).clamp(0, 1).expand(3, -1, -1)
+    save_image(torch.cat(list(lines), -2).nan_to_num(), path)

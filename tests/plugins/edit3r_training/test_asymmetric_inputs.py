@@ -3,19 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
+from edit3r_training.asymmetric_inputs import REGIMES, RegimeShares, edit_sample
 from edit3r_training.procedural_dataset import ProceduralDataset
 
 SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[1]
 
 
-def _edit(regime: str, seed: int = 0, **more):
-    shares = {
-        name: float(name == regime)
-        for name in ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
-    }
+def _edit(regime: str, seed: int = 0, sample=SAMPLE, **more):
+    shares = {name: float(name == regime) for name in REGIMES}
     return edit_sample(
-        SAMPLE,
+        sample,
         RegimeShares(**shares, **{"mask_jitter": 0, **more}),
         np.random.default_rng(seed),
     )
@@ -48,7 +45,7 @@ def test_unedited_regime_changes_nothing():
     )
 
 
-def test_viewwise_regime_asks_for_every_picture_s_own_edit():
+def test_viewwise_regime_asks_for_every_image_s_own_edit():
     edit = _edit("viewwise")
     assert torch.equal(edit.edited, edit.truth)
     changes = [
@@ -56,6 +53,15 @@ def test_viewwise_regime_asks_for_every_picture_s_own_edit():
         for image, photo in zip(edit.edited, SAMPLE.context)
     ]
     assert (changes[0] - changes[1]).abs().max() > 0.02
+
+
+def test_viewwise_regime_takes_the_edits_that_the_data_brings():
+    own = replace(
+        SAMPLE, edited_context=1 - SAMPLE.context, edited_target=1 - SAMPLE.target
+    )
+    edit = _edit("viewwise", sample=own)
+    assert torch.equal(edit.edited, 1 - SAMPLE.context)
+    assert torch.equal(edit.target, 1 - SAMPLE.target)
 
 
 def test_jittered_masks_spoil_the_input_but_not_the_truth():

@@ -6,7 +6,7 @@ from edit3r_training.batches import make_batch
 from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
 from edit3r_training.schedule import step_generator
 
-from edit3r.contract.interfaces import Dataset
+from edit3r.contract.interfaces import Dataset, Reconstructor
 from edit3r.plugins.registry import build
 from edit3r_testing.training import tiny_job
 
@@ -26,13 +26,14 @@ class WithoutDepths:
         return replace(self.data[index], context_depths=None)
 
 
-class MovingReconstructor:
+class MovingReconstructor(Reconstructor):
     """Puts the tiny job's Gaussians at a depth that is learned."""
 
-    takes_geometry = False
+    network = None
 
     def __init__(self, inner) -> None:
-        self.inner, self.network = inner, torch.nn.Linear(1, 1)
+        self.inner = inner
+        self.network = torch.nn.Linear(1, 1)
 
     def __call__(self, views, source=None, grid=None):
         answer = self.inner(views, source)

@@ -4,19 +4,16 @@ loop.
 
 import json
 import os
+import random
 import signal
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
-from edit3r_training.loop import (
-    Journal,
-    LoopSettings,
-    Recipe,
-    StepLoss,
-    StopRequest,
-    train,
-)
+from edit3r_training.journal import Journal
+from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
+from edit3r_training.stopping import StopRequest
 from torch import nn
 
 from edit3r.contract.interfaces import TrainingJob
@@ -177,7 +174,10 @@ def test_pretrained_weights_that_do_not_exist_are_an_error_that_lists_those_that
 
 
 class _Interrupted(_Line):
-    """Ctrl-C is pressed in batch 3, in the validation of step 4, or in the update of step 3."""
+    """Ctrl-C is pressed in batch 3, in the validation of step 4, or while its weights are written.
+
+    The loss draws from all generators that a loss may use.
+    """
 
     def __init__(self, where: str) -> None:
         super().__init__()
@@ -185,15 +185,18 @@ class _Interrupted(_Line):
 
     def loss(self, step, processes) -> StepLoss:
         self._interrupt("batch", step == 2)
-        return super().loss(step, processes)
+        total = super().loss(step, processes).total
+        drawn = random.random() + np.random.rand() + torch.rand(())
+        return StepLoss(total * drawn, {"drawn": drawn})
 
     def validate(self, step, processes) -> dict[str, float]:
         self._interrupt("validation", step == 4)
         return {"score": -float(step)}
 
-    def save_best(self, folder, weights) -> None:
-        super().save_best(folder, weights)
-        self._interrupt("files", (folder.parent / "log.jsonl").exists())
+    def weights_metadata(self) -> dict[str, str]:
+        """As the reconstructor: what is asked for when the best weights are written."""
+        self._interrupt("files", bool(self.asked))
+        return {}
 
     def _interrupt(self, where: str, now: bool) -> None:
         if now and self.where == where:
@@ -211,10 +214,13 @@ def test_ctrl_c_leaves_a_step_at_once_and_a_resumed_training_ends_like_a_straigh
     settings = LoopSettings(
         warmup=1, steps=6, validate_every=2, checkpoint_every=100, log_every=1
     )
+    interrupted = _Interrupted(where)
+    stopped = tiny_job(tmp_path / "stopped")
+    stopped.reconstructor.weights_metadata = interrupted.weights_metadata
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            train(_Interrupted(where), settings, tiny_job(tmp_path / "stopped"))
+            train(interrupted, settings, stopped)
     finally:
         signal.signal(signal.SIGINT, before)
     assert (

@@ -117,7 +117,7 @@ import torch
 
 
 class LPIPS(torch.nn.Module):
-    """The call of lpips.LPIPS; the distance of pictures in [-1, 1] is their mean squared difference."""
+    """The call of lpips.LPIPS: the mean squared difference of images in [-1, 1]."""
 
     def __init__(self, net, verbose):
         super().__init__()

@@ -1,5 +1,6 @@
 import io
 import json
+import re
 from typing import ClassVar
 
 import numpy as np
@@ -247,17 +248,17 @@ def test_the_same_index_gives_the_same_sample(tmp_path):
     assert torch.equal(first.context_cameras.c2w, second.context_cameras.c2w)
 
 
-@pytest.mark.parametrize("mirror", [0, 1])
-def test_pictures_and_poses_fit_each_other_mirrored_or_not(mirror):
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_images_and_poses_fit_each_other_mirrored_or_not(mirrored):
     """A surface point of view 0 projects into view 1 to where the same colour is seen."""
     cameras = SCENE.context_cameras
     drawn = DrawnPhotos(
         "scene", SCENE.context[:2], cameras.c2w[0, :2], cameras.intrinsics[0, :2]
     )
-    sample = drawn.sample(2, "scene-0", mirror, np.random.default_rng(0))
+    sample = drawn.sample(2, "scene-0", mirrored)
     unit = 1 / SCENE.context_cameras.c2w[0, 1, :3, 3].norm()
     depth = SCENE.context_depths[:1] * unit
-    depth = depth.flip(-1) if mirror else depth
+    depth = depth.flip(-1) if mirrored else depth
     cameras = sample.context_cameras
     points = unproject(depth, cameras.intrinsics[0, :1], cameras.c2w[0, :1]).reshape(
         1, -1, 3
@@ -295,3 +296,48 @@ def test_frames_of_a_chunk_are_found_by_the_scenes_key(tmp_path):
         data.photos("wanted", (0, 9))
     with pytest.raises(InputError, match="no chunk has the scene 'lost'"):
         data.photos("lost", (0,))
+
+
+@pytest.mark.parametrize(
+    ("limit", "reason"),
+    [
+        ({"baseline": (1e-3, 1e-2)}, "context cameras are .* apart.*setting baseline"),
+        ({"baseline": (1e3, 1e4)}, "context cameras are .* apart.*setting baseline"),
+        ({"max_fov": 20}, "field of view of .* degrees.*setting max_fov"),
+    ],
+)
+@pytest.mark.parametrize("make", [_transforms, _re10k])
+def test_views_that_teach_nothing_are_skipped_with_the_setting_that_says_so(
+    tmp_path, make, limit, reason
+):
+    _write_transforms(tmp_path / "a")
+    torch.save([_chunk_scene()], tmp_path / "0.torch")
+    report = Report()
+    with collecting(report), pytest.raises(InputError, match="none of its 1 scenes"):
+        make(tmp_path, **limit)[0]
+    assert re.search(reason, report.warnings[0])
+
+
+def _write_edits(folder) -> None:
+    """An editor's image of every photo: its negative."""
+    folder.mkdir(parents=True)
+    for view, picture in enumerate(PICTURES):
+        Image.fromarray(255 - picture).save(folder / f"{view}.png")
+
+
+@pytest.mark.parametrize("mirror", [0, 1])
+def test_an_editor_s_images_come_with_the_photos_they_are_of(tmp_path, mirror):
+    _write_transforms(tmp_path / "photos" / "a")
+    _write_edits(tmp_path / "edits" / "a")
+    edits = str(tmp_path / "edits")
+    sample = _transforms(tmp_path / "photos", edits=edits, mirror=mirror)[0]
+    assert torch.allclose(sample.edited_context, 1 - sample.context, atol=1e-3)
+    assert torch.allclose(sample.edited_target, 1 - sample.target, atol=1e-3)
+
+
+def test_a_photo_without_its_editor_s_image_is_named(tmp_path):
+    _write_transforms(tmp_path / "photos" / "a")
+    report = Report()
+    with collecting(report), pytest.raises(InputError):
+        _transforms(tmp_path / "photos", edits=str(tmp_path / "edits"))[0]
+    assert "no edited image" in report.warnings[0]

@@ -6,7 +6,7 @@ from edit3r_training.procedural_scenes import (
     LEVELS,
     ROOM,
     TILE,
-    Scene,
+    ProceduralScene,
     look_at,
 )
 from edit3r_training.raycaster import cast
@@ -14,13 +14,13 @@ from edit3r_training.raycaster import cast
 K = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
 
 
-def _scene(*objects) -> Scene:
+def _scene(*objects) -> ProceduralScene:
     """A room of half side 10 and objects given as (kind, centre, half extents); textures are plain
     grey.
     """
     rows = [(ROOM, (0, 0, 0), (10, 10, 10)), *objects]
     count = len(rows)
-    return Scene(
+    return ProceduralScene(
         kinds=np.array([row[0] for row in rows]),
         centres=np.array([row[1] for row in rows], float),
         world_to_local=np.stack([np.diag(1 / np.array(row[2], float)) for row in rows]),
@@ -32,7 +32,7 @@ def _scene(*objects) -> Scene:
     )
 
 
-def _cast(scene: Scene, size: int = 33):
+def _cast(scene: ProceduralScene, size: int = 33):
     bank = np.full((1, LEVELS, TILE, TILE, 3), 128, np.uint8)
     return cast(
         scene, bank, look_at(np.array([0.0, 0, -3]), np.zeros(3)), K, (size, size)

@@ -17,7 +17,13 @@ from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 from edit3r_training.schedule import step_generator
 from edit3r_training.validation import held_out_batches, held_out_measures
 
-from edit3r.contract.interfaces import Dataset, MatchedGeometry, Matcher, TrainingJob
+from edit3r.contract.interfaces import (
+    Dataset,
+    MatchedGeometry,
+    Matcher,
+    Reconstructor,
+    TrainingJob,
+)
 from edit3r.errors import MatchingError, PluginError, SettingsError
 from edit3r.geometry.cameras import scale_poses
 from edit3r.plugins.registry import build
@@ -187,8 +193,7 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
 
 
 def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
-    class Unmatched:
-        takes_geometry = False
+    class Unmatched(Reconstructor):
         network = torch.nn.Linear(2, 2)
 
         def __call__(self, views, source=None, grid=None):
@@ -213,8 +218,6 @@ class _Spy:
     """Stands between a recipe and its reconstructor, rasterizer and loss, and keeps what each is
     given last.
     """
-
-    takes_geometry = False
 
     def __init__(self, job: TrainingJob, **settings) -> None:
         self.reconstructor, self.rasterizer, self.network = (
@@ -299,8 +302,7 @@ def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
 
 
 def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
-    class Frozen:
-        takes_geometry = False
+    class Frozen(Reconstructor):
         network = torch.nn.Linear(2, 2)
 
         def __call__(self, views, source=None, grid=None):
@@ -505,10 +507,8 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
     job = tiny_job(tmp_path)
     inner = job.reconstructor
 
-    class Half:
+    class Half(Reconstructor):
         """Every second pixel alone has a Gaussian."""
-
-        takes_geometry = False
 
         network = inner.network
 
