@@ -1,8 +1,10 @@
 """What each combination of editor, reconstructor, matcher and segmenter costs that needs no weights
 from elsewhere.
 
-    python benchmarks/combinations.py                                 editors x classical, edit3r; matchers; segmenter
-    python benchmarks/combinations.py --editors looks --recons refit  and single ones, added to those before
+    # editors x classical, edit3r; matchers; segmenter
+    python benchmarks/combinations.py
+    # and single ones, added to those before
+    python benchmarks/combinations.py --editors looks --recons refit
 
 Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of its own on one thread.
 Results go into `benchmarks/combinations.json`, from which `python docs/generate.py` makes the

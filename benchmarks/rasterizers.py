@@ -1,7 +1,9 @@
 """Milliseconds per frame of the CPU rasterizers on pixel-aligned Gaussians, and how they grow.
 
-    python benchmarks/rasterizers.py                 # the table: 131,072 Gaussians, 256x256 and 512x512
-    python benchmarks/rasterizers.py --growth        # also 1e3 to 4e6 Gaussians, 128x128 to 1024x1024, with a plot
+    # the table: 131,072 Gaussians, 256x256 and 512x512
+    python benchmarks/rasterizers.py
+    # also 1e3 to 4e6 Gaussians, 128x128 to 1024x1024, with a plot
+    python benchmarks/rasterizers.py --growth
     python benchmarks/rasterizers.py --growth --torch-seconds 600 --out docs/images
 
 The scene is what a feed-forward reconstructor makes: one Gaussian per pixel of two square views of

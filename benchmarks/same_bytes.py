@@ -25,7 +25,8 @@ from edit3r.pipeline.config import RunConfig
 from edit3r.selection.select import Selection
 
 def digest(*tensors):
-    return hashlib.sha256(b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)).hexdigest()[:16]
+    content = b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)
+    return hashlib.sha256(content).hexdigest()[:16]
 
 torch.set_num_threads(int(sys.argv[1]))
 photos, cameras = packaged_pair()
@@ -35,7 +36,8 @@ gaussians = result.gaussians
 fields = ("means", "scales", "quats", "opacities", "harmonics")
 print(json.dumps({
     "photos": digest(views.images), "edit": digest(result.edited.images),
-    "poses": digest(result.cameras.c2w), "gaussians": digest(*(getattr(gaussians, field) for field in fields)),
+    "poses": digest(result.cameras.c2w),
+    "gaussians": digest(*(getattr(gaussians, field) for field in fields)),
     "render": digest(result.rendered.images),
 }))
 """

@@ -4,8 +4,9 @@ The reference (hooks, components with their settings, commands, Python) is built
 never checked in: mkdocs calls `on_files`. The examples stand in the pages, between markers, so that
 they can be read anywhere:
 
-    python docs/generate.py            rewrite the marked parts: of docs/plugins/*.md from edit3r/cli/templates, of
-                                       docs/combinations.md from what components declare and a benchmark measured
+    # rewrite the marked parts: of docs/plugins/*.md from edit3r/cli/templates, of
+    # docs/combinations.md from what components declare and a benchmark measured
+    python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
 
@@ -81,7 +82,8 @@ def hooks_page() -> str:
             *rows,
         ]
     )
-    return f"# Hooks\n\n{inspect.getdoc(hookspecs)}\n\nAPI version {hookspecs.API_VERSION}.\n\n{table}\n"
+    about = inspect.getdoc(hookspecs)
+    return f"# Hooks\n\n{about}\n\nAPI version {hookspecs.API_VERSION}.\n\n{table}\n"
 
 
 def components_page(registry: Registry, kind: str) -> str:
@@ -100,7 +102,9 @@ def component_section(registry: Registry, offer: Offer) -> str:
     facts = "\n".join(
         f"- {what}: {value}" for what, value in metadata_lines(offer.component)
     )
-    head = f"## `{offer.component.name}`\n\nPlugin {offer.plugin}: {offer.component.summary}\n\n{facts}"
+    component = offer.component
+    summary = f"Plugin {offer.plugin}: {component.summary}"
+    head = f"## `{component.name}`\n\n{summary}\n\n{facts}"
     try:
         settings = registry.settings_class(offer)
     except Edit3rError as error:
@@ -135,7 +139,8 @@ def commands_page() -> str:
         parser = argparse.ArgumentParser(prog=f"edit3r {name}", formatter_class=_Narrow)
         find_command(name).add_arguments(parser)
         sections.append(
-            f"## `edit3r {name}`\n\n{summary[0].upper()}{summary[1:]}.\n\n```text\n{parser.format_help()}```"
+            f"## `edit3r {name}`\n\n{summary[0].upper()}{summary[1:]}.\n\n"
+            f"```text\n{parser.format_help()}```"
         )
         sections += _steps_of(name, parser)
     return "\n\n".join(sections) + "\n"

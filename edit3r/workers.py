@@ -74,7 +74,10 @@ class Progress:
         size, unit = (
             (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
         )
-        return f"  [{self.done}/{self.total}] {of}{self.key}: {what}; about {left / size:.0f} {unit} left"
+        return (
+            f"  [{self.done}/{self.total}] {of}{self.key}: {what}; about "
+            f"{left / size:.0f} {unit} left"
+        )
 
 
 def run_resumable(
@@ -229,7 +232,10 @@ class _WorkerDied(Exception):
     """A worker ended in the middle of a job."""
 
     def __str__(self) -> str:
-        return "the worker process died: out of memory, or a crash inside a library; run again, with fewer --workers."
+        return (
+            "the worker process died: out of memory, or a crash inside a library; run "
+            "again, with fewer --workers."
+        )
 
 
 class _InProcesses:

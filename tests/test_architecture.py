@@ -378,7 +378,8 @@ files = set()
 
 def note(frame, event, _):
     code = frame.f_code
-    if event == "call" and code.co_flags & inspect.CO_OPTIMIZED:  # a function, not the body of a module or class
+    # a function, not the body of a module or class
+    if event == "call" and code.co_flags & inspect.CO_OPTIMIZED:
         files.add(code.co_filename)
 
 from edit3r.cli.main import main

@@ -143,7 +143,10 @@ def test_every_table_of_figures_names_the_command_that_makes_it(page):
         ), f"{page}: {what}"
 
 
-NOT_MEASURED = r"`[^`]*`|<!--.*?-->|\(#?[\w./-]+\)|(Apache-|BY-NC-SA |section |torch |at least |above |\^)[\d.]+\S*"
+NOT_MEASURED = (
+    r"`[^`]*`|<!--.*?-->|\(#?[\w./-]+\)|(Apache-|BY-NC-SA |section |torch |at "
+    r"least |above |\^)[\d.]+\S*"
+)
 """Decimals that nobody measured: settings and paths, licences, versions, limits."""
 
 

@@ -50,7 +50,9 @@ def _use(offer, settings) -> str:
 
 def _title(offer) -> str:
     version = f" {offer.version}" if offer.version else " (local file)"
-    return f"{offer.kind} {offer.component.name}, from plugin {offer.plugin}{version}\n{offer.component.summary}"
+    component = offer.component
+    source = f"from plugin {offer.plugin}{version}"
+    return f"{offer.kind} {component.name}, {source}\n{component.summary}"
 
 
 def _table(rows) -> str:
@@ -79,4 +81,5 @@ def _flag(offer, lines) -> str:
     name, value = lines[0].name, lines[0].default_yaml
     if offer.kind == "refiner":
         return f"--set 'refiners=[{{name: {offer.component.name}, {name}: {value}}}]'"
-    return f"--set {'reconstructor.' if offer.kind in PART_KINDS else ''}{offer.kind}.{name}={value}"
+    owner = "reconstructor." if offer.kind in PART_KINDS else ""
+    return f"--set {owner}{offer.kind}.{name}={value}"

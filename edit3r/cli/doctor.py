@@ -100,7 +100,7 @@ def examine(registry: Registry, config: "RunConfig") -> Mapping[str, Iterator[Fi
 
 
 def versions() -> Iterator[Finding]:
-    """Python, edit3r, and the core dependencies, imported for real: they may be there and broken."""
+    """Python, edit3r, and the core dependencies, imported for real: one may be there and broken."""
     system = f"{platform.system()} {platform.machine()}"
     yield Finding(
         f"edit3r {edit3r.__version__} (plugin API {API_VERSION}), Python "

@@ -57,8 +57,9 @@ __all__ = [
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
 
-SUFFIXES = tuple(
-    ".jpg .jpeg .jpe .jfif .mpo .png .webp .tif .tiff .heic .heif .avif .bmp .ppm .pgm .jp2".split()
+SUFFIXES = (
+    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
+    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
 )
 """Files taken from a folder; a file given by itself may be called anything."""
 

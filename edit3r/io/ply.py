@@ -7,7 +7,7 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -337,7 +337,11 @@ def read_header(path: Path) -> PlyHeader:
 
 
 def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
-    layout, comments, count, columns, element = "", [], None, [], ""
+    layout = ""
+    element = ""
+    comments: list[str] = []
+    counts: dict[str, int] = {}
+    columns: list[tuple[str, str]] = []
     for line in lines:
         word, _, rest = line.strip().partition(" ")
         fields = rest.split()
@@ -346,31 +350,43 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
         elif word == "format" and fields:
             layout = fields[0]
         elif word == "element" and len(fields) == 2:
-            if count is None and fields[0] != "vertex":
-                raise InputError(
-                    f"{path}: its first element is {fields[0]!r}, expected 'vertex'."
-                )
             element = fields[0]
-            if element == "vertex":
-                if not re.fullmatch("[0-9]{1,15}", fields[1]):
-                    raise InputError(
-                        f"{path}: expected a number of vertices, got {fields[1][:60]!r}."
-                    )
-                count = int(fields[1])
+            counts.setdefault(element, _count(path, counts, *fields))
         elif word == "property" and element == "vertex":
-            if len(fields) != 2 or fields[0] not in _TYPES:
-                raise InputError(
-                    f"{path}: a vertex property of an unknown type: {line.strip()!r}."
-                )
-            columns.append((fields[1], _TYPES[fields[0]]))
+            columns.append(_column(path, fields))
     if layout == "ascii":
         raise InputError(
             f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do."
         )
-    if layout not in _BYTE_ORDERS or count is None or not columns:
+    if layout not in _BYTE_ORDERS or not counts or not columns:
         raise InputError(
             f"{path}: a PLY header without a known format or without vertices."
         )
     if len({name for name, _ in columns}) < len(columns):
         raise InputError(f"{path}: two vertex properties have the same name.")
-    return PlyHeader(path, layout, tuple(comments), count, tuple(columns), offset)
+    return PlyHeader(
+        path, layout, tuple(comments), counts["vertex"], tuple(columns), offset
+    )
+
+
+def _count(path: Path, before: Mapping[str, int], element: str, count: str) -> int:
+    """How many of an element follow; only the vertices, which come first, are ever read."""
+    if not before and element != "vertex":
+        raise InputError(
+            f"{path}: its first element is {element!r}, expected 'vertex'."
+        )
+    if element != "vertex":
+        return 0
+    if not re.fullmatch("[0-9]{1,15}", count):
+        raise InputError(f"{path}: expected a number of vertices, got {count[:60]!r}.")
+    return int(count)
+
+
+def _column(path: Path, fields: list[str]) -> tuple[str, str]:
+    """Name and numpy type of a vertex property."""
+    if len(fields) != 2 or fields[0] not in _TYPES:
+        raise InputError(
+            f"{path}: a vertex property of an unknown type: {' '.join(fields)!r}."
+        )
+    kind, name = fields
+    return name, _TYPES[kind]

@@ -39,7 +39,8 @@ class ChosenWeights:
 
     model: str  # id on the Hugging Face hub, or a folder
     key: str  # the setting, such as 'editor.model'
-    revision: str = ""  # branch, tag or commit; '': the declared one, or the newest of what nobody declares
+    # branch, tag or commit; '': the declared one, or the newest of what nobody declares
+    revision: str = ""
     variant: str = ""  # such as 'fp16'; '': the full-precision files
     local_files_only: bool = False  # never download
 
@@ -62,7 +63,10 @@ def foreign(library: str, name: str) -> Any:
         reason = " ".join(str(error).split())[:300].rstrip(".")
         cure = f"pip install --upgrade {library}"
         if "torchvision" in reason or "torchvision" in str(error.__cause__):
-            cure = "pip uninstall torchvision (edit3r does not need it), or install the one for your torch"
+            cure = (
+                "pip uninstall torchvision (edit3r does not need it), or install the one for "
+                "your torch"
+            )
         raise MissingDependencyError(
             f"{library}.{name} does not import here ({reason}); try: {cure}"
         ) from error

@@ -111,7 +111,10 @@ class RunManifest:
     stages: Sequence[StageRecord]
     warnings: Sequence[str]
     notes: Mapping[str, Any]
-    frame: str = "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; the length unit is arbitrary"
+    frame: str = (
+        "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; "
+        "the length unit is arbitrary"
+    )
     versions: Mapping[str, str] = field(default_factory=lambda: installed_versions())
     format: int = FORMAT
 
@@ -146,16 +149,8 @@ def installed_versions() -> dict[str, str]:
 
 def recorded(value: Any, name: str = "") -> Any:
     """JSON data of nested dataclasses, mappings, sequences and settings; secrets are blanked."""
-    if isinstance(value, str) and value and _SECRET.search(name):
-        return "(not recorded)"
-    if isinstance(value, str):
-        return value.encode(
-            errors="backslashreplace"
-        ).decode()  # a file name may be no UTF-8
-    if value is None or isinstance(value, (bool, int)):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return _recorded_scalar(value, name)
     if hasattr(value, "get_secret_value"):  # pydantic's SecretStr
         return "(not recorded)"
     if hasattr(value, "model_dump"):
@@ -175,3 +170,14 @@ def recorded(value: Any, name: str = "") -> Any:
     if hasattr(value, "tolist"):  # numpy and torch
         return recorded(value.tolist())
     return str(value)
+
+
+def _recorded_scalar(value: Any, name: str) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if not isinstance(value, str):
+        return value
+    if value and _SECRET.search(name):
+        return "(not recorded)"
+    # a file name may be no UTF-8
+    return value.encode(errors="backslashreplace").decode()

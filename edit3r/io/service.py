@@ -50,19 +50,7 @@ def bounded_client(seconds: float) -> Any:
             self.end = end
 
         def __iter__(self) -> Iterator[bytes]:
-            size = 0
-            try:
-                for chunk in self.stream:
-                    size += len(chunk)
-                    if size > MAX_ANSWER:
-                        raise OSError(
-                            f"the answer is larger than {MAX_ANSWER >> 20} MiB"
-                        )
-                    if time.monotonic() > self.end:
-                        raise httpx2.ReadTimeout("the answer came too slowly")
-                    yield chunk
-            except (httpx2.ReadError, httpx2.RemoteProtocolError) as error:
-                raise httpx2.ConnectError(f"the answer broke off ({error})") from None
+            return _bounded_chunks(self.stream, self.end)
 
         def close(self) -> None:
             self.stream.close()
@@ -82,3 +70,20 @@ def bounded_client(seconds: float) -> Any:
         headers={"Accept-Encoding": "identity"},
         event_hooks={"request": [begin], "response": [receive]},
     )
+
+
+def _bounded_chunks(stream: Any, end: float) -> Iterator[bytes]:
+    """The chunks of an answer, until there are too many or it is too late."""
+    import httpx2
+
+    size = 0
+    try:
+        for chunk in stream:
+            size += len(chunk)
+            if size > MAX_ANSWER:
+                raise OSError(f"the answer is larger than {MAX_ANSWER >> 20} MiB")
+            if time.monotonic() > end:
+                raise httpx2.ReadTimeout("the answer came too slowly")
+            yield chunk
+    except (httpx2.ReadError, httpx2.RemoteProtocolError) as error:
+        raise httpx2.ConnectError(f"the answer broke off ({error})") from None

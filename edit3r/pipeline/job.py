@@ -91,7 +91,7 @@ def inherited(
 
 
 def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
-    """The packaged pair, with masks of its subject where the prompt names that and nothing is marked."""
+    """The packaged pair, with masks of its subject where only the prompt names it."""
     photos, cameras = packaged_pair()
     found: dict[str, Any] = {
         "photos": tuple(photos),

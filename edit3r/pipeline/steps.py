@@ -65,7 +65,7 @@ MIN_VISIBLE_CHANGE = (
 
 
 def read(job: RunJob, registry: Registry) -> Scene:
-    """The photos of the job, or of the earlier run that it goes on from, and what is marked there."""
+    """The photos of the job, or of the earlier run that it goes on from, and their marks."""
     with stage("read photos"):
         masks = job.masks
         if job.earlier is not None:
@@ -479,7 +479,7 @@ def _refined(
 
 
 def _as_fused(scene: Scene) -> Views:
-    """The edited views as the scene shows them: each view's own edit would make them disagree again.
+    """The edited views as the scene shows them: own edits would make them disagree again.
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """

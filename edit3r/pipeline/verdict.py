@@ -127,7 +127,10 @@ def _label(
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
     if most_guessed > MOST_FILLED_WORST["good"]:
-        shown += f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {names[filled.index(most_guessed)]}"
+        view = names[filled.index(most_guessed)]
+        shown += (
+            f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {view}"
+        )
     return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 

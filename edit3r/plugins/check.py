@@ -58,7 +58,10 @@ def _check_interface(offer: Offer, cls: type) -> str:
 
     interface = INTERFACES[offer.kind]
     if not (isinstance(cls, type) and issubclass(cls, interface)):
-        return f"{offer.component.target} must be a subclass of edit3r.contract.interfaces.{interface.__name__}"
+        return (
+            f"{offer.component.target} must be a subclass of "
+            f"edit3r.contract.interfaces.{interface.__name__}"
+        )
     if inspect.isabstract(cls):
         return f"{cls.__name__} does not implement {', '.join(sorted(cls.__abstractmethods__))}"
     return ""
@@ -89,7 +92,10 @@ def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
         part for part in offer.component.parts if part not in settings.model_fields
     ]
     if unfilled and offer.kind not in PARTS_FROM_OUTSIDE:
-        return f"part {unfilled[0]!r} is declared but Settings has no field of that name to choose it"
+        return (
+            f"part {unfilled[0]!r} is declared but Settings has no field of that name to "
+            "choose it"
+        )
     parts = dict.fromkeys(offer.component.parts)
     try:
         inspect.signature(cls).bind(None, **parts)
@@ -113,5 +119,8 @@ def _check_view_limits(offer: Offer, cls: type) -> str:
         said[1], int | None
     )  # else a property, known when built
     if simple and declared not in (said, (1, None)):
-        return f"it declares min_views, max_views = {declared}, but {cls.__name__} says {said}; make them agree"
+        return (
+            f"it declares min_views, max_views = {declared}, but {cls.__name__} says "
+            f"{said}; make them agree"
+        )
     return ""

@@ -1,4 +1,4 @@
-"""Pick among several things of one name: "the left cup", "the big one", "all cups", "the red car"."""
+"""Pick among several things of one name: "the left cup", "the big one", "all cups"."""
 
 from collections.abc import Sequence
 

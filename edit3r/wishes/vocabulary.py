@@ -295,7 +295,8 @@ FILLERS = _words(
     "looks appear let have get set render tone tones hue i we you want would like should can "
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
-    "effect by using his her their there full spray dye tint coat coated give then by made completely fully entirely "
+    "effect by using his her their there full spray dye tint coat coated give "
+    "then by made completely fully entirely "
     "totally wholly were was will replace swap"
 )
 """Words that carry neither change nor thing in the sentences that are read."""

@@ -1,7 +1,8 @@
 """A depth-conditioned editor that draws all views together, after GaussCtrl (Wu et al. 2024).
 
-photos --> DDIM inversion (depth ControlNet) --> noise --> denoise with the edit's prompt, same depth,
-                                                           self-attention looking across views --> edited photos
+photos --> DDIM inversion (depth ControlNet) --> noise
+       --> denoise with the edit's prompt and the same depth, self-attention looking across views
+       --> edited photos
 """
 
 from dataclasses import replace

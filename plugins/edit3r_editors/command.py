@@ -3,12 +3,12 @@
 The command is split into arguments once and never goes through a shell, so a prompt with quotes or
 semicolons stays one argument. Placeholders:
 
-| placeholder                   | becomes                                                                     |
-|-------------------------------|-----------------------------------------------------------------------------|
-| `{input}`, `{output}`         | PNG of one view, and the file to write; the program runs once per view      |
-| `{input_dir}`, `{output_dir}` | folder with one PNG per view, and the one for results of the same names     |
-| `{mask}`, `{mask_dir}`        | mask as grey PNG (white may change), all white when the run has none        |
-| `{prompt}`, `{seed}`          | the prompt as it is, the seed as a number                                   |
+| placeholder | becomes |
+| --- | --- |
+| `{input}`, `{output}` | PNG of one view, and the file to write; once per view |
+| `{input_dir}`, `{output_dir}` | folder with one PNG per view, and the one for results |
+| `{mask}`, `{mask_dir}` | mask as grey PNG (white may change), all white when the run has none |
+| `{prompt}`, `{seed}` | the prompt as it is, the seed as a number |
 """
 
 import shlex

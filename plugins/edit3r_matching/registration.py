@@ -85,7 +85,10 @@ MOST_LOOP = 7.0
 """How far the turns from one view to a second, on to a third and back may miss [degrees]."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
-ADVICE = "Give photos of one still scene taken a step apart, with more than half of the picture in common."
+ADVICE = (
+    "Give photos of one still scene taken a step apart, with more than half of "
+    "the picture in common."
+)
 
 
 @dataclass(frozen=True)
@@ -445,13 +448,22 @@ def _pair(
             evident, found, matches, indices = True, second, alone, indices[learned]
     if not evident:
         agreeing = 0 if found is None else int(found.inliers.sum())
-        return f"{agreeing} of {len(matches)} matched points agree on a camera motion, too few to be sure"
+        return (
+            f"{agreeing} of {len(matches)} matched points agree on a camera motion, too "
+            "few to be sure"
+        )
     pair = PairView.of(matches, indices, found.inliers, found.pose)
     parallax = np.median(pair.parallax)
     if parallax < MIN_PARALLAX:
-        return f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so depth cannot be read"
+        return (
+            f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so "
+            "depth cannot be read"
+        )
     if _in_a_corner(pair.matches, matches):
-        return f"all {len(pair.matches)} matched points that agree lie in a small part of both pictures, as on a poster"
+        return (
+            f"all {len(pair.matches)} matched points that agree lie in a small part of "
+            "both pictures, as on a poster"
+        )
     return pair
 
 

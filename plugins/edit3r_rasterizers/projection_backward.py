@@ -39,7 +39,7 @@ PROJECTION_BACKWARD_SCRATCH = int((_WEIGHTS + U(4)) * GROUP)
 
 
 @kernel
-def project_backward(
+def project_backward(  # noqa: C901  (one kernel: a call in it costs more than its work)
     first,
     last,
     means,
@@ -106,9 +106,8 @@ def project_backward(
             )
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
-            for lane in range(
-                found, GROUP
-            ):  # lanes of a short group hold some sound Gaussian, and are not read
+            # lanes of a short group hold some sound Gaussian, and are not read
+            for lane in range(found, GROUP):
                 maths.stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
             if shapes:
                 _differentiate_group(scratch, camera, eps2d)

@@ -1,7 +1,7 @@
 """Put an edit into a scene such that what shows outside the masks stays as it was, bit for bit.
 
     Gaussians before --.                    shows outside the region in some view --> stays
-    Gaussians after  --+--> each Gaussian:  shows inside only                     --> replaced by the edited ones
+    Gaussians after  --+--> each Gaussian:  shows inside only   --> replaced by the edited ones
 
 Which pixels a Gaussian shows in is read from the rasterizer (its blending weights), so the rule
 holds for any reconstructor's Gaussians.

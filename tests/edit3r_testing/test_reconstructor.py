@@ -263,11 +263,14 @@ class Gain(Reconstructor):
         return self._network
 
     def __call__(self, views, source=None, grid=None):
-        images = self._network(views.images.flatten(0, 1)).sigmoid().unflatten(0, views.images.shape[:2])
+        images = self._network(views.images.flatten(0, 1)).sigmoid()
+        images = images.unflatten(0, views.images.shape[:2])
         depths = images.new_full(images[:, :, 0].shape, 3.0)
         poses = images.new_zeros(*images.shape[:2], 4, 4) + images.new_ones(4).diag()
         cameras = Cameras(poses, views.intrinsics, views.image_size)
-        return Reconstruction(pixels_to_gaussians(images, depths, cameras, depths / 32, depths / 4), cameras)
+        sizes = (depths / 32, depths / 4)
+        gaussians = pixels_to_gaussians(images, depths, cameras, *sizes)
+        return Reconstruction(gaussians, cameras)
 
 
 @hookimpl

@@ -487,10 +487,10 @@ def service_answers(rng, folder, given):
     class Service(OpenAiImages):
         label = "fake"
         variables = ("EDIT3R_FUZZ_KEY",)
-        chosen = {}
 
         def __init__(self, settings):
             ImageService.__init__(self, settings)
+            self.chosen = {}
             self.client = SimpleNamespace(images=SimpleNamespace(edit=self.respond))
 
         def respond(self, **asked):

@@ -86,7 +86,7 @@ class GivesAttention(ABC):
 
 
 class ConditionedOnDepth(ABC):
-    """An editor that reads depth from its part `matcher`, which a caller may replace (GaussCtrl)."""
+    """An editor that reads depth from its part `matcher`; a caller may replace it (GaussCtrl)."""
 
     references: (
         int  # how many views, from the first, all others look at; 0: each by itself

@@ -26,12 +26,14 @@ class Thing:
 
 @hookimpl
 def register_editors():
-    return [Component("described", "described_locally:Thing", "a thing", citation="Doe 2026", devices=('cuda',))]
+    facts = {"citation": "Doe 2026", "devices": ("cuda",)}
+    return [Component("described", "described_locally:Thing", "a thing", **facts)]
 
 
 @hookimpl
 def register_heads():
-    return [Component("needy", "described_locally:Thing", "needs much", requires=("surely_not_there",))]
+    needs = ("surely_not_there",)
+    return [Component("needy", "described_locally:Thing", "needs much", requires=needs)]
 """
 
 

@@ -21,7 +21,10 @@ def register_editors():
     return [
         Component("listed-fine", "listed_locally:Fine", "does nothing", licence="MIT"),
         Component("listed-abstract", "edit3r.contract.interfaces:Editor", "does not exist"),
-        Component("listed-needy", "listed_locally:Fine", "needs much", requires=("surely_not_there",), extra="much"),
+        Component(
+            "listed-needy", "listed_locally:Fine", "needs much",
+            requires=("surely_not_there",), extra="much",
+        ),
         Component("none", "listed_locally:Fine", "takes a name"),
     ]
 """

@@ -177,7 +177,10 @@ def test_turning_ends_where_no_photo_shows_the_scene_and_fades_on_the_way(page):
 def test_the_wheel_enlarges_what_is_under_it_and_leaves_the_camera(page):
     pose = page.evaluate("JSON.stringify(pose)")
     page.mouse.move(80, 60)
-    spot = "(({ principal: c, focal: f }) => [(80 - c[0]) / f[0], (60 - c[1]) / f[1]])(pixels(lens))"
+    spot = (
+        "(({ principal: c, focal: f }) => "
+        "[(80 - c[0]) / f[0], (60 - c[1]) / f[1]])(pixels(lens))"
+    )
     before = page.evaluate(spot)
     for _ in range(3):
         page.mouse.wheel(0, -100)

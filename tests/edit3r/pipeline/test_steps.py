@@ -165,7 +165,7 @@ def test_a_reconstructor_that_edits_is_given_the_request(views):
 
 
 @pytest.mark.parametrize(("refine", "grid"), [(2, (3, 4)), (0, (6, 8))])
-def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail_and_the_result_is_of_full_size(
+def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
     views, refine, grid
 ):
     class OnGrid(Flat):

@@ -81,7 +81,10 @@ def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
         f"editor.controlnet={tiny.controlnet()}",
     ]
     fit = ["reconstructor.steps=2", "reconstructor.edit_steps=2"]
-    vit = "{name: asymmetric-vit, width: 48, depth: 2, heads: 2, decoder_width: 48, decoder_depth: 4, decoder_heads: 2}"
+    vit = (
+        "{name: asymmetric-vit, width: 48, depth: 2, heads: 2, decoder_width: 48, "
+        "decoder_depth: 4, decoder_heads: 2}"
+    )
     head = "{name: dpt-gaussian, feature_width: 8, point_width: 8, layer_widths: [8, 8, 16, 16]}"
     full = ["reconstructor.weights=random", "reconstructor.resolution=64"]
     full += [f"reconstructor.backbone={vit}", f"reconstructor.head={head}"]

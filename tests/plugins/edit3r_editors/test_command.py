@@ -90,7 +90,10 @@ def test_a_failing_program_is_quoted(tmp_path):
 
 
 def test_the_time_limit_ends_a_program_also_when_its_children_go_on(tmp_path):
-    code = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(20)'])"
+    code = (
+        "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; "
+        "time.sleep(20)'])"
+    )
     started = time.monotonic()
     with pytest.raises(RunError, match=r"longer than 0\.5 s.*editor\.timeout"):
         edit(program(tmp_path, code, "{input} {output}"), timeout=0.5)

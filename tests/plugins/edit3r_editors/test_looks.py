@@ -51,7 +51,7 @@ def test_a_wish_names_a_look_or_is_not_understood(prompt, look):
 
 def test_what_names_no_look_is_an_error_with_the_looks_there_are():
     with pytest.raises(
-        PromptError, match="names no look.*Did you mean 'autumn'"
+        PromptError, match=r"names no look.*Did you mean 'autumn'"
     ) as caught:
         edited("make it look like autunm")
     assert all(look in str(caught.value) for look in LOOKS)

@@ -187,7 +187,10 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
     "where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"]
 )
 def test_a_process_that_is_ended_prints_no_stack_trace(where):
-    load = "import sys, threading, time; load = lambda: __import__('edit3r_matching.bundle_adjustment')"
+    load = (
+        "import sys, threading, time; load = lambda: "
+        "__import__('edit3r_matching.bundle_adjustment')"
+    )
     code = f"{load}; {where}; print(1, flush=True); time.sleep(60)"
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE

@@ -133,7 +133,10 @@ def test_a_photo_of_one_colour_is_refused(truthful):
 
 def test_where_the_package_is_missing_the_exact_pip_line_is_said():
     offer = default_registry().find("matcher", "da3")
-    line = "pip install --no-deps depth-anything-3==0.1.1 omegaconf antlr4-python3-runtime==4.9.3 addict einops"
+    line = (
+        "pip install --no-deps depth-anything-3==0.1.1 omegaconf "
+        "antlr4-python3-runtime==4.9.3 addict einops"
+    )
     assert install_hint(offer) == f"install with: {line}"
 
 

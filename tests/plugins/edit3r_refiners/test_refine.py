@@ -182,6 +182,7 @@ def test_what_a_view_does_not_show_is_not_carried_on_by_earlier_steps():
 
 
 def test_no_compiler_is_loaded():
-    code = "import sys, torch; from edit3r_refiners.refine import Adam; Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"
+    code = "import sys, torch; from edit3r_refiners.refine import Adam; "
+    code += "Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"
     code += "; sys.exit('torch._dynamo' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
