@@ -123,7 +123,7 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
             "torch.float32 images, got torch.float64",
         ),
         (lambda v: Views(v.images * 2, v.intrinsics), r"images in \[0, 1\], got"),
-        (lambda v: Views(v.images * float("not finite"), v.intrinsics), "nan"),
+        (lambda v: Views(v.images * float("not finite"), v.intrinsics), "not finite"),
     ],
 )
 def test_an_editor_that_breaks_its_contract_is_named(views, answer, said):
