@@ -5,9 +5,10 @@ python benchmarks/default_pairs.py FOLDER... --pairs 5 --size 256
 """
 
 import argparse
+from functools import partial
 
 import torch
-from edit3r_measure.novel_view import score_scene
+from edit3r_measure.novel_view import novel_view, score_scene
 from edit3r_measure.scene_sources import SceneOptions, find_scenes
 
 import edit3r
@@ -42,7 +43,9 @@ def main() -> None:
             folder, SceneOptions(args.pairs, args.size), default_registry()
         ):
             run = DefaultRun()
-            score = score_scene(source.load(), run, rasterizer)
+            score = score_scene(
+                source.load(), "novel view", partial(novel_view, run, rasterizer)
+            )
             names = ("psnr", "blurred_psnr", "rotation_error", "direction_error")
             figures = [
                 f"{name} {score.figures[name]:.2f}"

@@ -30,7 +30,7 @@ from edit3r.contract.types import Views
 from edit3r.errors import Edit3rError
 from edit3r.geometry.rotations import rotation_angle
 from edit3r.io.images import evenly
-from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
+from edit3r.io.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
 
 CLASSES = ((5, 15), (15, 30), (30, 60))
 """Angles between the two photos [degrees]."""
@@ -49,11 +49,11 @@ class Truth:
         self.poses = [
             Pose.from_matrix(np.linalg.inv(camera.c2w)) for camera in folder.cameras
         ]
-        self._photos: dict[int, Photo] = {}
+        self._photos: dict[int, PosedPhoto] = {}
         self._keys: dict[int, Keypoints] = {}
         self._points: dict[int, np.ndarray] = {}
 
-    def photo(self, index: int) -> Photo:
+    def photo(self, index: int) -> PosedPhoto:
         if index not in self._photos:
             self._photos[index] = self.folder.load(index, self.detail)
         return self._photos[index]
@@ -161,7 +161,7 @@ def angle(folder: PosedFolder, a: int, b: int) -> float:
     return float(torch.rad2deg(rotation_angle(*turns)))
 
 
-def in_pixels(photo: Photo, size: int) -> np.ndarray:
+def in_pixels(photo: PosedPhoto, size: int) -> np.ndarray:
     return photo.intrinsics * np.array([[size], [size], [1.0]])
 
 
@@ -207,7 +207,7 @@ def seen_in(truth: Truth, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
     return (there[:, 2] > 0) & (xy > 0).all(1) & (xy < 1).all(1), xy
 
 
-def views_of(photos: Sequence[Photo], posed: bool) -> Views:
+def views_of(photos: Sequence[PosedPhoto], posed: bool) -> Views:
     images = torch.from_numpy(np.stack([photo.image for photo in photos])).permute(
         0, 3, 1, 2
     )[None]

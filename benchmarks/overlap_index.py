@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 from edit3r_measure.novel_view import views_of
-from edit3r_measure.protocol import CLASSES, Entry
+from edit3r_measure.protocol import CLASSES, IndexEntry
 from edit3r_measure.scene_sources import photos_between, rotation_degrees
 from jaxtyping import Float
 
@@ -30,7 +30,7 @@ from edit3r.contract.types import Views
 from edit3r.errors import MatchingError
 from edit3r.geometry.warping import find_correspondences
 from edit3r.io.images import evenly
-from edit3r.io.posed_folder import Photo, PosedFolder, read_posed_folder
+from edit3r.io.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
 from edit3r.plugins.registry import build
 
 TARGETS, MOST_PHOTOS = 3, 16
@@ -50,7 +50,7 @@ def make_index(places: Sequence[str], per_class: int, size: int) -> dict[str, An
         for first, second, overlap in _overlaps(folder, matcher, size):
             poses = [camera.c2w for camera in folder.cameras]
             between = photos_between(poses, first, second)[:TARGETS]
-            entry = Entry(
+            entry = IndexEntry(
                 context=(first, second),
                 target=tuple(sorted(between)),
                 overlap=round(overlap, 3),
@@ -70,7 +70,7 @@ def _overlaps(
     shows too.
     """
     depths: dict[int, Float[np.ndarray, "height width"]] = {}
-    photos: dict[int, Photo] = {}
+    photos: dict[int, PosedPhoto] = {}
     for index in evenly(range(len(folder.cameras)), MOST_PHOTOS):
         trio = [folder.load(i, size) for i in (index, *_nearest(folder, index))]
         try:
@@ -90,7 +90,7 @@ def _overlaps(
 
 
 def overlap(
-    photos: Sequence[Photo], depths: Sequence[Float[np.ndarray, "height width"]]
+    photos: Sequence[PosedPhoto], depths: Sequence[Float[np.ndarray, "height width"]]
 ) -> float:
     """Return the mean share in [0, 1] of two photos' pixels whose surface the other shows too;
     `depths` camera z.
@@ -101,7 +101,7 @@ def overlap(
     return float(shared.float().mean())
 
 
-def _posed_views(photos: Sequence[Photo]) -> Views:
+def _posed_views(photos: Sequence[PosedPhoto]) -> Views:
     return replace(
         views_of(photos),
         c2w=torch.from_numpy(np.stack([photo.c2w for photo in photos])).float()[None],

@@ -21,9 +21,14 @@ from typing import Any
 import numpy as np
 import torch
 from edit3r_measure.metrics import psnr, ssim
-from edit3r_measure.novel_view import predict, views_of
+from edit3r_measure.novel_view import PredictedScene, views_of
 from edit3r_measure.report import markdown_table
-from edit3r_measure.scene_sources import Scene, SceneOptions, SceneSource, find_scenes
+from edit3r_measure.scene_sources import (
+    EvaluationScene,
+    SceneOptions,
+    SceneSource,
+    find_scenes,
+)
 
 import edit3r
 from edit3r.contract.interfaces import RefineInputs
@@ -176,7 +181,10 @@ def build_rasterizer():
 
 
 def score(
-    gaussians: Gaussians, seconds: float, reconstruction: Reconstruction, scene: Scene
+    gaussians: Gaussians,
+    seconds: float,
+    reconstruction: Reconstruction,
+    scene: EvaluationScene,
 ) -> dict[str, float]:
     """Return the figures of one variant: share left, novel view, CPU seconds and size of the
     file.
@@ -185,9 +193,8 @@ def score(
     for _ in range(RENDER_REPEATS):
         start = time.process_time()
         fewer = replace(reconstruction, gaussians=gaussians)
-        image = predict(
-            fewer, build_rasterizer(), scene.inputs[0], scene.inputs[-1], scene.target
-        ).image
+        predicted = PredictedScene(fewer, build_rasterizer(), scene.inputs)
+        image = predicted.show(predicted.camera_of(scene.target)).image
         times.append(time.process_time() - start)
     with tempfile.TemporaryDirectory() as folder:
         save_ply(Path(folder) / "scene.ply", gaussians)

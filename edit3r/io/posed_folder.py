@@ -13,11 +13,11 @@ from edit3r.io.cameras import CAMERA_FILES, PosedCamera, read_cameras
 from edit3r.io.decode import read_image
 from edit3r.io.framing import frame_for
 
-__all__ = ["Photo", "PosedFolder", "read_posed_folder"]
+__all__ = ["PosedFolder", "PosedPhoto", "read_posed_folder"]
 
 
 @dataclass(frozen=True)
-class Photo:
+class PosedPhoto:
     """One image ready for evaluation: square, with the camera that took it."""
 
     image: np.ndarray  # [size, size, 3] sRGB in [0, 1], float32
@@ -35,7 +35,7 @@ class PosedFolder:
     path: Path
     cameras: tuple[PosedCamera, ...]
 
-    def load(self, index: int, size: int) -> Photo:
+    def load(self, index: int, size: int) -> PosedPhoto:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
         image = read_image(self.path / camera.file)
@@ -43,7 +43,7 @@ class PosedFolder:
             camera.lens
         )
         intrinsics = frame.follow(torch.from_numpy(camera.intrinsics)).numpy()
-        return Photo(
+        return PosedPhoto(
             np.asarray(frame.cut(image), np.float32) / 255, intrinsics, camera.c2w
         )
 

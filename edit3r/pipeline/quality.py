@@ -24,20 +24,18 @@ _HEADER = """\
 
 
 class Expected(Settings):
-    """What a point took and gave on one kind of scene."""
+    """What a run at a point took and gave on one kind of scene."""
 
     seconds: float = Field(
         gt=0,
-        description="all stages of a run without an editor, quickest repeats; mean of scenes",
+        description="processor time of a run without an editor, in a process that has done one "
+        "before; the quickest of several, mean of the scenes",
     )
     seconds_first: float = Field(
         gt=0,
-        description="first run of a process, as a run of the command is; mean of scenes",
+        description="of the first run of a process, as a run of the command is; mean of scenes",
     )
     memory_mb: float = Field(gt=0, description="peak of the process [MiB]")
-    start_memory_mb: float = Field(
-        ge=0, description="of which before anything was made [MiB]"
-    )
     gaussians: int = Field(
         ge=0, description="largest number of Gaussians of the scenes"
     )
@@ -45,15 +43,11 @@ class Expected(Settings):
     ssim: float = Field(description="novel view")
 
 
-class ShippedPoint(Settings):
-    """One measured point."""
+class MeasuredPoint(Settings):
+    """One choice of run settings, and what it took and gave."""
 
     label: str
     preset: str | None = Field(None, description="fast, balanced or best")
-    front: bool = Field(
-        False,
-        description="whether no other is as quick and as accurate, on every kind of scene",
-    )
     settings: dict[str, Any] = Field(description="run settings")
     expected: dict[str, Expected] = Field(description="by kind of scene")
 
@@ -72,11 +66,11 @@ class Quality(Settings):
     """The content of the file of measured points."""
 
     measured: dict[str, Any] = Field(
-        description="machine, threads, versions, clock, photos a scene and their size"
+        description="machine, threads, versions, scenes and repeats"
     )
-    points: list[ShippedPoint]
+    points: list[MeasuredPoint]
 
-    def preset(self, name: str) -> ShippedPoint:
+    def preset(self, name: str) -> MeasuredPoint:
         """The point of a preset; raises SettingsError where none was measured."""
         for point in self.points:
             if point.preset == name:

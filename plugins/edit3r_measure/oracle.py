@@ -25,6 +25,8 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.geometry.cameras import pixel_grid
 from edit3r.geometry.warping import warp
 
+Image = Float[Tensor, "3 height width"]
+
 # Name by which `edit3r bench run --editor` asks for it; it is no plugin, since it needs the truth
 # of the item
 ORACLE = "oracle"
@@ -35,17 +37,12 @@ NOISE_CELLS = 6  # cells of the texture and warp noise along each side of the im
 class OracleSettings(Settings):
     """How much the views disagree."""
 
-    disagreement: float = Field(
-        0.5, ge=0, le=1, description="0: every view shows the truth; 1: hardly alike"
-    )
-    reference: Literal["exact", "spoiled", "off-in-half"] = Field(
-        "exact",
-        description="exact: the first view shows the truth, the others disagree with it, so the "
-        "truth is what the "
-        "reference says; off-in-half: in half of the edits it is blurred, shifted or off in "
-        "colour; spoiled: all views "
-        "are off alike, and their average is nearest to the truth",
-    )
+    # 0: every view shows the truth; 1: hardly alike.
+    disagreement: float = Field(0.5, ge=0, le=1)
+    # exact: the first view shows the truth, the others disagree with it, so the truth is what the
+    # reference says. off-in-half: in half of the edits it is blurred, shifted or off in colour.
+    # spoiled: all views are off alike, and their average is nearest to the truth.
+    reference: Literal["exact", "spoiled", "off-in-half"] = "exact"
 
 
 class OracleEditor(Editor):
@@ -77,29 +74,24 @@ def fault_of(prompt: str, seed: int) -> str:
     return FAULTS[digest[1] % len(FAULTS)] if digest[0] % 2 else ""
 
 
-def slightly_off(
-    image: Float[Tensor, "3 height width"], fault: str
-) -> Float[Tensor, "3 height width"]:
+def slightly_off(image: Image, fault: str) -> Image:
     """Return `image` with one of FAULTS, or as it is for "".
 
-    `blurred` by a deviation of 0.012 image widths, `shifted` to the right by 0.01 of them, `coloured` by 1.15, 1 and
-    0.85 times red, green and blue.
+    `blurred` by a deviation of 0.012 image widths, `shifted` to the right by 0.01 of them,
+    `coloured` by 1.15, 1 and 0.85 times red, green and blue.
     """
     if fault == "blurred":
         sigma = 0.012 * image.shape[-1]
         return torch.from_numpy(gaussian_filter(image.numpy(), (0, sigma, sigma)))
     if fault == "shifted":
-        grid = pixel_grid(image.shape[-2:], like=image)
-        return warp(image, grid - grid.new_tensor([0.01, 0.0]), padding="reflection")
-    gains = image.new_tensor(
-        [1.15, 1.0, 0.85] if fault == "coloured" else [1.0, 1.0, 1.0]
-    )
-    return (image * gains[:, None, None]).clamp(0, 1)
+        return _moved(image, image.new_tensor([-0.01, 0.0]))
+    if fault == "coloured":
+        gains = image.new_tensor([1.15, 1.0, 0.85])
+        return (image * gains[:, None, None]).clamp(0, 1)
+    return image
 
 
-def spoil(
-    image: Float[Tensor, "3 height width"], key: tuple, amount: float
-) -> Float[Tensor, "3 height width"]:
+def spoil(image: Image, key: tuple, amount: float) -> Image:
     """Return `image` warped, recoloured and textured by a draw from a hash of `key`, in [0, 1].
 
     At `amount` 1 hues turn by up to 0.35 half turns, channels change by up to half and 0.2 more,
@@ -112,19 +104,18 @@ def spoil(
     unit = 2 * torch.rand(7, generator=generator) - 1
     noise = _smooth_noise(int(torch.randint(2**31, (1,), generator=generator)), image)
     shift = amount * 0.02 * noise[:2].clamp(-1, 1).permute(1, 2, 0)
-    moved = warp(
-        image, pixel_grid(image.shape[-2:], like=image) + shift, padding="reflection"
-    ).clamp(0, 1)
-    turned = torch.einsum(
-        "ij,jhw->ihw",
-        _hue_rotation(amount * 0.35 * math.pi * float(unit[0])).to(image),
-        moved,
-    )
-    gain, offset = (
-        values.to(image)[:, None, None]
-        for values in (1 + amount * 0.5 * unit[1:4], amount * 0.2 * unit[4:])
-    )
+    moved = _moved(image, shift).clamp(0, 1)
+    rotation = _hue_rotation(amount * 0.35 * math.pi * float(unit[0])).to(image)
+    turned = torch.einsum("ij,jhw->ihw", rotation, moved)
+    gain = (1 + amount * 0.5 * unit[1:4]).to(image)[:, None, None]
+    offset = (amount * 0.2 * unit[4:]).to(image)[:, None, None]
     return (turned * gain + offset + amount * 0.12 * noise[2:]).clamp(0, 1)
+
+
+def _moved(image: Image, shift: Float[Tensor, "*pixels 2"]) -> Image:
+    """Return what lies at each pixel's place and `shift` [image sides]."""
+    grid = pixel_grid(image.shape[-2:], like=image)
+    return warp(image, grid + shift, padding="reflection")
 
 
 def _hue_rotation(angle: float) -> Float[Tensor, "3 3"]:
@@ -137,16 +128,9 @@ def _hue_rotation(angle: float) -> Float[Tensor, "3 3"]:
     )
 
 
-def _smooth_noise(
-    seed: int, like: Float[Tensor, "3 height width"]
-) -> Float[Tensor, "5 height width"]:
+def _smooth_noise(seed: int, like: Image) -> Float[Tensor, "5 height width"]:
     """Return smooth fields of standard deviation about 1."""
-    coarse = torch.randn(
-        1, 5, NOISE_CELLS, NOISE_CELLS, generator=torch.Generator().manual_seed(seed)
-    )
-    return (
-        F.interpolate(
-            coarse.to(like), size=like.shape[-2:], mode="bicubic", align_corners=False
-        )[0]
-        / 0.8
-    )
+    generator = torch.Generator().manual_seed(seed)
+    coarse = torch.randn(1, 5, NOISE_CELLS, NOISE_CELLS, generator=generator)
+    size = like.shape[-2:]
+    return F.interpolate(coarse.to(like), size, mode="bicubic")[0] / 0.8

@@ -9,17 +9,18 @@ camera stands a little beside the place that its photo shows. The protocol moves
 frozen, before it compares.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from statistics import fmean
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from pydantic import Field
+from kornia.filters import gaussian_blur2d
+from pydantic import Field, NonNegativeInt
 from torch import Tensor
 
 from edit3r.config import Settings, make_settings
@@ -33,16 +34,12 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
-from edit3r.geometry.rotations import cross_matrix, matrices_to_quats
-from edit3r.io.posed_folder import Photo, read_posed_folder
+from edit3r.geometry.rotations import cross_matrix, matrices_to_quats, quats_to_matrices
+from edit3r.io.posed_folder import PosedPhoto, read_posed_folder
 from edit3r_measure.metrics import psnr, ssim
-from edit3r_measure.novel_view import (
-    pose_errors,
-    predicted_pose,
-    target_camera,
-    views_of,
-)
+from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
 from edit3r_measure.report import read_json
+from edit3r_measure.scene_sources import EvaluationScene, Pose, SceneSource
 
 # step of Adam, of a turn [radians] and of a shift [distances between the input cameras]
 RATE = 0.005
@@ -54,21 +51,19 @@ AUC_DEGREES = (5, 10, 20)
 # Overlap of two photos, as NoPoSplat's tables are divided; what is in none of them is left out
 # there
 CLASSES = {"small": (0.05, 0.3), "medium": (0.3, 0.55), "large": (0.55, 0.8)}
-Frame = Annotated[int, Field(ge=0)]
-Picture = Float[Tensor, "1 1 3 height width"]
-Compare = Callable[[Picture, Picture], Float[Tensor, ""]]
+NOT_CLASSED = "not classed"
+Images = Float[Tensor, "n 3 height width"]
+BatchedImage = Float[Tensor, "1 1 3 height width"]
+Compare = Callable[[BatchedImage, BatchedImage], Float[Tensor, ""]]
 
 
-class Entry(Settings):
+class IndexEntry(Settings, extra="ignore"):
     """One pair of an index file."""
 
-    context: tuple[Frame, ...] = Field(
-        min_length=2, description="frames that are given"
-    )
-    target: tuple[Frame, ...] | Frame = Field(description="frames that are predicted")
-    overlap: float | str | None = Field(
-        None, description="share of one photo that the other shows, or a class"
-    )
+    context: tuple[NonNegativeInt, ...] = Field(min_length=2)  # frames that are given
+    target: tuple[NonNegativeInt, ...] | NonNegativeInt  # frames that are predicted
+    # share of one photo that the other shows, or a class
+    overlap: float | str | None = None
 
     @property
     def targets(self) -> tuple[int, ...]:
@@ -76,52 +71,66 @@ class Entry(Settings):
 
     @property
     def overlap_class(self) -> str:
-        """Key of CLASSES; "not classed" for other overlaps and where none is told (the published
+        """Key of CLASSES; NOT_CLASSED for other overlaps and where none is told (the published
         placeholder is -1).
         """
-        if isinstance(self.overlap, float):
-            return next(
-                (
-                    name
-                    for name, (low, high) in CLASSES.items()
-                    if low <= self.overlap <= high
-                ),
-                "not classed",
-            )
-        return self.overlap if self.overlap in CLASSES else "not classed"
+        for name, (low, high) in CLASSES.items():
+            if self.overlap == name:
+                return name
+            if isinstance(self.overlap, float) and low <= self.overlap <= high:
+                return name
+        return NOT_CLASSED
 
 
-def read_index(path: Path) -> list[tuple[str, Entry]]:
-    """Return scenes and pairs of an index file, null ones left out. Raises InputError naming file
+class _IndexFile(Settings):
+    pairs: dict[str, IndexEntry | list[IndexEntry | None] | None]
+
+
+def read_index(path: Path) -> list[tuple[str, IndexEntry]]:
+    """Return scenes and pairs of an index file, null ones left out. Raises an error that names file
     and scene.
     """
     if not path.is_file():
         raise InputError(
             f"{path}: no such index file; benchmarks/overlap_index.py makes one."
         )
-    content = read_json(path)
-    if not isinstance(content, Mapping):
-        raise InputError(
-            f'{path}: expected {{scene: {{"context": [a, b], "target": [...]}}}} as pixelSplat '
-            "has it."
-        )
-    pairs = []
-    for scene, own in content.items():
-        for entry in own if isinstance(own, list) else [own]:
-            if entry is not None:
-                values = entry if isinstance(entry, dict) else {}
-                known = {
-                    key: values[key] for key in Entry.model_fields if key in values
-                }
-                pairs.append(
-                    (scene, make_settings(Entry, known, where=f"{path.name}, {scene}"))
-                )
-    return pairs
+    index = make_settings(_IndexFile, {"pairs": read_json(path)}, where=path.name)
+    found = []
+    for scene, own in index.pairs.items():
+        entries = own if isinstance(own, list) else [own]
+        found += [(scene, entry) for entry in entries if entry is not None]
+    return found
+
+
+def index_scenes(
+    index: Sequence[tuple[str, IndexEntry]], places: Sequence[str | Dataset], size: int
+) -> list[SceneSource]:
+    """Return the pairs of an index as scenes; their photos are those of `places`."""
+    return [
+        SceneSource(name, "protocol", partial(_index_scene, name, entry, places, size))
+        for name, entry in index
+    ]
+
+
+def _index_scene(
+    name: str, entry: IndexEntry, places: Sequence[str | Dataset], size: int
+) -> EvaluationScene:
+    frames = (*entry.context, *entry.targets)
+    photos = photos_of(places, name, frames, size)
+    count = len(entry.context)
+    return EvaluationScene(
+        source=name,
+        kind="protocol",
+        files=tuple(map(str, frames)),
+        inputs=tuple(photos[:count]),
+        targets=tuple(photos[count:]),
+        overlap=entry.overlap_class,
+    )
 
 
 def photos_of(
     places: Sequence[str | Dataset], scene: str, indices: Sequence[int], size: int
-) -> list[Photo]:
+) -> list[PosedPhoto]:
     """Load frames of a scene: of a folder of that name among the places or inside one, or of a data
     set that has it.
     """
@@ -133,120 +142,108 @@ def photos_of(
                     "of photos."
                 )
             return place.photos(scene, indices)
-        for folder in (Path(place), Path(place) / scene):
-            if folder.resolve().name == scene and folder.is_dir():
-                found = read_posed_folder(folder)
-                if max(indices) >= len(found.cameras):
-                    have = f"{len(found.cameras)} photos with known cameras"
+        for path in (Path(place), Path(place) / scene):
+            if path.resolve().name == scene and path.is_dir():
+                folder = read_posed_folder(path)
+                count = len(folder.cameras)
+                if max(indices) >= count:
                     raise InputError(
-                        f"{folder}: the index asks for frame {max(indices)}, it has {have}."
+                        f"{path}: the index asks for frame {max(indices)}, it has {count} photos "
+                        "with known cameras."
                     )
-                return [found.load(index, size) for index in indices]
+                return [folder.load(index, size) for index in indices]
     raise InputError(f"{scene}: a scene of the index that no folder given is or holds.")
 
 
 def align(
-    scene: tuple[Gaussians, Rasterizer],
+    scene: PredictedScene,
     camera: Cameras,
-    photo: Picture,
+    photo: BatchedImage,
     compare: Compare,
     steps: int,
-    unit: float,
 ) -> Cameras:
     """Return `camera` (one, batch 1) moved to where the frozen scene looks most like `photo`, by
     `steps` of Adam.
 
-    `unit` is the distance between the input cameras. Of all places on the way the best is returned,
-    so it is never worse than the first by `compare` (the published code takes the last).
+    Of all places on the way the best is returned, so it is never worse than the first by `compare`
+    (the published code takes the last).
     """
-    (gaussians, rasterizer), c2w, best = (
-        scene,
-        camera.c2w[0, 0].double(),
-        (float("inf"), camera),
-    )
-    turn, shift = (
-        torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2)
-    )
-    adam = torch.optim.Adam([turn, shift], lr=RATE)
+    unit = float(np.linalg.norm(scene.predicted_pose[:3, 3]))
+    units = torch.tensor([1.0, 1.0, 1.0, unit, unit, unit], dtype=torch.float64)
+    twist = torch.zeros_like(units, requires_grad=True)  # a turn, then a shift
+    adam = torch.optim.Adam([twist], lr=RATE)
+    c2w = camera.c2w[0, 0].double()
+    places = []
     for _ in range(steps + 1):
         here = replace(camera, c2w=c2w[None, None].to(camera.c2w))
         with torch.enable_grad():
-            motion = _motion(turn, shift * unit)
-            moved = _moved(gaussians, c2w @ motion @ invert_rigid(c2w))
-            value = compare(rasterizer.render(moved, here).images, photo)
+            motion = c2w @ _motion(twist * units) @ invert_rigid(c2w)
+            moved = _moved(scene.reconstruction.gaussians, motion)
+            value = compare(scene.rasterizer.render(moved, here).images, photo)
             adam.zero_grad()
             value.backward()
-        best = min(best, (value.item(), here), key=lambda place: place[0])
+        places.append((value.item(), here))
         adam.step()
-        with (
-            torch.no_grad()
-        ):  # the step is taken by the camera, and the next one begins at zero
-            c2w = c2w @ invert_rigid(_motion(turn, shift * unit))
-            turn.zero_(), shift.zero_()
-    return best[1]
+        with torch.no_grad():
+            # The camera takes the step, and the next one begins at zero.
+            c2w = c2w @ invert_rigid(_motion(twist * units))
+            twist.zero_()
+    return min(places, key=lambda place: place[0])[1]
 
 
-def _motion(
-    turn: Float[Tensor, "3"], shift: Float[Tensor, "3"]
-) -> Float[Tensor, "4 4"]:
+def _motion(twist: Float[Tensor, "6"]) -> Float[Tensor, "4 4"]:
     """Return the rigid motion that is the exponential of a turn and a shift, which multiplies
     world-to-camera.
     """
-    rows = torch.cat((cross_matrix(turn), shift[:, None]), 1)
+    rows = torch.cat((cross_matrix(twist[:3]), twist[3:, None]), 1)
     return torch.linalg.matrix_exp(F.pad(rows, (0, 0, 0, 1)))
 
 
 def _moved(gaussians: Gaussians, motion: Float[Tensor, "4 4"]) -> Gaussians:
     """Move the scene instead of the camera: no rasterizer but `torch` has gradients for cameras.
 
-    The value is exact at rest, where it is asked for; the gradient leaves out that a colour that
-    depends on the side it is seen from turns with its Gaussian.
+    The gradient leaves out that a colour that depends on the side it is seen from turns with its
+    Gaussian.
     """
     motion = motion.to(gaussians.means)
-    w, x, y, z = matrices_to_quats(motion[:3, :3])
-    rows = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
-    product = torch.stack([torch.stack(row) for row in rows])
-    means = gaussians.means @ motion[:3, :3].T + motion[:3, 3]
-    return replace(gaussians, means=means, quats=gaussians.quats @ product.T)
+    rotation = motion[:3, :3]
+    means = gaussians.means @ rotation.T + motion[:3, 3]
+    quats = matrices_to_quats(rotation @ quats_to_matrices(gaussians.quats))
+    return replace(gaussians, means=means, quats=quats)
 
 
 def likeness_loss(
-    shown: Picture, photo: Picture, perceptual: Loss, structure: bool = False
+    shown: BatchedImage, photo: BatchedImage, perceptual: Loss, structure: bool = False
 ) -> Float[Tensor, ""]:
     """Return the protocol's loss: squared error and perceptual distance, for input cameras also 1 -
     structure.
     """
-    value = F.mse_loss(shown, photo) + WEIGHT * perceptual(
-        LossInputs(rendered=shown, target=photo)
-    )
+    distance = perceptual(LossInputs(rendered=shown, target=photo))
+    value = F.mse_loss(shown, photo) + WEIGHT * distance
     if structure:
-        value = value + (
-            1 - structure_likeness(shown[0], photo[0]).clamp(max=STRUCTURE_ENOUGH)
-        )
+        likeness = structure_likeness(shown[0], photo[0])
+        value = value + 1 - likeness.clamp(max=STRUCTURE_ENOUGH)
     return value
 
 
-def structure_likeness(
-    a: Float[Tensor, "n 3 height width"], b: Float[Tensor, "n 3 height width"]
-) -> Float[Tensor, ""]:
+def structure_likeness(a: Images, b: Images) -> Float[Tensor, ""]:
     """Return the mean structure term of SSIM (Wang et al. 2004), in [-1, 1]: blind to brightness
     and contrast.
     """
-    line = torch.exp(-((torch.arange(11) - 5.0) ** 2) / (2 * 1.5**2)).to(a)
-    window = (line[:, None] * line / line.sum() ** 2).expand(3, 1, 11, 11)
-    mean_a, mean_b, aa, bb, ab = (
-        F.conv2d(x, window, groups=3) for x in (a, b, a * a, b * b, a * b)
-    )
-    spread = (
-        (aa - mean_a**2).clamp(min=1e-8) * (bb - mean_b**2).clamp(min=1e-8)
-    ).sqrt()
+
+    def mean(images: Images) -> Images:
+        """In Gaussian windows that lie within the image."""
+        return gaussian_blur2d(images, (11, 11), (1.5, 1.5))[..., 5:-5, 5:-5]
+
+    covariance = mean(a * b) - mean(a) * mean(b)
+    variance_a = (mean(a * a) - mean(a) ** 2).clamp(min=1e-8)
+    variance_b = (mean(b * b) - mean(b) ** 2).clamp(min=1e-8)
     constant = 0.03**2 / 2
-    return ((ab - mean_a * mean_b + constant) / (spread + constant)).mean()
+    spread = (variance_a * variance_b).sqrt()
+    return ((covariance + constant) / (spread + constant)).mean()
 
 
-def pose_error(
-    predicted: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
-) -> float:
+def pose_error(predicted: Pose, true: Pose) -> float:
     """Return the larger of the errors of rotation and of direction of two relative poses [degrees].
 
     A direction and its opposite count as one, as the protocol has it, so its error is at most 90
@@ -263,77 +260,60 @@ def auc(errors: Sequence[float], limit: float) -> float:
     The curve is drawn from (0, 0) through the sorted errors, straight between them (Sarlin et al.,
     SuperGlue, 2020); a failure is an infinite error.
     """
-    x = np.concatenate([[0.0], np.sort(errors)])
-    y = np.arange(len(x)) / max(len(errors), 1)
-    inside = x < limit
-    inside[0] = True
-    x, y = np.append(x[inside], limit), np.append(y[inside], y[inside][-1])
-    return float(np.trapezoid(y, x) / limit)
+    inside = sorted(error for error in errors if error < limit)
+    x = [0.0, *inside, limit]
+    counts = [*range(len(inside) + 1), len(inside)]
+    return float(np.trapezoid(counts, x)) / (limit * max(len(errors), 1))
 
 
-@torch.no_grad()
-def measure_pair(
-    reconstructor: Reconstructor,
-    rasterizer: Rasterizer,
-    perceptual: tuple[str, Loss],
-    inputs: Sequence[Photo],
-    targets: Sequence[Photo],
-    steps: int,
-) -> dict[str, float]:
-    """Return the figures of one pair by name: means over the targets, at their true place and
-    aligned, and poses.
+@dataclass(frozen=True)
+class PairProtocol:
+    """Measures one pair of an index; means over its targets."""
 
-    `perceptual` is the distance and what it is called; `steps` those of a target, an input camera
-    takes twice as many. Raises MatchingError where the reconstructor finds no scene.
-    """
-    name, distance = perceptual
-    reconstruction = reconstructor(views_of(inputs))
-    true, predicted = (
-        np.linalg.inv(inputs[0].c2w) @ inputs[-1].c2w,
-        predicted_pose(reconstruction),
-    )
-    found = {"pose_error": [pose_error(predicted, true)]}
+    reconstructor: Reconstructor
+    rasterizer: Rasterizer
+    distance: str  # name of the loss, and of its figures
+    loss: Loss
+    # that align a target with its photo; an input camera takes twice as many
+    steps: int
 
-    def aligned(camera: Cameras, photo: Photo, steps: int, structure: bool) -> Cameras:
-        compare = partial(likeness_loss, perceptual=distance, structure=structure)
-        unit = float(np.linalg.norm(predicted[:3, 3]))
-        return align(
-            (reconstruction.gaussians, rasterizer),
-            camera,
-            _picture(photo),
-            compare,
-            steps,
-            unit,
-        )
+    @torch.no_grad()
+    def __call__(self, scene: EvaluationScene) -> dict[str, float]:
+        """Return the figures by name. Raises MatchingError where no scene is found."""
+        reconstruction = self.reconstructor(views_of(scene.inputs))
+        predicted = PredictedScene(reconstruction, self.rasterizer, scene.inputs)
+        targets = [self._figures(predicted, target) for target in scene.targets]
+        figures = {name: fmean(own[name] for own in targets) for name in targets[0]}
+        true = predicted.true_pose
+        figures["pose_error"] = pose_error(predicted.predicted_pose, true)
+        if self.steps:
+            camera = predicted.cameras.select([predicted.cameras.count - 1])
+            compare = partial(likeness_loss, perceptual=self.loss, structure=True)
+            photo = _batched(scene.inputs[-1].image)
+            refined = align(predicted, camera, photo, compare, 2 * self.steps)
+            pose = refined.c2w[0, 0].double().numpy()
+            figures["refined_pose_error"] = pose_error(pose, true)
+        return figures
 
-    for target in targets:
-        cameras = {"": target_camera(reconstruction, inputs[0], inputs[-1], target)}
-        if steps:
-            cameras["aligned_"] = aligned(cameras[""], target, steps, structure=False)
+    def _figures(
+        self, predicted: PredictedScene, target: PosedPhoto
+    ) -> dict[str, float]:
+        """Compare a target at its true place and, after it was aligned, at its own."""
+        cameras = {"": predicted.camera_of(target)}
+        photo = _batched(target.image)
+        if self.steps:
+            compare = partial(likeness_loss, perceptual=self.loss)
+            aligned = align(predicted, cameras[""], photo, compare, self.steps)
+            cameras["aligned_"] = aligned
+        figures = {}
         for prefix, camera in cameras.items():
-            shown, photo = (
-                rasterizer.render(reconstruction.gaussians, camera).images.clamp(0, 1),
-                _picture(target),
-            )
-            pictures = [x[0, 0].permute(1, 2, 0).numpy() for x in (shown, photo)]
-            values = (
-                psnr(*pictures),
-                ssim(*pictures, gaussian=True),
-                float(distance(LossInputs(shown, photo))),
-            )
-            for figure, value in zip(("psnr", "ssim", name), values):
-                found.setdefault(prefix + figure, []).append(value)
-    if steps:
-        last = reconstruction.cameras.select([reconstruction.cameras.count - 1])
-        refined = (
-            aligned(last, inputs[-1], 2 * steps, structure=True)
-            .c2w[0, 0]
-            .double()
-            .numpy()
-        )
-        found["refined_pose_error"] = [pose_error(refined, true)]
-    return {figure: float(np.mean(values)) for figure, values in found.items()}
+            shown = predicted.show(camera).image
+            distance = self.loss(LossInputs(rendered=_batched(shown), target=photo))
+            figures[f"{prefix}psnr"] = psnr(shown, target.image)
+            figures[f"{prefix}ssim"] = ssim(shown, target.image, gaussian=True)
+            figures[prefix + self.distance] = float(distance)
+        return figures
 
 
-def _picture(photo: Photo) -> Picture:
-    return torch.from_numpy(photo.image).permute(2, 0, 1)[None, None].contiguous()
+def _batched(image: Float[np.ndarray, "height width 3"]) -> BatchedImage:
+    return torch.from_numpy(image).permute(2, 0, 1)[None, None].contiguous()

@@ -1,44 +1,57 @@
-"""What the three commands share: checks of options, Markdown tables, groups of rows, and whole
-files.
+"""What the three commands share: progress on the terminal, folders, files, and Markdown tables.
 
 Nothing here imports torch, for a command line is parsed without it.
 """
 
 import argparse
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from edit3r.errors import InputError, SettingsError
+from edit3r.cli.flags import REPEATED
+from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
+from edit3r.reporting import Report, collecting
 
 Item = TypeVar("Item")
 
 
-def check_least(args: argparse.Namespace, **least: int) -> None:
-    """Raise SettingsError unless each option that is given is at least so large."""
-    for option, smallest in least.items():
-        value = getattr(args, option)
-        if value is not None and value < smallest:
-            raise SettingsError(
-                f"--{option.replace('_', '-')}: must be at least {smallest}, got {value}."
-            )
+def add_common(parser: argparse.ArgumentParser, settings: str = "") -> None:
+    """Declare the flags that all commands have, `--set` where there are `settings`."""
+    add = parser.add_argument
+    if settings:
+        add("--set", metavar="KEY=VALUE", help=settings, **REPEATED)
+    plugin = "also load this local plugin file"
+    add("--plugin", metavar="FILE", help=plugin, **REPEATED)
+    add("--quiet", action="store_true", help="print errors only")
 
 
-def markdown_table(
-    titles: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1
-) -> str:
-    """Return a Markdown table whose first `left` columns are set left and the others right, without
-    a last newline.
+@contextmanager
+def shown_stages(quiet: bool) -> Iterator[Report]:
+    """Show stages and progress inside the block on the terminal, unless `quiet`."""
+    from edit3r.cli.console import StageConsole
+
+    with (
+        StageConsole(quiet=quiet) as console,
+        collecting(Report(on_event=console)) as report,
+    ):
+        yield report
+
+
+def markdown_table(rows: Sequence[Mapping[str, str]], left: int = 1) -> str:
+    """Return rows of cells by title as a Markdown table without a last newline.
+
+    Its first `left` columns are set left, the others right; a cell that a row lacks is a dash.
     """
+    if not rows:
+        return "None."
+    titles = list(dict.fromkeys(title for row in rows for title in row))
     ruler = ["---"] * left + ["--:"] * (len(titles) - left)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ruler, *rows))
-
-
-def format_or_dash(value: float | None, form: str) -> str:
-    """Return a number as `form` says, "-" for None."""
-    return "-" if value is None else format(value, form)
+    lines = [titles, ruler]
+    lines += [[row.get(title, "-") for title in titles] for row in rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], str]) -> dict[str, list[Item]]:
@@ -50,9 +63,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], str]) -> dict[str, list
 
 
 def make_folder(folder: Path) -> Path:
-    """Make the folder where results go, and return it. Raises InputError where that cannot be
-    done.
-    """
+    """Make a folder for results, and return it. Raises InputError where that cannot be done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -60,6 +71,26 @@ def make_folder(folder: Path) -> Path:
             f"{folder}: cannot be created ({error.strerror}); give --out another folder."
         ) from None
     return folder
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder of results, so that no row is written twice.
+
+    Raises InputError where another process is at work there.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(make_folder(folder) / ".edit3r.lock")
+    try:
+        held = lock.acquire(blocking=False)
+    except Timeout:
+        raise InputError(
+            f"{folder}: another run writes its results there; wait for it, or give --out "
+            "another folder."
+        ) from None
+    with held:
+        yield
 
 
 def read_json(path: Path) -> Any:

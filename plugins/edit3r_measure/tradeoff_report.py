@@ -1,307 +1,194 @@
-"""The table of a sweep with the words around it, in Markdown, and its plot: time against
-accuracy.
-"""
+"""What a tradeoff found: the Pareto front, the presets of `edit3r run --quality`, and the table."""
 
-import math
 import os
 import platform
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import median
+from statistics import fmean
 from typing import Any
 
-from edit3r.errors import MissingDependencyError
-from edit3r.io.atomic import write_between
+import yaml
+
+from edit3r.errors import Edit3rError, RunError
 from edit3r.io.run_folder import installed_versions
-from edit3r_measure.report import format_or_dash, markdown_table
-from edit3r_measure.tradeoff_knobs import BASE
-from edit3r_measure.tradeoff_points import Figures, MeasuredPoint, Spread, front
-
-START, END = (
-    "<!-- tradeoff: written by edit3r tradeoff --page -->",
-    "<!-- end of tradeoff -->",
+from edit3r.pipeline.quality import (
+    PRESETS,
+    Expected,
+    MeasuredPoint,
+    Quality,
+    write_quality,
 )
-STAGES = ("reconstruct", "simplify", "refine", "render", "write files")
-CLOCKS = {"cpu": "processor time", "wall": "time"}
-PANEL, LINE = (
-    260,
-    9,
-)  # about the height of all points, and of a line of text [typographic points]
-NAMES = 0.6  # room for names, left of the points, against the width of these
+from edit3r_measure.report import grouped
+
+APART = 1.5  # how many times as quick each preset is as the next, at least
+
+Rows = Sequence[Mapping[str, Any]]
+"""Lines of `measurements.jsonl`, with the labels of their points."""
 
 
-def report(
-    points: Sequence[MeasuredPoint],
-    measurements: Sequence[Mapping[str, Any]],
-    measured: Mapping[str, Any],
-    clock: str,
-    presets: Mapping[str, str],
-) -> str:
-    """Return everything that a sweep found; `presets` is label to preset."""
-    parts = [_statement(measurements, measured, clock)]
-    for kind in points[0].kinds if points else ():
-        scenes = list(
-            dict.fromkeys(m["scene"] for m in measurements if m["kind"] == kind)
-        )
-        parts.append(
-            f"**{kind}** ({', '.join(scenes)})\n\n{_table(points, kind, clock, presets)}"
-        )
-    parts.append("\n".join(_remarks(measurements)))
-    return "\n\n".join(parts) + "\n"
+# ---- points ----
 
 
-def write_into_page(page: Path, text: str, plotted: Path) -> None:
-    """Write the report between the markers of a page, and the plot, if there is one, to images/
-    beside the page.
-
-    Raises InputError when the page has no markers.
+def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
+    """Return the points that were measured, and on which machine with what `effort`. Raises
+    RunError without a point.
     """
-    image = f"images/{page.stem}.png"
-    if plotted.is_file():
-        (page.parent / "images").mkdir(exist_ok=True)
-        shutil.copyfile(plotted, page.parent / image)
-        text = f"![Novel-view PSNR against time, front and presets]({image})\n\n{text}"
-    write_between(page, START, END, text)
-
-
-def describe_machine(threads: int | None) -> dict[str, Any]:
-    """Return processor, cores, threads and versions as JSON data, as far as they can be told."""
-    table = Path("/proc/cpuinfo")
-    found = (
-        re.search(r"model name\s*: (.+)", table.read_text())
-        if table.is_file()
-        else None
-    )
+    points = measured_points(rows)
+    if not points:
+        failures = dict.fromkeys(row.get("failure", "") for row in rows)
+        raise RunError(f"no point could be run on every scene. {' '.join(failures)}")
     versions = installed_versions()
-    return {
-        "processor": found[1] if found else platform.processor() or platform.machine(),
+    table = Path("/proc/cpuinfo")
+    found = re.search(
+        r"model name\s*: (.+)", table.read_text() if table.is_file() else ""
+    )
+    machine = {
+        "processor": found[1] if found else platform.processor(),
         "cores": os.cpu_count(),
-        "threads": threads or "as the libraries choose",
-        "versions": {
-            name: versions[name]
-            for name in ("edit3r", "python", "torch", "numba")
-            if name in versions
-        },
+        "day": max(row["day"] for row in rows),
+        "versions": {name: versions[name] for name in ("edit3r", "python", "torch")},
     }
+    return Quality(measured=machine | effort, points=points)
 
 
-def _statement(
-    measurements: Sequence[Mapping[str, Any]], measured: Mapping[str, Any], clock: str
-) -> str:
-    """Return a paragraph on the machine, how busy it was, and the command."""
-    versions = ", ".join(
-        f"{name} {version}" for name, version in measured["versions"].items()
-    )
-    runs = [
-        run for m in measurements for run in m.get("runs", ()) if not run["warm_up"]
-    ]
-    loads = [run["load"] for run in runs if run["load"] is not None]
-    waited = [
-        sum(run["wall"].values()) / max(sum(run["cpu"].values()), 1e-9) for run in runs
-    ]
-    busy = f"; 1-minute load {median(loads):.1f} in the median" if loads else ""
-    shared = (
-        f", wall time {median(waited):.2f} times the processor time in the median"
-        if waited
-        else ""
-    )
-    days = sorted({m["measured_at"][:10] for m in measurements})
-    return (
-        f"{measured['processor']}, {measured['cores']} cores, threads: {measured['threads']}; "
-        f"{versions}; "
-        f"{' to '.join(dict.fromkeys((days[0], days[-1]))) if days else 'nothing measured'}{busy}{shared}. "
-        f"Ranked by {'processor' if clock == 'cpu' else 'wall'} time, that of the quickest repeat; "
-        f"measured by `{measured['command']}`."
-    )
-
-
-def _table(
-    points: Sequence[MeasuredPoint], kind: str, clock: str, presets: Mapping[str, str]
-) -> str:
-    rows = sorted(points, key=lambda p: p.kinds[kind].seconds(clock))
-    figures = [point.kinds[kind] for point in rows]
-    on_front = front([f.seconds(clock) for f in figures], [f.psnr for f in figures])
-    stages = [name for name in STAGES if any(name in f.stages for f in figures)]
-    cells = [
-        [
-            point.label,
-            presets.get(point.label, ""),
-            "yes" if on else "",
-            *_cells(f, stages).values(),
-        ]
-        for point, f, on in zip(rows, figures, on_front)
-    ]
-    return markdown_table(
-        ["setting", "preset", "front", *_cells(figures[0], stages)], cells, left=3
-    )
-
-
-def _cells(f: Figures, stages: Sequence[str]) -> dict[str, str]:
-    """Return the columns of figures, by title."""
-    return {
-        "processor s": _seconds(f.cpu),
-        "wall s": _seconds(f.wall),
-        "first run, processor s": f"{f.first['cpu']:.2f}",
-        **{f"{stage} s": f"{f.stages.get(stage, 0):.2f}" for stage in stages},
-        "peak MiB": f"{f.memory_mb:.0f}",
-        "Gaussians": f"{f.gaussians:,.0f}",
-        "PLY MB": f"{f.ply_mb:.1f}",
-        "PSNR dB (least to most)": f"{f.psnr:.2f} ({f.psnr_of_scenes.least:.2f} to "
-        f"{f.psnr_of_scenes.most:.2f})",
-        "SSIM": f"{f.ssim:.3f}",
-        "perceptual": format_or_dash(f.perceptual, ".3f"),
-        "dB to the best": format_or_dash(f.distance, ".1f"),
-        "uptake": format_or_dash(f.uptake, ".2f"),
-        "leak": format_or_dash(f.leak, ".4f"),
-    }
-
-
-def _seconds(spread: Spread) -> str:
-    return f"{spread.middle:.2f} ({spread.least:.2f} to {spread.most:.2f})"
-
-
-def _remarks(measurements: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Say what the base is, what failed, what was not repeatable, and which perceptual distance it
-    was.
+def measured_points(rows: Rows) -> list[MeasuredPoint]:
+    """Return the points that were measured on every scene and failed on none, quickest first, the
+    presets named.
     """
-    base = next((m["settings"] for m in measurements if m["label"] == BASE), {})
-    lines = [
-        f"- {BASE}: {', '.join(f'{key} {value}' for key, value in base.items())}; others differ "
-        "as they say."
+    scenes = {row["scene"] for row in rows}
+    points = []
+    for label, group in grouped(rows, lambda row: row["label"]).items():
+        done = [row for row in group if "failure" not in row]
+        if {row["scene"] for row in done} == scenes:
+            kinds = grouped(done, lambda row: row["kind"])
+            expected = {kind: _expected(own) for kind, own in kinds.items()}
+            settings = group[0]["settings"]
+            points.append(
+                MeasuredPoint(label=label, settings=settings, expected=expected)
+            )
+    presets = {point.label: preset for preset, point in choose_presets(points).items()}
+    named = [
+        point.model_copy(update={"preset": presets.get(point.label)})
+        for point in points
     ]
-    lines += [
-        f"- {m['label']} failed on {m['scene']}: {m['failure']}"
-        for m in measurements
-        if "failure" in m
-    ]
-    odd = [m for m in measurements if not m.get("repeatable", True)]
-    lines += [
-        f"- {m['label']} on {m['scene']}: repeats did not leave the same scene."
-        for m in odd
-    ]
-    used = {m["perceptual_by"] for m in measurements if m.get("perceptual_by")}
-    if used:
-        lines.append(
-            f"- Perceptual distance: the loss {' and '.join(sorted(used))}; smaller is closer."
-        )
-    missing = {
-        name: why
-        for m in measurements
-        for name, why in m.get("perceptual_missing", {}).items()
-    }
-    return lines + [
-        f"- No perceptual distance by {name}: {why}"
-        for name, why in sorted(missing.items())
-    ]
+    return sorted(named, key=lambda point: point.seconds)
 
 
-# The plot.
+def _expected(rows: Rows) -> Expected:
+    """Return the figures of a point on one kind of scene, as they are written to the file."""
+    quickest = fmean(min(row["seconds"]) for row in rows)
+    return Expected(
+        seconds=round(quickest, 3),
+        seconds_first=round(fmean(row["seconds_first"] for row in rows), 3),
+        memory_mb=round(max(row["memory_mb"] for row in rows)),
+        gaussians=max(row["gaussians"] for row in rows),
+        psnr=round(fmean(row["psnr"] for row in rows), 2),
+        ssim=round(fmean(row["ssim"] for row in rows), 4),
+    )
 
 
-def plot(
-    points: Sequence[MeasuredPoint], clock: str, presets: Mapping[str, str], file: Path
-) -> None:
-    """Write a panel for each kind of scene; `presets` is label to preset.
+# ---- the front and the presets ----
 
-    Raises MissingDependencyError without matplotlib.
+
+def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
+    """Return for each point whether no other is at least as good in both and better in one (the
+    Pareto front).
+
+    A cost is better when it is smaller, an accuracy when it is larger. Points equal in both do not
+    push each other out.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingDependencyError(
-            "the plot needs matplotlib; install with: pip install matplotlib"
-        ) from None
-    kinds = list(points[0].kinds)
-    figure = Figure(figsize=(6.5 * len(kinds), 5), layout="constrained")
-    for axis, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds):
-        _draw_panel(axis, points, kind, clock, presets)
-    figure.savefig(file, dpi=110)
+    points = list(zip(costs, accuracies))
+
+    def beats(a: tuple[float, float], b: tuple[float, float]) -> bool:
+        return a[0] <= b[0] and a[1] >= b[1] and a != b
+
+    return [not any(beats(other, point) for other in points) for point in points]
 
 
-def _draw_panel(
-    axis: Any,
-    points: Sequence[MeasuredPoint],
-    kind: str,
-    clock: str,
-    presets: Mapping[str, str],
-) -> None:
-    times = [getattr(p.kinds[kind], clock) for p in points]
-    accuracies = [p.kinds[kind].psnr for p in points]
-    on_front = front([t.least for t in times], accuracies)
-    line = sorted(
-        (t.least, a, p.label)
-        for p, t, a, on in zip(points, times, accuracies, on_front)
-        if on
-    )
-    axis.step(
-        *list(zip(*line))[:2],
-        where="post",
-        color="tab:blue",
-        linewidth=1,
-        label="front",
-    )
-    for point, time, accuracy, on in zip(points, times, accuracies, on_front):
-        preset = presets.get(point.label)
-        look = (
-            {"fmt": "*", "ms": 15, "color": "tab:red"}
-            if preset
-            else {"fmt": "o", "ms": 5}
-        )
-        spread = [[0], [time.most - time.least]]
-        axis.errorbar(
-            time.least,
-            accuracy,
-            xerr=spread,
-            lw=1,
-            **{"color": "tab:blue" if on else "0.6", **look},
-        )
-    _label_axes(
-        axis, kind, clock, min(t.least for t in times), max(t.most for t in times)
-    )
-    _name_points(axis, line, presets, max(accuracies) - min(accuracies))
+def on_front(points: Sequence[MeasuredPoint], kind: str) -> list[bool]:
+    """Return for each point whether it is on the front of time and PSNR for a kind of scene."""
+    figures = [point.expected[kind] for point in points]
+    return front([own.seconds for own in figures], [own.psnr for own in figures])
 
 
-def _label_axes(
-    axis: Any, kind: str, clock: str, quickest: float, slowest: float
-) -> None:
-    """Make the axis of times [s] logarithmic, with room for names on the left."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def choose_presets(
+    points: Sequence[MeasuredPoint], apart: float = APART
+) -> dict[str, MeasuredPoint]:
+    """Return the presets by name, all of them on the front of every kind of scene; empty when there
+    are no three such points.
 
-    time = f"{CLOCKS[clock]} of a run without an editor, quickest to slowest repeat [s]"
-    axis.set(xscale="log", xlabel=time, ylabel="novel view PSNR [dB]", title=kind)
-    axis.margins(y=0.1)
-    axis.set_xlim(quickest * (quickest / slowest) ** NAMES, slowest * 1.3)
-    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: f"{seconds:g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.grid(alpha=0.3)
-    axis.legend(loc="lower right", fontsize=8)
-
-
-def _name_points(
-    axis: Any,
-    on_front: Sequence[tuple[float, float, str]],
-    presets: Mapping[str, str],
-    span: float,
-) -> None:
-    """Write the names of (seconds, dB, label), quickest first, to the left, where no point can be,
-    and none on another.
-
-    Points off the front are named in the table.
+    `best` is the most accurate point at the largest size of photos for which the other two exist.
+    `balanced` is the most accurate point that costs at most 1/`apart` of it on every kind of scene,
+    and `fast` the same below `balanced`.
     """
-    top = -math.inf
-    for index, (seconds, accuracy, label) in enumerate(on_front):
-        preset = presets.get(label)
-        at = accuracy / max(span, 1e-9) * PANEL  # [typographic points]
-        top = max(at + 3, top + LINE)
-        axis.annotate(
-            f"{preset}: {label}" if preset else label,
-            (seconds, accuracy),
-            xytext=(10 if index == 0 else -8, top - at),
-            textcoords="offset points",
-            ha="left" if index == 0 else "right",
-            fontsize=7,
-            color="tab:red" if preset else "tab:blue",
+    if not points:
+        return {}
+    fronts = [on_front(points, kind) for kind in points[0].expected]
+    candidates = [point for point, *flags in zip(points, *fronts) if all(flags)]
+    sizes = [point.settings.get("size", 0) for point in points]
+    full = [p for p in candidates if p.settings.get("size", 0) == max(sizes)]
+    for best in sorted(full, key=lambda point: point.accuracy, reverse=True):
+        balanced = _most_accurate_below(best, candidates, apart)
+        fast = balanced and _most_accurate_below(balanced, candidates, apart)
+        if fast is not None:
+            return dict(zip(PRESETS, (fast, balanced, best)))
+    return {}
+
+
+def _most_accurate_below(
+    slower: MeasuredPoint, points: Sequence[MeasuredPoint], apart: float
+) -> MeasuredPoint | None:
+    """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of
+    scene.
+    """
+    quick = []
+    for point in points:
+        pairs = [(point.expected[kind], own) for kind, own in slower.expected.items()]
+        if all(apart * own.seconds <= limit.seconds for own, limit in pairs):
+            quick.append(point)
+    return max(quick, key=lambda point: point.accuracy, default=None)
+
+
+def write_presets(quality: Quality) -> Path:
+    """Write the file that `edit3r run --quality` reads. Raises Edit3rError where no presets were
+    found.
+    """
+    if not any(point.preset for point in quality.points):
+        raise Edit3rError(
+            "the presets stay as they are: no three points on the front lie apart in time."
         )
+    return write_quality(quality)
+
+
+# ---- the table ----
+
+
+HEAD = """\
+| setting | preset | front | processor s | first run | peak MiB | Gaussians | PSNR dB | SSIM |
+| --- | --- | --- | --: | --: | --: | --: | --: | --: |"""
+
+
+def report(quality: Quality, rows: Rows) -> str:
+    """Return everything that was found, as Markdown."""
+    points = quality.points
+    parts = [
+        f"```yaml\n{yaml.safe_dump(quality.measured, sort_keys=False)}```\n\n"
+        "Processor time of the quickest run after the first of a process; the front is that of "
+        "PSNR and this time."
+    ]
+    for kind in points[0].expected:
+        scenes = dict.fromkeys(row["scene"] for row in rows if row["kind"] == kind)
+        lines = [f"**{kind}** ({', '.join(scenes)})\n", HEAD]
+        for point, flag in zip(points, on_front(points, kind)):
+            own = point.expected[kind]
+            lines.append(
+                f"| {point.label} | {point.preset or ''} | {'yes' if flag else ''} "
+                f"| {own.seconds:.2f} | {own.seconds_first:.2f} | {own.memory_mb:.0f} "
+                f"| {own.gaussians:,} | {own.psnr:.2f} | {own.ssim:.3f} |"
+            )
+        parts.append("\n".join(lines))
+    for row in rows:
+        if "failure" in row:
+            parts.append(f"{row['label']} failed on {row['scene']}: {row['failure']}")
+    return "\n\n".join(parts) + "\n"

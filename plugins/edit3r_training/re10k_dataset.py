@@ -21,7 +21,7 @@ from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
 from edit3r.io.decode import FORMATS
 from edit3r.io.framing import frame_for
-from edit3r.io.posed_folder import Photo
+from edit3r.io.posed_folder import PosedPhoto
 from edit3r_training.photo_dataset import (
     DrawnPhotos,
     PhotoDataset,
@@ -61,7 +61,7 @@ class Re10kDataset(PhotoDataset):
             for chunk, place in self.scenes
         }
 
-    def photos(self, key: str, indices: Sequence[int]) -> list[Photo]:
+    def photos(self, key: str, indices: Sequence[int]) -> list[PosedPhoto]:
         """Return frames of one scene, which an evaluation index file names. Raises InputError for
         what is not there.
         """
@@ -76,7 +76,7 @@ class Re10kDataset(PhotoDataset):
             )
         drawn = self._drawn(scene, list(indices))
         return [
-            Photo(image.permute(1, 2, 0).numpy(), k.double().numpy(), c2w.numpy())
+            PosedPhoto(image.permute(1, 2, 0).numpy(), k.double().numpy(), c2w.numpy())
             for image, k, c2w in zip(drawn.images, drawn.intrinsics, drawn.c2w)
         ]
 

@@ -10,7 +10,6 @@ import torch
 from edit3r_measure.metrics import (
     best_blurred_copy,
     blur,
-    bootstrap_mean,
     change_outside,
     edit_strength,
     edit_uptake,
@@ -462,29 +461,3 @@ def test_kernel_distance_of_one_distribution_is_about_zero():
 def test_a_single_picture_is_no_distribution(distance):
     with pytest.raises(ValueError, match="at least 2"):
         distance(np.zeros((1, 3)), np.zeros((4, 3)))
-
-
-def test_the_mean_is_over_scenes_not_over_edits():
-    interval = bootstrap_mean({"a": [1.0, 1.0, 1.0, 1.0], "b": [3.0]})
-    assert (
-        interval.mean == 2
-        and (interval.low, interval.high) == (1, 3)
-        and interval.scenes == 2
-    )
-
-
-def test_unknown_values_are_left_out_and_none_means_nothing_known():
-    assert bootstrap_mean({"a": [float("nan"), 2.0], "b": [float("nan")]}).mean == 2
-    assert bootstrap_mean({"a": [float("nan")]}) is None
-
-
-def test_the_interval_has_the_width_of_the_standard_error():
-    values = np.random.default_rng(0).normal(size=100)
-    interval = bootstrap_mean({str(i): [v] for i, v in enumerate(values)})
-    expected = 2 * 1.96 * values.std() / 10
-    assert interval.high - interval.low == pytest.approx(expected, rel=0.1)
-
-
-def test_the_same_values_give_the_same_interval():
-    values = {"a": [0.1], "b": [0.7], "c": [0.4]}
-    assert bootstrap_mean(values) == bootstrap_mean(values)

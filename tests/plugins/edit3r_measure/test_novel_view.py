@@ -1,20 +1,25 @@
 import json
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluate import as_records, novel_view_table
-from edit3r_measure.novel_view import relative_pose, score_scene, views_of
+from edit3r_measure.evaluate_tables import as_markdown, as_records
+from edit3r_measure.novel_view import (
+    carried_edit,
+    novel_view,
+    relative_pose,
+    score_scene,
+    views_of,
+)
 from edit3r_measure.scene_sources import (
     SceneOptions,
-    Triple,
     choose_triples,
     find_scenes,
     photo_scene,
     rotation_degrees,
-    write_scenes,
 )
 
 from edit3r.cli.main import main
@@ -61,13 +66,13 @@ def test_transforms_json_is_read_with_opencv_axes(tmp_path):
 
 
 def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between(wall):
-    cameras = [wall.camera(x, -10 * x) for x in (0, 0.25, 0.5, 1, 5)]
-    assert choose_triples(cameras, 9, (8, 30)) == [Triple(0, 3, 2, pytest.approx(10))]
+    cameras = [wall.camera(x, -10 * x).c2w for x in (0, 0.25, 0.5, 1, 5)]
+    assert choose_triples(cameras, 9, (8, 30)) == [(0, 3, 2)]
     assert choose_triples(cameras[:2], 9) == []
 
 
 def test_triples_are_spread_over_all_pairs(wall):
-    cameras = [wall.camera(0.1 * i, -2.5 * i) for i in range(12)]
+    cameras = [wall.camera(0.1 * i, -2.5 * i).c2w for i in range(12)]
     every = choose_triples(cameras, 999)
     few = choose_triples(cameras, 3)
     assert few == [every[0], few[1], every[-1]]
@@ -81,8 +86,8 @@ def test_rotation_degrees_is_exact_for_small_angles():
 def test_true_geometry_in_another_unit_scores_well(folder, wall):
     score = score_scene(
         photo_scene(folder, (0, 2, 1), 48),
-        wall.Known(folder),
-        build("rasterizer", "torch"),
+        "novel view",
+        partial(novel_view, wall.Known(folder), build("rasterizer", "torch")),
     )
     figures = score.figures
     assert score.degrees == pytest.approx(8)
@@ -94,16 +99,16 @@ def test_true_geometry_in_another_unit_scores_well(folder, wall):
 
 def test_a_failure_is_a_row_not_a_stop(folder, wall):
     scene = photo_scene(folder, (0, 2, 1), 48)
-    score = score_scene(
-        scene, wall.Known(folder, fails=True), build("rasterizer", "torch")
-    )
+    failing = wall.Known(folder, fails=True)
+    figures = partial(novel_view, failing, build("rasterizer", "torch"))
+    score = score_scene(scene, "novel view", figures)
     assert score.failure == "nothing in common."
-    table = novel_view_table([score])
+    table = as_markdown([score])
     assert (
         "| wall | 1 | 1 | - |" in table
         and "0.png and 2.png: nothing in common." in table
     )
-    assert as_records([score])[0]["psnr"] is None
+    assert as_records([score])[0]["failure"] == score.failure
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):
@@ -124,31 +129,20 @@ def test_the_command_writes_a_table(folder, tmp_path, capsys):
     assert json.loads(out.read_text())[0]["scene"] == "wall"
 
 
-def test_a_pair_of_a_folder_is_written_as_a_users_photos_are_with_its_truth_beside(
-    folder, tmp_path
-):
-    options = SceneOptions(count=1, size=512, more_inputs=True)
-    (scene,) = write_scenes([str(folder.path)], options, tmp_path, default_registry())
-    assert scene.name == "wall-512-0-2" and [file.name for file in scene.photos] == [
-        "0.png",
-        "1.png",
-    ]
-    (first, second), target = scene.truth()
-    assert target.image.shape == (64, 64, 3)  # never larger than the photos are
-    assert np.allclose(
-        relative_pose(second, first),
-        relative_pose(folder.load(2, 64), folder.load(0, 64)),
-    )
+def test_a_pair_of_a_folder_is_named_and_brings_the_photo_between(folder):
+    options = SceneOptions(count=1, size=64)
+    (source,) = find_scenes(str(folder.path), options, default_registry())
+    scene = source.load()
+    assert source.name == "wall-64-0-2"
+    assert scene.files == ("0.png", "2.png", "1.png")
+    assert scene.target.image.shape == (64, 64, 3)
 
 
-def test_a_folder_without_pairs_cannot_be_written(tmp_path, wall):
-    (tmp_path / "cameras.json").write_text(
-        json.dumps(wall.written(tmp_path, [wall.camera(0, 0)]))
-    )
+def test_a_folder_without_pairs_is_an_error(tmp_path, wall):
+    cameras = wall.written(tmp_path, [wall.camera(0, 0)])
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
     with pytest.raises(InputError, match="no two photos are 5 to 30 degrees apart"):
-        write_scenes(
-            [str(tmp_path)], SceneOptions(1, 32), tmp_path / "out", default_registry()
-        )
+        find_scenes(str(tmp_path), SceneOptions(1, 32), default_registry())
 
 
 class Carries(Reconstructor):
@@ -184,23 +178,15 @@ def edited_scene():
 
 
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
-    score = score_scene(
-        edited_scene,
-        Carries(edited_scene, True),
-        build("rasterizer", "numba"),
-        edits=True,
-    ).figures
+    carries = Carries(edited_scene, True)
+    score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)
     assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
     assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
 def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
-    score = score_scene(
-        edited_scene,
-        Carries(edited_scene, False),
-        build("rasterizer", "numba"),
-        edits=True,
-    ).figures
+    carries = Carries(edited_scene, False)
+    score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)
     names = ("uptake", "error", "leak", "disagreement", "kept")
     assert tuple(score[name] for name in names) == (0, 1, 0, 0, 0)
 
@@ -216,11 +202,14 @@ def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--pairs", "0"], "--pairs: must be at least 1, got 0"),
+        (
+            ["--pairs", "0"],
+            "evaluate.pairs: input should be greater than or equal to 1, got 0",
+        ),
         (["--out", "scores.csv"], "ends in .md or .json"),
         (
             ["--set", "editor.steps=3"],
-            "settings of reconstructor, rasterizer and dataset only",
+            "evaluate.editor: unknown setting",
         ),
     ],
 )

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,24 +14,25 @@ import pytest
 import torch
 import torch.nn.functional as F
 from edit3r_measure.protocol import (
-    Entry,
+    IndexEntry,
+    PairProtocol,
     _motion,
     _moved,
     align,
     auc,
-    measure_pair,
     photos_of,
     pose_error,
     read_index,
     structure_likeness,
 )
+from edit3r_measure.scene_sources import photo_scene
 from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid
-from edit3r.io.posed_folder import Photo
+from edit3r.io.posed_folder import PosedPhoto
 from edit3r.plugins.registry import build
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "overlap_index.py"
@@ -60,7 +62,9 @@ indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()
     ],
 )
 def test_classes_of_overlap_are_those_of_the_paper(overlap, name):
-    assert Entry(context=(0, 5), target=(2,), overlap=overlap).overlap_class == name
+    assert (
+        IndexEntry(context=(0, 5), target=(2,), overlap=overlap).overlap_class == name
+    )
 
 
 def test_an_index_of_pixelsplat_is_read_scenes_without_a_pair_left_out(tmp_path):
@@ -114,7 +118,7 @@ def straight(x, size=40):
     """
     c2w = np.eye(4)
     c2w[0, 3] = x
-    return Photo(
+    return PosedPhoto(
         np.zeros((size, size, 3), np.float32),
         np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]),
         c2w,
@@ -215,6 +219,17 @@ def cloud():
     return Gaussians(means, scales, quats, opacities, harmonics)
 
 
+def predicted(gaussians, rasterizer, unit):
+    """A predicted scene whose two cameras stand `unit` apart."""
+    pose = np.eye(4)
+    pose[0, 3] = unit
+    return SimpleNamespace(
+        reconstruction=SimpleNamespace(gaussians=gaussians),
+        rasterizer=rasterizer,
+        predicted_pose=pose,
+    )
+
+
 def looking(c2w, size=32):
     intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).double()
     return Cameras(c2w.double()[None, None], intrinsics[None, None], (size, size))
@@ -228,25 +243,21 @@ def test_the_gradient_is_that_of_moving_the_camera():
     def loss(gaussians, pose):
         return F.mse_loss(render(gaussians, looking(pose)).images, wished)
 
-    turn, shift = (
-        torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2)
-    )
-    loss(_moved(scene, c2w @ _motion(turn, shift) @ invert_rigid(c2w)), c2w).backward()
-    for part, gradient in enumerate((turn.grad, shift.grad)):
-        for axis in range(3):
-            step = [torch.zeros(3, dtype=torch.float64) for _ in range(2)]
-            step[part][axis] = 1e-4
-            motions = [_motion(*(own * sign for own in step)) for sign in (1, -1)]
-            moved = [
-                loss(_moved(scene, c2w @ motion @ invert_rigid(c2w)), c2w)
-                for motion in motions
-            ]
-            ends = [loss(scene, c2w @ invert_rigid(motion)) for motion in motions]
-            assert torch.allclose(torch.stack(moved), torch.stack(ends), rtol=1e-9)
-            slope = (
-                float(ends[0] - ends[1]) / 2e-4
-            )  # rough: what is nearly clear is not drawn
-            assert float(gradient[axis]) == pytest.approx(slope, rel=0.2)
+    twist = torch.zeros(6, dtype=torch.float64, requires_grad=True)
+    loss(_moved(scene, c2w @ _motion(twist) @ invert_rigid(c2w)), c2w).backward()
+    for axis in range(6):
+        step = torch.zeros(6, dtype=torch.float64)
+        step[axis] = 1e-4
+        motions = [_motion(sign * step) for sign in (1, -1)]
+        moved = [
+            loss(_moved(scene, c2w @ motion @ invert_rigid(c2w)), c2w)
+            for motion in motions
+        ]
+        ends = [loss(scene, c2w @ invert_rigid(motion)) for motion in motions]
+        assert torch.allclose(torch.stack(moved), torch.stack(ends), rtol=1e-9)
+        slope = float(ends[0] - ends[1]) / 2e-4
+        # Rough, since what is nearly clear is not drawn.
+        assert float(twist.grad[axis]) == pytest.approx(slope, rel=0.2)
 
 
 def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
@@ -263,7 +274,7 @@ def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
         torch.float32
     )
     found = (
-        align((scene, render), start, photo, F.mse_loss, 60, unit=1.0)
+        align(predicted(scene, render, unit=1.0), start, photo, F.mse_loss, 60)
         .c2w[0, 0]
         .double()
     )
@@ -278,9 +289,9 @@ def test_alignment_is_never_worse_than_where_it_began():
     scene, render = cloud().to(torch.float32), build("rasterizer", "numba")
     photo = render.render(scene, looking(torch.eye(4)).to(torch.float32)).images
     here = looking(torch.from_numpy(turned(0, [0.002, 0, 0]))).to(torch.float32)
-    assert torch.equal(
-        align((scene, render), here, photo, F.mse_loss, 2, unit=50.0).c2w, here.c2w
-    )  # steps too large
+    steps_too_large = predicted(scene, render, unit=50.0)
+    found = align(steps_too_large, here, photo, F.mse_loss, 2)
+    assert torch.equal(found.c2w, here.c2w)
 
 
 def no_distance(inputs):
@@ -290,19 +301,15 @@ def no_distance(inputs):
 def test_a_pair_with_true_poses_in_another_unit_has_no_error_and_a_camera_said_wrongly_is_put_right(
     folder, wall
 ):
-    photos = photos_of([str(folder.path)], "wall", (0, 2, 1), 48)
+    scene = photo_scene(folder, (0, 2, 1), 48)
     known, torch_like = wall.Known(folder), build("rasterizer", "numba")
-    found = measure_pair(
-        known, torch_like, ("perceptual", no_distance), photos[:2], photos[2:], 2
-    )
+    parts = (known, torch_like, "perceptual", no_distance)
+    found = PairProtocol(*parts, steps=2)(scene)
     assert found["pose_error"] < 0.1 and found["psnr"] > 20
     assert found["aligned_psnr"] >= found["psnr"] and found["refined_pose_error"] < 1
-    wrong = replace(
-        photos[2], c2w=photos[2].c2w @ turned(2, [0, 0, 0])
-    )  # the target's camera is said wrongly
-    figures = measure_pair(
-        known, torch_like, ("perceptual", no_distance), photos[:2], [wrong], 25
-    )
+    target = scene.target
+    wrong = replace(target, c2w=target.c2w @ turned(2, [0, 0, 0]))
+    figures = PairProtocol(*parts, steps=25)(replace(scene, targets=(wrong,)))
     assert (
         figures["psnr"] < found["psnr"] - 2
         and figures["aligned_psnr"] > figures["psnr"] + 2
@@ -344,7 +351,7 @@ def test_the_command_gives_a_row_to_each_class_and_counts_failures_as_infinite_e
         line.split(" | ")[0]: line for line in capsys.readouterr().out.splitlines()
     }
     assert (
-        lines["| small"].startswith("| small | 1 | 1 | - |")
+        lines["| small"].startswith("| small | 1 | 1 | 0.00")
         and "0.00 / 0.00 / 0.00" in lines["| small"]
     )
     assert (

@@ -3,13 +3,13 @@ times.
 """
 
 import pytest
-from edit3r_measure.bench_build import GeneratedSettings, build_generated
+from edit3r_measure.bench_generated import GeneratedSettings, build_generated
 from edit3r_measure.bench_manifest import write_bench_manifest
 
 from edit3r.plugins.registry import default_registry
 
 CARDS = '''
-"""Local plugin: every view a flat card of Gaussians at a fixed depth, at the known poses. Quick, and wrong."""
+"""Local plugin: every view a flat card of Gaussians at the known poses. Quick, and wrong."""
 
 import torch
 
@@ -53,7 +53,8 @@ class Cards(Reconstructor):
 
 @hookimpl
 def register_reconstructors():
-    return [Component(name="cards", target=f"{__name__}:Cards", summary="flat cards at the known poses")]
+    target = f"{__name__}:Cards"
+    return [Component(name="cards", target=target, summary="flat cards at the known poses")]
 '''
 
 

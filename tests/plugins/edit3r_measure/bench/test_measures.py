@@ -6,15 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from edit3r_measure.bench_item import ItemResult
 from edit3r_measure.bench_manifest import ItemRecord, LoadedItem
 from edit3r_measure.bench_metrics import (
     BY_REGION,
-    METRICS,
     MethodOutput,
     measure,
     remark,
 )
+from edit3r_measure.bench_run import ItemResult
 from edit3r_measure.features import prompt_quality
 
 from edit3r.contract.types import Cameras, Views
@@ -211,10 +210,3 @@ def test_an_edit_that_ran_without_reaching_the_scene_is_said_in_words(item):
     )
     assert ItemResult("a", "s", "Modify", found).remark == remark(found)
     assert ItemResult("a", "s", "Modify", found, failure="no matches").remark == ""
-
-
-def test_every_measure_by_region_has_a_direction_and_no_second_meaning():
-    assert not set(BY_REGION) & set(METRICS) and set(dict(BY_REGION.values())) <= {
-        "↑",
-        "↓",
-    }

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from edit3r_measure.bench_item import Method, read_methods
+from edit3r_measure.bench_method import Method, read_methods
 from edit3r_measure.oracle import ORACLE, OracleSettings
 
 from edit3r.config import PartChoice, make_settings, read_yaml
@@ -16,7 +16,7 @@ SHIPPED = sorted((Path(__file__).parents[4] / "configs" / "bench").glob("*.yaml"
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_methods_name_components_and_settings_that_exist(path):
     registry = default_registry()
-    for method in read_methods(read_yaml(path)):
+    for method in read_methods(read_yaml(path), {}):
         for kind in ("reconstructor", "rasterizer", "editor"):
             choice = getattr(method, kind)
             if choice.name == ORACLE:
@@ -32,42 +32,31 @@ def test_shipped_methods_name_components_and_settings_that_exist(path):
 
 def test_the_label_is_editor_and_reconstructor_unless_given():
     assert Method().label == "oracle+edit3r"
-    assert (
-        Method(editor="none", reconstructor={"name": "classical", "opacity": 0.5}).label
-        == "none+classical"
-    )
+    assert Method(editor="none", reconstructor="classical").label == "none+classical"
     with pytest.raises(ValueError, match="must be letters"):
         Method(label="a/b")
 
 
 def test_settings_are_laid_over_a_method_by_its_label():
-    values = {
-        "methods": [
-            {"label": "a", "reconstructor": {"name": "edit3r", "opacity": 0.5}},
-            {"label": "b"},
-        ]
-    }
-    changes = {
-        "a": {"reconstructor": {"fuse_edits": False}, "poses": False, "editor": "none"}
-    }
-    a, b = read_methods(values, changes)
-    assert (
-        a.reconstructor.settings == {"opacity": 0.5, "fuse_edits": False}
-        and a.reconstructor.name == "edit3r"
-    )
-    assert a.editor.name == "none" and not a.poses and b == Method(label="b")
+    own = {"label": "a", "reconstructor": {"name": "edit3r", "opacity": 0.5}}
+    fused = {"reconstructor": {"fuse_edits": False}, "poses": False, "editor": "none"}
+    a, b = read_methods({"methods": [own, {"label": "b"}]}, {"a": fused})
+    assert a.reconstructor.name == "edit3r"
+    assert a.reconstructor.settings == {"opacity": 0.5, "fuse_edits": False}
+    assert a.editor.name == "none"
+    assert not a.poses
+    assert b == Method(label="b")
 
 
 @pytest.mark.parametrize(
-    ("values", "changes", "words"),
+    ("methods", "changes", "words"),
     [
-        ({"methods": []}, {}, "at least one method"),
-        ({"methods": [{}], "out": "x"}, {}, "one key"),
-        ({"methods": [{}, {}]}, {}, "two are called"),
-        ({"methods": [{"label": "a"}]}, {"c": {}}, "no such method"),
-        ({"methods": [{"recon": "edit3r"}]}, {}, "recon"),
+        ([], {}, "configuration.methods"),
+        ([{}, {}], {}, "two are called"),
+        ([{"label": "a"}], {"c": {}}, "no such method"),
+        ([{"recon": "edit3r"}], {}, "recon"),
     ],
 )
-def test_a_configuration_that_cannot_be_is_one_sentence(values, changes, words):
+def test_a_configuration_that_cannot_be_is_one_sentence(methods, changes, words):
     with pytest.raises(SettingsError, match=words):
-        read_methods(values, changes)
+        read_methods({"methods": methods}, changes)

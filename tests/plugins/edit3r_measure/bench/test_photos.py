@@ -9,8 +9,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 import yaml
-from edit3r_measure.bench_build import find_photo_folders
 from edit3r_measure.bench_manifest import load_item, read_bench_manifest
+from edit3r_measure.bench_photos import find_photo_folders
 from edit3r_measure.bench_proposals import (
     ProposedEdit,
     choose_edits,
@@ -418,7 +418,7 @@ def test_the_vetting_file_reads_back_and_names_what_is_wrong_in_it(tmp_path):
     write_vetting(path, {"s": [edit]})
     assert read_vetting(path)["s"] == [edit]
     path.write_text(path.read_text().replace("verdict: ''", "verdict: maybe"))
-    with pytest.raises(SettingsError, match=r"scene 's', edit 1.*maybe"):
+    with pytest.raises(SettingsError, match=r"scenes\.s\.0\.verdict.*maybe"):
         read_vetting(path)
 
 
@@ -457,7 +457,7 @@ def test_a_photo_that_changed_since_is_noticed(folder, detector):
     manifest = read_bench_manifest(out)
     Image.new("RGB", (64, 48)).save(folder / "garden" / "0.png")
     with pytest.raises(
-        InputError, match="not the picture that the manifest was built with"
+        InputError, match="not the image that the manifest was built with"
     ):
         load_item(manifest, manifest.items[0], out.parent, default_registry())
 
@@ -505,7 +505,7 @@ def test_what_an_editor_makes_of_all_photos_is_the_truth(folder):
     assert red.masks.mean() > 0.9 and warm.masks is None
     (folder.parent / red.record.truth[0].file).write_bytes(b"changed")
     with pytest.raises(
-        InputError, match="not the picture that the manifest was built with"
+        InputError, match="not the image that the manifest was built with"
     ):
         load_item(manifest, red.record, folder.parent, default_registry())
 

@@ -9,16 +9,27 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from edit3r_measure import bench_item
-from edit3r_measure.bench_item import RESULTS, BenchRun, Method, read_results, run_bench
-from edit3r_measure.bench_metrics import MetricSettings
+from edit3r_measure import bench_run
+from edit3r_measure.bench_method import Method
+from edit3r_measure.bench_options import RunOptions
 from edit3r_measure.bench_report import read_columns, summary_of
+from edit3r_measure.bench_run import (
+    RESULTS,
+    BenchRun,
+    read_results,
+    run_bench,
+    timing_of,
+)
+from edit3r_measure.report import alone_in
 
+import edit3r
 from edit3r.errors import InputError
-from edit3r.workers import Workers
+from edit3r.io.images import packaged_pair
+from edit3r.reporting import Report, StageRecord
 
 ROOT = Path(__file__).parents[4]
 
@@ -30,73 +41,61 @@ def run(manifest_file, cards, tmp_path):
 
 def make_run(manifest_file, cards, out, **settings):
     method = Method(label="cards", reconstructor={"name": "cards", **settings})
-    return BenchRun(
-        manifest_file,
-        method,
-        out,
-        MetricSettings(effnet=False),
-        edits=3,
-        plugins=(cards,),
-    )
+    options = RunOptions(no_effnet=True, edits=3)
+    return BenchRun(manifest_file, method, out, options, (cards,))
+
+
+def with_options(run, **options):
+    return replace(run, options=run.options.model_copy(update=options))
+
+
+def report_of(run):
+    return summary_of(read_columns([run.out]))
 
 
 @pytest.fixture(scope="module")
 def straight(manifest_file, cards, tmp_path_factory):
     """The report of a run in one go."""
-    out = tmp_path_factory.mktemp("straight") / "out"
-    run_bench(make_run(manifest_file, cards, out))
-    return summary_of(read_columns([out]))
-
-
-def test_a_run_measures_every_edit_and_leaves_pictures(straight, run):
-    seen = []
-    results = run_bench(run, on_done=seen.append)
-    assert [progress.done for progress in seen] == [1, 2, 3] and seen[
-        -1
-    ].seconds_left == 0
-    for name, result in results.items():
-        assert {
-            "psnr",
-            "ssim",
-            "edit-uptake",
-            "consistency-warped",
-            "edit-strength",
-        } <= set(result.metrics)
-        files = {path.name for path in (run.out / "pictures" / name).iterdir()}
-        assert files == {"photos.png", "edited.png", "shown.png", "truth.png"}
-    assert summary_of(read_columns([run.out])) == straight
-    assert [result.timing["cold"] for result in results.values()] == [
-        True,
-        False,
-        False,
-    ]
-
-
-def test_a_finished_run_does_nothing_again(straight, run):
+    run = make_run(manifest_file, cards, tmp_path_factory.mktemp("straight") / "out")
     run_bench(run)
+    return report_of(run)
+
+
+def test_a_run_measures_every_edit_leaves_sheets_and_does_nothing_again(straight, run):
+    seen = []
+    results = run_bench(run, seen.append)
+    assert [progress.done for progress in seen] == [1, 2, 3]
+    assert seen[-1].seconds_left == 0
+    for name, result in results.items():
+        assert {"psnr", "edit-uptake", "consistency-warped"} <= set(result.metrics)
+        assert (run.out / "pictures" / f"{name}.webp").is_file()
+    assert report_of(run) == straight
+    cold = [result.timing["cold"] for result in results.values()]
+    assert cold == [True, False, False]
     before = (run.out / RESULTS).read_bytes()
-    run_bench(run, on_done=lambda progress: pytest.fail("measured again"))
+    run_bench(run, lambda progress: pytest.fail("measured again"))
     assert (run.out / RESULTS).read_bytes() == before
 
 
 def test_two_processes_give_the_same_results(straight, run):
-    run_bench(run, workers=Workers(2, threads=1))
-    assert summary_of(read_columns([run.out])) == straight
+    run_bench(with_options(run, workers=2))
+    assert report_of(run) == straight
 
 
 def test_two_ray_workers_give_the_same_results(straight, run):
     pytest.importorskip("ray", reason="Ray is not installed (extra ray)")
-    run_bench(run, workers=Workers(2, "ray", threads=1))
-    assert summary_of(read_columns([run.out])) == straight
+    run_bench(with_options(run, workers=2, ray=True))
+    assert report_of(run) == straight
 
 
 @pytest.mark.parametrize(
-    ("stage", "items"), [("load_item", 1), ("measure", 3), ("save_strips", 2)]
+    ("stage", "items"), [("load_item", 1), ("measure", 3), ("save_sheet", 2)]
 )
 def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(
     straight, run, monkeypatch, stage, items
 ):
-    real, calls = getattr(bench_item, stage), []
+    real = getattr(bench_run, stage)
+    calls = []
 
     def stops(*arguments):
         calls.append(stage)
@@ -105,34 +104,29 @@ def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(
         return real(*arguments)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(bench_item, stage, stops)
+        patch.setattr(bench_run, stage, stops)
         run_bench(run)
     assert len(read_results(run.out)) == items - 1
     run_bench(run)
-    assert summary_of(read_columns([run.out])) == straight
+    assert report_of(run) == straight
+
+
+OPTIONS = "--recon cards --set label=cards --no-effnet --edits 3 --quiet"
 
 
 def test_killed_and_resumed_gives_the_same_report(straight, run, cards):
-    command = [
-        "bench",
-        "run",
-        str(run.manifest_file),
-        "--recon",
-        "cards",
-        "--plugin",
-        cards,
-        "--out",
-        str(run.out),
-    ]
-    command += ["--set", "label=cards", "--no-effnet", "--edits", "3", "--quiet"]
-    process = subprocess.Popen([sys.executable, "-m", "edit3r.cli.main", *command])
+    command = (
+        f"bench run {run.manifest_file} --plugin {cards} --out {run.out} {OPTIONS}"
+    )
+    program = [sys.executable, "-m", "edit3r.cli.main"]
+    process = subprocess.Popen([*program, *command.split()])
     try:
         wait_for(lambda: process.poll() is not None or lines(run.out) >= 2)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
     run_bench(run)
-    assert summary_of(read_columns([run.out])) == straight
+    assert report_of(run) == straight
 
 
 def lines(out):
@@ -149,41 +143,40 @@ def wait_for(condition, seconds=300):
 
 def test_a_failure_is_a_result_with_its_sentence(manifest_file, cards, tmp_path):
     results = run_bench(make_run(manifest_file, cards, tmp_path / "out", fails=True))
-    assert all(result.failure == "the cards fell over." for result in results.values())
-    assert all(
-        result.metrics["edit-uptake"] == 0 and result.metrics["psnr"] < 15
-        for result in results.values()
-    )
+    for result in results.values():
+        assert result.failure == "the cards fell over."
+        assert result.metrics["edit-uptake"] == 0
+        assert result.metrics["psnr"] < 15
 
 
-def test_a_folder_of_another_method_is_refused(manifest_file, cards, run):
+def test_a_folder_of_something_else_or_in_use_is_refused(manifest_file, cards, run):
+    with alone_in(run.out), pytest.raises(InputError, match="another run writes"):
+        run_bench(run)
+    (run.out / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="not of a benchmark run"):
+        run_bench(run)
+    (run.out / "thesis.tex").unlink()
+    # What a kill left half written is no obstacle.
+    (run.out / ".bench-run.partial-0123.json").write_text('{"format": "edit3r-be')
     run_bench(run)
     with pytest.raises(InputError, match="another method"):
         run_bench(make_run(manifest_file, cards, run.out, depth=3.0))
 
 
-def test_a_folder_with_other_files_is_refused(run):
-    run.out.mkdir()
-    (run.out / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="not of a benchmark run"):
-        run_bench(run)
-
-
-def test_what_a_kill_left_half_written_is_no_obstacle(straight, run):
-    run.out.mkdir()
-    (run.out / ".bench-run.partial-0123.json").write_text('{"format": "edit3r-be')
+def test_the_run_says_what_it_is_of(run, manifest):
     run_bench(run)
-    assert summary_of(read_columns([run.out])) == straight
+    said = json.loads((run.out / "bench-run.json").read_text())
+    assert said["manifest_sha256"] == manifest.sha256
+    assert said["method"]["reconstructor"]["name"] == "cards"
+    assert "torch" in said["versions"]
 
 
-def test_the_run_says_what_it_is_of(straight, run, manifest):
-    run_bench(run)
-    run = json.loads((run.out / "bench-run.json").read_text())
-    assert (
-        run["manifest_sha256"] == manifest.sha256
-        and run["method"]["reconstructor"]["name"] == "cards"
-    )
-    assert "torch" in run["versions"]
+ELSEWHERE = """
+import edit3r, sys
+from edit3r.cli.main import main
+print(edit3r.__file__)
+sys.exit(main(sys.argv[1:]))
+"""
 
 
 def test_the_manifest_makes_the_same_report_in_another_place_and_process(
@@ -193,39 +186,22 @@ def test_the_manifest_makes_the_same_report_in_another_place_and_process(
     another path.
     """
     elsewhere = tmp_path / "elsewhere"
-    (elsewhere / "code").mkdir(parents=True)
+    code = elsewhere / "code"
+    code.mkdir(parents=True)
     for name in ("edit3r", "plugins"):
-        (elsewhere / "code" / name).symlink_to(
-            ROOT / name
-        )  # links, so that kept kernels of numba are found
+        # Links, so that kept kernels of numba are found.
+        (code / name).symlink_to(ROOT / name)
     shutil.copy(run.manifest_file, elsewhere / "copied.json")
     shutil.copy(cards, elsewhere / "plugin.py")
-    kept = {
-        name: os.environ[name]
-        for name in ("PATH", "HOME", "VIRTUAL_ENV")
-        if name in os.environ
-    }
-    paths = os.pathsep.join(
-        [str(elsewhere / "code"), str(elsewhere / "code" / "plugins")]
-    )
-    command = [
-        "bench",
-        "run",
-        "copied.json",
-        "--recon",
-        "cards",
-        "--plugin",
-        "plugin.py",
-        "--out",
-        "out",
-        "--no-effnet",
-    ]
-    command += ["--edits", "3", "--set", "label=cards", "--quiet"]
-    script = "import edit3r, sys; from edit3r.cli.main import main; print(edit3r.__file__); sys.exit(main(sys.argv[1:]))"
+    kept = {"PYTHONPATH": f"{code}{os.pathsep}{code}/plugins"}
+    for name in ("PATH", "HOME", "VIRTUAL_ENV"):
+        if name in os.environ:
+            kept[name] = os.environ[name]
+    command = f"bench run copied.json --plugin plugin.py --out out {OPTIONS}"
     process = subprocess.run(
-        [sys.executable, "-c", script, *command],
+        [sys.executable, "-c", ELSEWHERE, *command.split()],
         cwd=elsewhere,
-        env={**kept, "PYTHONPATH": paths},
+        env=kept,
         capture_output=True,
         text=True,
         check=False,
@@ -233,3 +209,45 @@ def test_the_manifest_makes_the_same_report_in_another_place_and_process(
     assert process.returncode == 0, process.stderr
     assert str(elsewhere) in process.stdout  # not the code that this test runs on
     assert summary_of(read_columns([elsewhere / "out"])) == straight
+
+
+# ---- time ----
+
+
+def test_time_counts_all_that_a_run_does_between_photos_and_scene():
+    before = ("start", "read photos", "load components")
+    between = ("select", "reconstruct (x)", "keep-outside-mask", "simplify", "refine")
+    after = ("check", "write files")
+    stages = [StageRecord(name, 100, 100, 0) for name in (*before, *after)]
+    stages += [StageRecord(name, 1, 10, 0) for name in between]
+    stages += [StageRecord("edit (x)", 2, 20, 0), StageRecord("render", 3, 30, 0)]
+    timing = timing_of(stages, cold=True)
+    assert timing == {
+        "cold": True,
+        "editor": 2,
+        "editor_cpu": 20,
+        "scene": 5,
+        "scene_cpu": 50,
+        "rendering": 3,
+        "rendering_cpu": 30,
+    }
+
+
+def test_no_stage_of_a_real_run_is_left_out_of_the_time_by_its_name():
+    report = Report()
+    photos, cameras = packaged_pair()
+    edit3r.run(
+        photos,
+        "paint everything red",
+        cameras=cameras,
+        editor="recolor",
+        size=64,
+        report=report,
+    )
+    names = {stage.name for stage in report.stages}
+    counted = timing_of(report.stages, cold=True)
+    outside = ("start", "read photos", "load components", "check")
+    expected = [stage.seconds for stage in report.stages if stage.name not in outside]
+    assert {"simplify", "refine"} <= names
+    total = counted["editor"] + counted["scene"] + counted["rendering"]
+    assert total == pytest.approx(sum(expected))

@@ -12,14 +12,13 @@ GOOD = {
     "consistency-warped": 0.02,
     "consistency-held-back": 0.02,
 }
+PERFECT = {"change_outside": 0, "consistency_warped": 0, "consistency_held_back": 0}
 
 
 def score_with(failure="", **changes):
     """The score of a good edit with other values of some metrics."""
-    return score(
-        {**GOOD, **{name.replace("_", "-"): value for name, value in changes.items()}},
-        failure,
-    )
+    named = {name.replace("_", "-"): value for name, value in changes.items()}
+    return score(GOOD | named, failure)
 
 
 def test_the_score_of_a_hand_made_edit():
@@ -28,32 +27,13 @@ def test_the_score_of_a_hand_made_edit():
 
 
 def test_doing_nothing_perfectly_scores_nothing():
-    nothing = {
-        "edit_uptake_2d": 0.0,
-        "edit_strength_2d": 0.0,
-        "change_outside": 0,
-        "consistency_warped": 0,
-    }
-    assert score_with(**nothing) == 0
-    assert (
-        score_with(
-            edit_uptake=0.0,
-            change_outside=0,
-            consistency_warped=0,
-            consistency_held_back=0,
-        )
-        == 0
-    )
+    assert score_with(edit_uptake_2d=0.0, edit_strength_2d=0.0, **PERFECT) == 0
+    assert score_with(edit_uptake=0.0, **PERFECT) == 0
 
 
 def test_next_to_nothing_loses_to_an_honest_edit():
-    timid = score_with(
-        edit_uptake_2d=1,
-        edit_strength_2d=FULL_STRENGTH / 20,
-        change_outside=0,
-        consistency_warped=0,
-    )
-    assert timid < 0.1 < score_with()
+    timid = {"edit_uptake_2d": 1, "edit_strength_2d": FULL_STRENGTH / 20}
+    assert score_with(**timid, **PERFECT) < 0.1 < score_with()
 
 
 def test_the_truth_counts_where_it_is_known():
