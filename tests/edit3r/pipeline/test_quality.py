@@ -13,7 +13,6 @@ def point(label, preset, **settings):
         "seconds": 1.0,
         "seconds_first": 2.0,
         "memory_mb": 400,
-        "start_memory_mb": 300,
         "gaussians": 1000,
         "psnr": 20,
         "ssim": 0.5,
