@@ -153,8 +153,8 @@ def identity(component: Any) -> str:
     network, and which of the weights that it declares are on this machine. A change in another file
     of the plugin, without a new version, goes unnoticed.
     """
-    cls = type(component)
-    known = [edit3r.__version__, cls.__qualname__, _source_digest(cls)]
+    cls: Any = type(component)
+    known: list[Any] = [edit3r.__version__, cls.__qualname__, _source_digest(cls)]
     offer = getattr(component, "offer", None)
     if offer is not None:
         weights = [one.name for one in offer.component.weights if at_hand(one)]
@@ -167,19 +167,19 @@ def identity(component: Any) -> str:
     return fingerprint(known, inner, _weight_sums(component))
 
 
-def _add(digest: "hashlib._Hash", thing: Any) -> None:
+def _add(digest: hashlib.blake2b, thing: Any) -> None:
     if isinstance(thing, Tensor):
         values = thing.detach().cpu().contiguous()
         digest.update(f"{values.dtype}{list(values.shape)}".encode())
         if values.numel():
-            digest.update(values.flatten().view(torch.uint8).numpy())
+            digest.update(values.flatten().view(torch.uint8).numpy().data)
     elif dataclasses.is_dataclass(thing):
-        values = {
+        fields = {
             field.name: getattr(thing, field.name)
             for field in dataclasses.fields(thing)
         }
-        values.pop("names", None)  # names change no answer
-        _add(digest, values)
+        fields.pop("names", None)  # names change no answer
+        _add(digest, fields)
     elif isinstance(thing, Mapping):
         _add(digest, sorted(thing.items()))
     elif isinstance(thing, list | tuple):

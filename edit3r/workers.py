@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -200,13 +200,14 @@ class _Task:
 
 def _spread(
     task: _Task, jobs: Iterator[KeyedJob], workers: Workers
-) -> Iterator[KeyedRow]:
+) -> Generator[KeyedRow, None, None]:
     """Yield keys and rows in any order, each worker with one job at a time."""
     if workers.spread == "processes" and workers.count == 1 and not workers.may_die:
         yield from map(task.do, jobs)
         return
     crew = (_OnRay if workers.spread == "ray" else _InProcesses)(task, workers)
-    idle, busy = [], {}
+    idle: list[Any] = []
+    busy: dict[Any, tuple[Any, str]] = {}
     try:
         while True:
             for job in islice(jobs, workers.count - len(busy)):
@@ -244,7 +245,8 @@ class _InProcesses:
     """
 
     def __init__(self, task: _Task, workers: Workers) -> None:
-        self._task, self._pools = task, []
+        self._task = task
+        self._pools: list[ProcessPoolExecutor] = []
 
     def start(self) -> ProcessPoolExecutor:
         """A pool of one, so that it is known which job a process died of."""
@@ -290,11 +292,14 @@ def _begin_worker(task: _Task, path: str | None) -> None:
 
 def _end_with_parent() -> None:
     """End this process when the one that started it was killed, so that nobody does a job twice."""
-    multiprocessing.parent_process().join()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
     os._exit(1)
 
 
 def _call_task(job: KeyedJob) -> KeyedRow:
+    assert _task is not None  # set as the process began
     return _task.do(job)
 
 

@@ -87,10 +87,9 @@ class RunCommand(Command):
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
-        listener = nullcontext(print_json)
-        if args.progress == "text":
-            listener = StageConsole(quiet=args.quiet)
-        with listener as console:
+        as_text = StageConsole(quiet=args.quiet)
+        as_json = nullcontext(print_json)
+        with as_text if args.progress == "text" else as_json as console:
             report = Report(on_event=console)
             if args.preview is not None:
                 return self._preview(args, report)

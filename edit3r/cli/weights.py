@@ -116,7 +116,7 @@ def _list(known, args: argparse.Namespace) -> None:
         "SHA-256",
         "at hand",
     )
-    rows = [
+    lines = [
         (
             weights.name,
             weights.purpose,
@@ -131,5 +131,5 @@ def _list(known, args: argparse.Namespace) -> None:
         )
         for weights in known
     ]
-    table(columns, rows)
+    table(columns, lines)
     print(f"Folder: {folder(args.folder)}. Fetch with: edit3r weights get NAME")

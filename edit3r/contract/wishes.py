@@ -43,23 +43,26 @@ class Thing:
         return text if self.part is None else f"{text} where it is {self.part.name}"
 
 
+ChangeKind = Literal[
+    "paint",
+    "tint",
+    "brightness",
+    "contrast",
+    "saturation",
+    "warmth",
+    "greyscale",
+    "sepia",
+    "invert",
+    "random",
+]
+"""paint: one colour, with its shading; tint: towards a colour; random: drawn by the seed."""
+
+
 @dataclass(frozen=True)
 class Change:
     """One change of colours."""
 
-    # paint: one colour, with its shading; tint: towards a colour; random: drawn by the seed
-    kind: Literal[
-        "paint",
-        "tint",
-        "brightness",
-        "contrast",
-        "saturation",
-        "warmth",
-        "greyscale",
-        "sepia",
-        "invert",
-        "random",
-    ]
+    kind: ChangeKind
     colour: Colour | None = None  # of paint and tint
     material: str = ""  # of paint: what it shall look like, such as "gold"
     amount: float = (
@@ -67,10 +70,10 @@ class Change:
     )
 
     def __str__(self) -> str:
-        if self.kind == "paint":
-            return self.colour.name
-        if self.kind == "tint":
-            return f"more {self.colour.name}"
+        if self.colour is not None:
+            return (
+                self.colour.name if self.kind == "paint" else f"more {self.colour.name}"
+            )
         if self.kind in ("greyscale", "sepia", "invert", "random"):
             return {"invert": "inverted", "random": "random colours"}.get(
                 self.kind, self.kind

@@ -66,7 +66,8 @@ def unproject(
     c2w: Float[Tensor, "*batch 4 4"],
 ) -> Float[Tensor, "*batch height width 3"]:
     """World points of pixels at camera-z `depths`."""
-    rays = pixel_rays(intrinsics, depths.shape[-2:])
+    height, width = depths.shape[-2:]
+    rays = pixel_rays(intrinsics, (height, width))
     return transform_points(c2w, rays * depths[..., None])
 
 

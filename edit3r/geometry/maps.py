@@ -101,7 +101,8 @@ def _peak(x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
 def _bilinear(
     x: Float[Tensor, "b c h w"], like: Float[Tensor, "b d h2 w2"]
 ) -> Float[Tensor, "b c h2 w2"]:
-    return bilinear(x, like.shape[-2:])
+    height, width = like.shape[-2:]
+    return bilinear(x, (height, width))
 
 
 def upsample_depth(

@@ -79,18 +79,18 @@ def _pose(
     name: str,
 ) -> Float[np.ndarray, "4 4"]:
     """Camera-to-world pose under which each point falls on its pixel."""
-    points, pixels = _voters(points, opacities, layout)
-    if len(points) < MIN_POINTS:
+    centres, pixels = _voters(points, opacities, layout)
+    if len(centres) < MIN_POINTS:
         raise MatchingError(
-            f"{name} cannot be placed: only {len(points)} of its Gaussians are visible enough, "
+            f"{name} cannot be placed: only {len(centres)} of its Gaussians are visible enough, "
             f"{MIN_POINTS} are needed."
         )
     unit = (
-        float(np.median(np.linalg.norm(points, axis=1))) or 1.0
+        float(np.median(np.linalg.norm(centres, axis=1))) or 1.0
     )  # PnP is better conditioned near 1
     camera = to_pixels(intrinsics.detach().cpu().double(), layout).numpy()
     found, rotation, translation, inliers = cv2.solvePnPRansac(
-        points / unit,
+        centres / unit,
         pixels,
         camera,
         None,
@@ -106,7 +106,7 @@ def _pose(
         )
     chosen = inliers[:, 0]
     rotation, translation = cv2.solvePnPRefineLM(
-        points[chosen] / unit, pixels[chosen], camera, None, rotation, translation
+        centres[chosen] / unit, pixels[chosen], camera, None, rotation, translation
     )
     pose = np.eye(
         4
@@ -123,9 +123,8 @@ def _voters(
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 2"]]:
     """Visible, finite centres and the (x, y) of their pixels, thinned evenly."""
     visible = (opacities > MIN_OPACITY) & points.isfinite().all(-1)
-    index = visible.nonzero()[:, 0]
-    index = index[:: max(1, -(-len(index) // MAX_POINTS))].cpu().numpy()
+    every = visible.nonzero()[:, 0]
+    index = every[:: max(1, -(-len(every) // MAX_POINTS))].cpu().numpy()
     pixels = np.stack((index % layout[1] + 0.5, index // layout[1] + 0.5), -1)
-    return points[
-        torch.from_numpy(index).to(points.device)
-    ].detach().cpu().double().numpy(), pixels
+    chosen = points[torch.from_numpy(index).to(points.device)]
+    return chosen.detach().cpu().double().numpy(), pixels

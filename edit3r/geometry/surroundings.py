@@ -60,7 +60,8 @@ def rim(
     pad = RIM_BLOCK * math.ceil(width * max(views.image_size) / RIM_BLOCK)
     wide, depths = _widened(views, geometry.depths, pad)
     outside = _outside_all(wide, depths, views, geometry)
-    fading = _fading(views.image_size, pad, depths.shape[-2:]).to(depths)
+    height, width = depths.shape[-2:]
+    fading = _fading(views.image_size, pad, (height, width)).to(depths)
     return _layer(wide, depths, geometry, opacity * fading * outside, RIM_FOOTPRINT)
 
 
@@ -135,9 +136,11 @@ def _block_means(
     block: int, views: Views, *maps: Float[Tensor, "batch view height width"]
 ) -> tuple[Tensor, ...]:
     """Mean colour, then the mean of each map, in blocks of pixels; scenes and views in one axis."""
-    size = tuple(math.ceil(side / block) for side in views.image_size)
+    height, width = (math.ceil(side / block) for side in views.image_size)
     stacked = torch.cat((views.images, torch.stack(maps, 2)), 2).flatten(0, 1)
-    return F.adaptive_avg_pool2d(stacked, size).split((3, *(1 for _ in maps)), 1)
+    return F.adaptive_avg_pool2d(stacked, (height, width)).split(
+        (3, *(1 for _ in maps)), 1
+    )
 
 
 def _hidden_layer(
@@ -194,8 +197,10 @@ def _widened(
     coarse = coarse.unflatten(0, depths.shape[:2])
     intrinsics = to_pixels(views.intrinsics, views.image_size)
     intrinsics[..., :2, 2] += pad
-    full = tuple(side + 2 * pad for side in views.image_size)
-    return Views(coarse[:, :, :3], from_pixels(intrinsics, full)), 1 / coarse[:, :, 3]
+    height, width = (side + 2 * pad for side in views.image_size)
+    return Views(
+        coarse[:, :, :3], from_pixels(intrinsics, (height, width))
+    ), 1 / coarse[:, :, 3]
 
 
 def _fading(

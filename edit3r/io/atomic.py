@@ -30,7 +30,7 @@ from edit3r.errors import InputError, RunError
 try:
     import fcntl
 except ImportError:  # Windows: no locks, and abandoned workspaces stay
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = [
     "MARKER",

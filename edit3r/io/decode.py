@@ -8,7 +8,7 @@ import contextlib
 import io
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +133,7 @@ def _check_is_file(path: Path) -> None:
         raise InputError(f"{path}: the file is empty (0 bytes).")
 
 
-def _formats(path: Path) -> Sequence[str]:
+def _formats(path: Path) -> tuple[str, ...]:
     """What Pillow may take the file for; never one that starts another program.
 
     EPS is such a one, whatever the file is called.
@@ -145,7 +145,7 @@ def _formats(path: Path) -> Sequence[str]:
     if head[8:12] in _HEIC_BRANDS:
         _register_heic(path)
     Image.init()  # an older Pillow has no AVIF, and HEIF is there once it is registered
-    return [name for name in ("AVIF", "HEIF") if name in Image.OPEN]
+    return tuple(name for name in ("AVIF", "HEIF") if name in Image.OPEN)
 
 
 def _register_heic(path: Path) -> None:
@@ -208,13 +208,13 @@ def _loaded(image: Image.Image, path: Path) -> Image.Image:
 
 def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
     """Grey of more than 8 bits: 16-bit values keep their high byte, as those of colour do."""
-    low, high = image.getextrema()
+    values = np.asarray(image)
+    low, high = float(values.min()), float(values.max())
     if image.mode == "F" or low < 0 or high > 65535:
         raise InputError(
             f"{path}: grey values of mode {image.mode} from {low:g} to {high:g}; expected 8 or "
             "16 bits per channel."
         )
-    values = np.asarray(image)
     if 0 < high < 256:
         _warn_of_small_values(path)
     else:
@@ -224,7 +224,8 @@ def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
 
 def _low_bytes(path: Path) -> Image.Image:
     """16-bit colour by its low bytes, without its colour profile."""
-    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    coded = np.fromfile(path, np.uint8)
+    pixels = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
     pixels = pixels.clip(0, 255).astype(np.uint8)
     channels = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's order is BGR
     return Image.fromarray(np.ascontiguousarray(pixels[..., channels]))
@@ -244,7 +245,7 @@ def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, bool]:
     opaque = _through_profile(image.convert("RGB"), profile, path)
     white = Image.new("RGB", image.size, "white")
     white.paste(opaque, mask=alpha)
-    return white, alpha.getextrema()[0] < 255
+    return white, bool((np.asarray(alpha) < 255).any())
 
 
 def _through_profile(
@@ -259,7 +260,9 @@ def _through_profile(
         if image.mode == "RGB" and "sRGB" in ImageCms.getProfileDescription(source):
             return image  # as most cameras say; converting would round twice
         target = ImageCms.createProfile("sRGB")
-        return ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+        changed = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+        assert changed is not None  # since it is not changed in place
+        return changed
     except (ImageCms.PyCMSError, OSError, ValueError):
         warn(f"{path}: its colour profile cannot be used; colours are taken as sRGB.")
         return image.convert("RGB")

@@ -172,7 +172,7 @@ def _from_hub(
             name = listed.rfilename
             stored = begun / name
             if not stored.is_file():
-                _download(repository, about.sha, listed, stored, report)
+                _download(repository, about.sha or "", listed, stored, report)
             files[name] = sha256_of(stored)
             if listed.lfs:
                 _check(weights, stored, listed.lfs.sha256, files[name])

@@ -25,13 +25,13 @@ def load_masks(
     A mask has the shape of its original photo (any size), and is then cropped as the photo was, or
     exactly the size of the view. Raises InputError for a wrong number, shape or file.
     """
-    paths = [Path(path) for path in paths]
-    if len(paths) != len(photos.photos):
+    files = [Path(path) for path in paths]
+    if len(files) != len(photos.photos):
         raise InputError(
-            f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(paths)}."
+            f"--mask: expected one mask per photo ({len(photos.photos)}), got {len(files)}."
         )
-    masks = [read_mask(path, photo.frame) for path, photo in zip(paths, photos.photos)]
-    for path, mask in zip(paths, masks):
+    masks = [read_mask(path, photo.frame) for path, photo in zip(files, photos.photos)]
+    for path, mask in zip(files, masks):
         if not mask.any():
             warn(f"{path}: this mask is all black, so nothing may change in its view.")
     return torch.stack(masks)[None]

@@ -177,7 +177,7 @@ def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
     lines += [f"comment {_one_line(comment)}" for comment in comments]
     lines += [
         f"element vertex {len(table)}",
-        *(f"property float {name}" for name in table.dtype.names),
+        *(f"property float {name}" for name in table.dtype.names or ()),
         "end_header",
     ]
     return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
@@ -212,9 +212,11 @@ def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
     for comment in header.comments:
         if comment.startswith(_VIEWS):
             runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
-            if all(runs) and sum(int(run[2]) for run in runs) == header.count:
-                views, counts = ([int(run[group]) for run in runs] for group in (1, 2))
-                return np.repeat(np.array(views, dtype=np.int64), counts)
+            pairs = [(int(run[1]), int(run[2])) for run in runs if run is not None]
+            views = np.array([view for view, _ in pairs], dtype=np.int64)
+            counts = np.array([count for _, count in pairs], dtype=np.int64)
+            if len(pairs) == len(runs) and counts.sum() == header.count:
+                return np.repeat(views, counts)
     return np.full(header.count, -1, dtype=np.int64)
 
 

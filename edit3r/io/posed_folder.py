@@ -38,6 +38,7 @@ class PosedFolder:
     def load(self, index: int, size: int) -> PosedPhoto:
         """The largest centred square of a photo, undistorted and resized to `size`."""
         camera = self.cameras[index]
+        assert camera.intrinsics is not None and camera.c2w is not None  # as was read
         image = read_image(self.path / camera.file)
         frame = frame_for((image.height, image.width), (size, size)).through(
             camera.lens

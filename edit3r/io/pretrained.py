@@ -72,7 +72,7 @@ def foreign(library: str, name: str) -> Any:
         ) from error
 
 
-def load_pretrained(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
     """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else
     MissingDependencyError.
 
@@ -106,7 +106,7 @@ def load_pretrained(cls: type, weights: ChosenWeights, **given: Any) -> Any:
             raise loading_error(error, cls, weights) from error
 
 
-def load_whole_network(cls: type, weights: ChosenWeights, **given: Any) -> Any:
+def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
     """A network of transformers by `load_pretrained`, refused where weights that it needs are not
     in the files.
     """

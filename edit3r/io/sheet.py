@@ -125,7 +125,7 @@ def _draw_heading(title: str, subtitle: str, width: int) -> Image.Image:
     return head
 
 
-def _font(size: int) -> ImageFont.FreeTypeFont:
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     # Pillow's packaged Aileron: the same on every machine.
     return ImageFont.load_default(size)
 

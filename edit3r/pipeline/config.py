@@ -4,7 +4,7 @@ own flags.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -24,7 +24,8 @@ FORMATS = {
 }
 """Formats that a scene is exported in, and the suffix of each one's files."""
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
-OUTPUTS = ("scene", "images", "sheet", "video", "viewer", "cache", "frames")
+Output = Literal["scene", "images", "sheet", "video", "viewer", "cache", "frames"]
+OUTPUTS: tuple[Output, ...] = get_args(Output)
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
@@ -97,7 +98,7 @@ class RunConfig(Settings):
         le=2000,
         description="frames of the camera path between and around the input views",
     )
-    outputs: tuple[Literal[OUTPUTS], ...] = Field(
+    outputs: tuple[Output, ...] = Field(
         OUTPUTS[:-1],
         description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}",
     )

@@ -7,14 +7,16 @@ checked, nothing in it is executed, and nothing is written there.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from pydantic import TypeAdapter
+from torch import Tensor
 
 from edit3r.config import of_file
 from edit3r.contract.types import Reconstruction, Views
@@ -164,19 +166,19 @@ def _views(folder: Path, names: tuple[str, ...], stored: dict[str, Any]) -> View
         if stored["c2w"] is None
         else [pose_from_outside(matrix, "c2w") for matrix in stored["c2w"]]
     )
-    intrinsics, c2w = (
-        None
-        if matrices is None
-        else torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
-        for matrices in (known, poses)
-    )
     return Views(
         images,
-        intrinsics,
+        _as_batch(known),
         names,
-        c2w,
+        None if poses is None else _as_batch(poses),
         tuple(bool(assumed) for assumed in stored["assumed"]),
     )
+
+
+def _as_batch(
+    matrices: Sequence[np.ndarray | None],
+) -> Float[Tensor, "1 view rows columns"]:
+    return torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
 
 
 def _records(value: Any, count: int) -> tuple[Photo, ...]:

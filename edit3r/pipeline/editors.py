@@ -33,7 +33,7 @@ def tasks_for_editor(
     """
     regional = isinstance(editor, EditsRegions)
     if not prompt.strip():
-        wish = editor.wish_of_nothing() if regional else None
+        wish = editor.wish_of_nothing() if isinstance(editor, EditsRegions) else None
         return (EditorTask(editor, prompt, () if wish is None else (wish,)),)
     try:
         wishes = read(prompt)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,16 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.io.images import Photo
 from edit3r.pipeline.verdict import Verdict
 from edit3r.selection.select import Selected, Selection
+
+
+def known_cameras(reconstruction: Reconstruction) -> Cameras:
+    """The cameras of a checked reconstruction, which has them whether predicted or by PnP."""
+    assert reconstruction.cameras is not None
+    return reconstruction.cameras
+
+
+NOT_YET: Any = None
+"""What a later step fills in."""
 
 
 @dataclass(frozen=True)
@@ -33,22 +44,22 @@ class Scene:
     selected: tuple[
         Selected, ...
     ] = ()  # the things that were looked for, of the first scene
-    edited: Views | None = None  # after the 2D editor and the composite with the masks
+    edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
-    reconstruction: Reconstruction | None = None  # of the edited views
+    reconstruction: Reconstruction = NOT_YET  # of the edited views
     placed: tuple[
         bool, ...
     ] = ()  # for each view that was used; False: left out of the scene
     left_out: Views | None = None  # photos that could not be placed
-    gaussians: Gaussians | None = None  # after the refiners, in the frame of view 0
-    rendered: Rendering | None = None  # the Gaussians from the input views
-    verdict: Verdict | None = None
+    gaussians: Gaussians = NOT_YET  # after the refiners, in the frame of view 0
+    rendered: Rendering = NOT_YET  # the Gaussians from the input views
+    verdict: Verdict = NOT_YET
 
     @property
     def cameras(self) -> Cameras:
         """Poses of the input views in the Gaussians' frame, at the views' size."""
-        return self.reconstruction.cameras.at(self.start.image_size)
+        return known_cameras(self.reconstruction).at(self.start.image_size)
 
     @property
     def confined(self) -> bool:

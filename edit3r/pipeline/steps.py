@@ -47,7 +47,7 @@ from edit3r.pipeline.editors import EditorTask
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, read_lens
 from edit3r.pipeline.rendering import render_each
-from edit3r.pipeline.scene import Scene
+from edit3r.pipeline.scene import Scene, known_cameras
 from edit3r.pipeline.verdict import judge as judged
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import note, say, stage, warn
@@ -169,8 +169,8 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
                 f"masks: expected one per view at the views' size {expected}, got "
                 f"{list(scene.masks.shape)}."
             )
-        regions = [_narrowed(scene.masks, views, wish.thing) for wish in wishes]
-        return replace(scene, regions=torch.stack(regions) if regions else None)
+        own = [_narrowed(scene.masks, views, wish.thing) for wish in wishes]
+        return replace(scene, regions=torch.stack(own) if own else None)
     regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
     named = parts.chose_segmenter and any(
         wish.thing.scope == "named" for wish in wishes
@@ -307,7 +307,8 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         before = _before(scene, parts)
     if before is not None:
-        cameras = before.cameras.at(reconstruction.cameras.image_size)
+        size = known_cameras(reconstruction).image_size
+        cameras = known_cameras(before).at(size)
         reconstruction = replace(reconstruction, cameras=cameras)
     placed = _placed(reconstruction, scene.start.count)
     used = [view for view, there in enumerate(placed) if there]
@@ -375,7 +376,7 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
     count = reconstruction.placed.shape[1]
     placed = _placed(reconstruction, count)
     used = [view for view, there in enumerate(placed) if there]
-    gaussians, cameras = reconstruction.gaussians, reconstruction.cameras
+    gaussians, cameras = reconstruction.gaussians, known_cameras(reconstruction)
     measured, fusion = reconstruction.measured, reconstruction.fusion
     # The new index of each view; the last entry is for Gaussians of no view, whose index is -1.
     new_index = torch.full((count + 1,), -1, device=gaussians.means.device)
@@ -446,9 +447,9 @@ def refine(scene: Scene, parts: Parts) -> Scene:
             "by themselves; --gaussians and --refine change them nevertheless",
         )
     if not again:
-        refiners = sorted(
-            refiners, key=lambda one: not isinstance(one, ComparesWithBefore)
-        )
+        first = [one for one in refiners if isinstance(one, ComparesWithBefore)]
+        others = [one for one in refiners if not isinstance(one, ComparesWithBefore)]
+        refiners = (*first, *others)
     gaussians = scene.gaussians
     for refiner in refiners:
         compares = isinstance(refiner, ComparesWithBefore)
@@ -465,7 +466,7 @@ def _refined(
 ) -> Gaussians:
     first_alone = parts.config.edit_views == "first"
     inputs = RefineInputs(
-        cameras=scene.reconstruction.cameras,
+        cameras=known_cameras(scene.reconstruction),
         views=scene.edited.select([0]) if first_alone else _as_fused(scene),
         rasterizer=parts.rasterizer,
         masks=scene.masks,
@@ -502,7 +503,10 @@ def judge(scene: Scene, parts: Parts) -> Scene:
     text, reconstruction = "render input views", scene.reconstruction
     with stage("check"):
         first = render_each(
-            parts.rasterizer, reconstruction.gaussians, reconstruction.cameras, text
+            parts.rasterizer,
+            reconstruction.gaussians,
+            known_cameras(reconstruction),
+            text,
         )
         rendered = render_each(parts.rasterizer, scene.gaussians, scene.cameras, text)
         verdict = judged(

@@ -86,9 +86,8 @@ def judge(
 
 def _psnr(rendered: Rendering, edited: Views) -> list[float]:
     """PSNR [dB] of each view; of several scenes the worst counts."""
-    difference = (
-        rendered.images.clamp(0, 1) - edited.at(rendered.images.shape[-2:]).images
-    )
+    height, width = rendered.images.shape[-2:]
+    difference = rendered.images.clamp(0, 1) - edited.at((height, width)).images
     error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
     return (-10 * torch.log10(error)).tolist()
 

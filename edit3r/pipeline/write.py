@@ -192,7 +192,7 @@ def _write_images(folder: RunFolder, result: "RunResult") -> None:
 
 def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"], ...]:
     """Photos, 2D edits and the scene from the photos' places."""
-    return tuple(map(_images, (result.photos, result.edited, result.rendered)))
+    return _images(result.photos), _images(result.edited), _images(result.rendered)
 
 
 def _sheet(result: "RunResult") -> Image.Image:

@@ -3,6 +3,7 @@ and contract tests.
 """
 
 import inspect
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -63,7 +64,8 @@ def _check_interface(offer: Offer, cls: type) -> str:
             f"edit3r.contract.interfaces.{interface.__name__}"
         )
     if inspect.isabstract(cls):
-        return f"{cls.__name__} does not implement {', '.join(sorted(cls.__abstractmethods__))}"
+        lacking = sorted(getattr(cls, "__abstractmethods__", ()))
+        return f"{cls.__name__} does not implement {', '.join(lacking)}"
     return ""
 
 
@@ -105,7 +107,7 @@ def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
     return ""
 
 
-def _check_view_limits(offer: Offer, cls: type) -> str:
+def _check_view_limits(offer: Offer, cls: Any) -> str:
     """A reconstructor says its limits twice: in the declaration, and on the class the pipeline
     asks.
     """

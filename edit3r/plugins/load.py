@@ -9,6 +9,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -111,7 +112,7 @@ def _local(
         yield (
             path.stem,
             "",
-            lambda name=path.stem, source=source: _import_file(name, source),
+            partial(_import_file, path.stem, source),
         )
 
 

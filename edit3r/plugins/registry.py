@@ -131,10 +131,10 @@ class Registry:
             return getattr(importlib.import_module(module), attribute)
         except (Exception, SystemExit) as error:
             reason = " ".join(str(error).split())
-            absent = error.name if isinstance(error, ModuleNotFoundError) else None
+            lacking = error.name if isinstance(error, ModuleNotFoundError) else None
             advice = (
-                f" Install {absent!r}; the plugin should list it in requires."
-                if absent
+                f" Install {lacking!r}; the plugin should list it in requires."
+                if lacking
                 else ""
             )
             raise PluginError(

@@ -130,7 +130,7 @@ class RegionFinder:
             if not self._guess:
                 raise InputError(f"nothing says which object is meant; {ASK}.")
             return self._look_for(None, Selection(guess=True)).masks[:, 0]
-        if thing.scope == "whole":  # "except the red parts"
+        if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
             return near_colour(whole, self._views.images[0], thing.part)
         asked = Selection(words=thing.name, which=thing.which, guess=self._guess)

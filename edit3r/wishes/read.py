@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-from edit3r.contract.wishes import Change, Colour, Thing, Wish
+from edit3r.contract.wishes import Action, Change, Colour, Thing, Wish
 from edit3r.errors import PromptError
 from edit3r.wishes import vocabulary as words
 from edit3r.wishes.things import read_thing
@@ -39,7 +39,7 @@ class _Clause:
     """What one clause says; parts that it leaves open are filled in from its neighbours."""
 
     text: str
-    action: str = ""  # "" where the clause only names things
+    action: Action | None = None  # None where the clause only names things
     thing: Thing | None = None
     changes: tuple[Change, ...] = ()
     look: str = ""
@@ -388,8 +388,9 @@ def _paint_at(tokens: list[str], start: int) -> _Found | None:
 
 
 def _tint(name: str) -> Change:
-    colour, _ = words.read_colour([name])
-    return Change("tint", colour, amount=words.TINT_SHARE)
+    found = words.read_colour([name])
+    assert found is not None  # every word of TINTS is a colour
+    return Change("tint", found[0], amount=words.TINT_SHARE)
 
 
 def _more_or_less(rest: list[str], start: int) -> _Found | None:
@@ -506,7 +507,8 @@ def _shared(clauses: list[_Clause]) -> list[_Clause]:
             and follower.action == "paint"
         ):
             # "everything but the sky and the water red"
-            follower.without = [*clause.without, follower.thing]
+            kept_too = [follower.thing] if follower.thing is not None else []
+            follower.without = [*clause.without, *kept_too]
             follower.thing = clause.thing
             continue
         if clause.action:
@@ -520,7 +522,7 @@ def _shared(clauses: list[_Clause]) -> list[_Clause]:
             filled.append(replace(clause, action="other", unread=unread))
             continue
         shared = {name: getattr(giver, name) for name in ("action", "changes", "look")}
-        thing = clause.thing
+        thing = clause.thing or Thing()
         if giver.thing is not None:
             part = thing.part or giver.thing.part
             thing = replace(thing, part=part, name=thing.name or giver.thing.name)
@@ -555,7 +557,7 @@ def _resolved(clauses: list[_Clause], kept: list[Thing]) -> Iterator[Wish]:
         if thing.scope != "whole" or last is None:
             last = thing
         yield Wish(
-            action=clause.action,
+            action=clause.action or "other",
             thing=thing,
             changes=clause.changes if clause.action == "paint" else (),
             look=clause.look if clause.action == "look" else "",
@@ -574,9 +576,8 @@ def _merged(wishes: Iterator[Wish], prompt: str) -> list[Wish]:
     """Wishes of one action about one thing become one; painting comes before adjusting."""
     merged: dict[tuple, Wish] = {}
     for number, wish in enumerate(wishes):
-        key = (wish.action, wish.thing, wish.without, wish.look)
-        if wish.action == "other":
-            key = (number,)
+        alone = number if wish.action == "other" else -1
+        key = (alone, wish.action, wish.thing, wish.without, wish.look)
         if key not in merged:
             merged[key] = wish
             continue

@@ -4,7 +4,7 @@ import colorsys
 
 from PIL import ImageColor
 
-from edit3r.contract.wishes import Change, Colour
+from edit3r.contract.wishes import Change, ChangeKind, Colour
 
 
 def _words(text: str) -> frozenset[str]:
@@ -157,7 +157,7 @@ def read_paint(words: list[str]) -> tuple[Change, int] | None:
 
 # ---- adjustments ----
 
-_ADJUSTMENTS = {
+_ADJUSTMENTS: dict[tuple[ChangeKind, float], str] = {
     ("brightness", 1.0): "brighter lighter brighten lighten bright",
     ("brightness", -1.0): "darker dimmer darken dim dark",
     ("warmth", 1.0): "warm warmer",
@@ -180,7 +180,7 @@ ADJUSTMENTS = {
 }
 """Words that say one adjustment each."""
 
-PROPERTIES = {
+PROPERTIES: dict[str, ChangeKind] = {
     **dict.fromkeys(("brightness", "exposure", "light"), "brightness"),
     "contrast": "contrast",
     **dict.fromkeys(("saturation", "colour", "colours", "vibrance"), "saturation"),

@@ -178,7 +178,7 @@ class GeometryHead(GaussianHead):
     """A head that places its Gaussians by matched geometry."""
 
     @abstractmethod
-    def forward(
+    def forward(  # type: ignore[override]  # the reconstructor asks which of the two it has
         self,
         features: Features,
         images: Float[Tensor, "batch view 3 height width"],
