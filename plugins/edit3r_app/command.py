@@ -11,6 +11,8 @@ from urllib.parse import quote
 from edit3r.contract.command import Command
 from edit3r.errors import InputError
 
+LOCAL = ("127.0.0.1", "::1")
+
 
 class AppCommand(Command):
     """Edit in the browser: drop photos, click the object, say what to change, and see before and
@@ -33,7 +35,7 @@ class AppCommand(Command):
         )
         add(
             "--host",
-            default="127.0.0.1",
+            default=LOCAL[0],
             help="address to listen on; any but this machine's own asks for a token",
         )
         add(
@@ -64,22 +66,23 @@ class AppCommand(Command):
                 "--size: expected 8 to 8192 pixels; --port: expected 0 to 65535."
             )
         photos = find_photos(args.photos) if args.photos else []
-        host = "127.0.0.1" if args.host == "localhost" else args.host
+        host = LOCAL[0] if args.host == "localhost" else args.host
         port = free_port(host, args.port)
         folder = JobsFolder(args.jobs)
-        # Before the page library is imported: it would keep its files in the current folder.
-        os.environ.setdefault("NICEGUI_STORAGE_PATH", str(folder.private / "pages"))
+        # The page library, once imported, would keep its files in the current folder.
+        os.environ.setdefault("NICEGUI_STORAGE_PATH", str(folder.private / ".pages"))
+        # No process that this one starts looks for modules in the current folder.
+        os.environ["PYTHONSAFEPATH"] = "1"
         from edit3r_app.server import serve
         from edit3r_app.uploads import copied
 
-        token = (
-            None
-            if host in ("127.0.0.1", "::1")
-            else os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
-        )
+        token = None
+        if host not in LOCAL:
+            token = os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
         start = "/"
         if photos:
-            start = f"/s/{quote(copied(folder, Path(args.photos[0]).resolve().stem, photos))}"
+            name = Path(args.photos[0]).resolve().stem
+            start = f"/s/{quote(copied(folder, name, photos))}"
         serve(
             folder,
             host=host,
@@ -92,17 +95,15 @@ class AppCommand(Command):
         return 0
 
 
-def free_port(host: str, wish: int | None) -> int:
-    """`wish`, or without one 8090 or the next that is free. Raises InputError where it is taken."""
-    for port in [wish] if wish is not None else [*range(8090, 8190), 0]:
-        with (
-            socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe,
-            suppress(OSError),
-        ):
+def free_port(host: str, wanted: int | None) -> int:
+    """The wanted port, or without one 8090 or the next that is free; raises InputError."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for port in [*range(8090, 8190), 0] if wanted is None else [wanted]:
+        with socket.socket(family) as probe, suppress(OSError):
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
             return probe.getsockname()[1]
-    asked = f"--host {host}" if wish is None else f"--host {host} --port {wish}"
+    asked = f"--host {host}" if wanted is None else f"--host {host} --port {wanted}"
     raise InputError(
         f"{asked}: cannot be listened on; is another program there? Try another port."
     )

@@ -26,56 +26,65 @@ class Guard:
     endless bodies.
     """
 
-    def __init__(self, app: ASGIApp, *, token: str | None, most_bytes: int) -> None:
-        self.app, self.token, self.most_bytes = app, token, most_bytes
+    def __init__(self, app: ASGIApp, *, token: str | None, max_bytes: int) -> None:
+        self.app = app
+        self.token = token
+        self.max_bytes = max_bytes  # of one request
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        asked, is_page = HTTPConnection(scope), scope["type"] == "http"
-        if refused := self._refusal(asked):
-            if is_page:
-                await PlainTextResponse(refused[1], refused[0])(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 4403})
+        asked = HTTPConnection(scope)
+        is_page = scope["type"] == "http"
+        refusal = self._refusal(asked)
+        if refusal is not None and is_page:
+            await refusal(scope, receive, send)
+        elif refusal is not None:
+            await send({"type": "websocket.close", "code": 4403})
         elif is_page and self.token and asked.query_params.get("token"):
             await _entry(asked)(scope, receive, send)
         else:
             await self.app(scope, receive, _with_headers(send) if is_page else send)
 
-    def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
-        """Status and sentence of what is refused; None for what may pass."""
-        host, origin = asked.headers.get("host", ""), asked.headers.get("origin")
+    def _refusal(self, asked: HTTPConnection) -> Response | None:
+        """The answer to what is refused; None for what may pass."""
+        host = asked.headers.get("host", "")
+        origin = asked.headers.get("origin")
         name, _, port = host.rpartition(":")
-        if self.token is None and (name if port.isdigit() else host) not in LOOPBACK:
-            return 421, "This server answers to localhost only."
-        if (
-            origin is not None and urllib.parse.urlsplit(origin).netloc != host
-        ):  # "null" has none
-            return 403, "Requests of other pages are refused."
+        if self.token is None and (name if port.isdecimal() else host) not in LOOPBACK:
+            return PlainTextResponse("This server answers to localhost only.", 421)
+        if origin is not None and _host_of(origin) != host:
+            return PlainTextResponse("Requests of other pages are refused.", 403)
         if self.token is not None:
             given = asked.query_params.get("token") or asked.cookies.get(COOKIE, "")
             if not hmac.compare_digest(given.encode(), self.token.encode()):
-                return 401, "Open the address with the token that `edit3r app` printed."
+                told = "Open the address with the token that `edit3r app` printed."
+                return PlainTextResponse(told, 401)
         length = asked.headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > self.most_bytes:
-            return 413, f"At most {self.most_bytes >> 20} MB are taken at once."
+        if not length.isdecimal() or float(length) > self.max_bytes:
+            told = f"At most {self.max_bytes >> 20} MB are taken at once."
+            return PlainTextResponse(told, 413)
         return None
+
+
+def _host_of(origin: str) -> str:
+    """Host and port of an origin; "" for "null" and for what is no address."""
+    try:
+        return urllib.parse.urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _entry(asked: HTTPConnection) -> Response:
     """Turn the token of the address into a cookie, and the address into one without it."""
-    rest = urllib.parse.urlencode(
-        [(k, v) for k, v in asked.query_params.multi_items() if k != "token"]
-    )
-    path = urllib.parse.quote(
-        "/" + asked.scope["path"].lstrip("/\\")
-    )  # never an address of another host
-    answer = RedirectResponse(path + (f"?{rest}" if rest else ""), 303)
-    answer.set_cookie(
-        COOKIE, asked.query_params["token"], httponly=True, samesite="Strict"
-    )
+    kept = [pair for pair in asked.query_params.multi_items() if pair[0] != "token"]
+    # Never an address of another host.
+    path = urllib.parse.quote("/" + asked.scope["path"].lstrip("/\\"))
+    query = urllib.parse.urlencode(kept)
+    answer = RedirectResponse(f"{path}?{query}" if query else path, 303)
+    token = asked.query_params["token"]
+    answer.set_cookie(COOKIE, token, httponly=True, samesite="Strict")
     return answer
 
 

@@ -1,30 +1,36 @@
 """The jobs folder: everything the app knows is a file in it, so that a reload or a restart loses
 nothing.
 
-NAME/                 a set of photos (`NAME/images`, as `edit3r run NAME` takes it) or the folder
-of a run .edit3r-app/NAME.json what was asked for in run NAME, and what came of it; without one, a
-run of the command line .edit3r-app/NAME.log  the child process's progress, one line of JSON an
-event .edit3r-app/NAME/     its masks, or the marks on a set of photos
+NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` takes it), or the folder
+                       of a run
+.edit3r-app/NAME.json  what was asked for in run NAME, and what came of it; a run of the command
+                       line has none
+.edit3r-app/NAME.log   the child process's progress, one line of JSON an event
+.edit3r-app/NAME/      its masks and preview, or the marks on a set of photos
 """
 
+import itertools
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import TypeAdapter
+from jaxtyping import Float
+from pydantic import NonNegativeInt, TypeAdapter
+from torch import Tensor
 
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
-from edit3r.io.images import SUFFIXES, find_photos, is_plain_name, unique_names
+from edit3r.io.images import find_photos, is_plain_name, save_image, unique_names
 
 PRIVATE = ".edit3r-app"
-DRAFT = "upload-"  # how the names of files begin in it that are still being received
-State = Literal["queued", "running", "done", "failed", "cancelled"]
-NOTHING_MORE = ("done", "failed", "cancelled")
+PREVIEW = "preview"
+KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
+"""Folders of images: of a set of photos, of a run, and of what a run will edit."""
 
 
 @dataclass(frozen=True)
@@ -34,29 +40,24 @@ class Job:
     name: str  # of its run folder
     scene: str  # the set of photos, or the run of the command line, that its history begins with
     parent: str = ""  # the run whose scene is edited again; "": from the photos
-    settings: dict[str, Any] = field(
-        default_factory=dict
-    )  # of the run, as a configuration file holds them
+    # of the run, as a configuration file holds them
+    settings: dict[str, Any] = field(default_factory=dict)
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
-    state: State = "queued"
-    sentence: str = ""  # why it failed, or the verdict's reason
-    label: str = ""  # the verdict, once done
-    pid: int = 0  # of the child process that runs it
+    state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
+    sentence: str = ""  # why it failed
+    pid: NonNegativeInt = (
+        0  # of the child process that nobody has seen end; 0: there is none
+    )
     made: float = 0.0  # when it was asked for [seconds since 1970]
 
     @property
     def prompt(self) -> str:
         return str(self.settings.get("prompt", ""))
 
-
-@dataclass(frozen=True)
-class Scene:
-    """What a history begins with."""
-
-    name: str
-    photos: int
-    edits: int
+    @property
+    def is_active(self) -> bool:
+        return self.state in ("queued", "running")
 
 
 _JOB = TypeAdapter(Job)
@@ -75,15 +76,11 @@ class JobsFolder:
                 f"{self.root}: cannot be the jobs folder ({error.strerror}); give --jobs another."
             ) from None
 
+    # ---- sets of photos and runs ----
+
     def path(self, name: str) -> Path:
-        """Folder of a set of photos or a run. Raises InputError for anything that is no name of
-        one.
-        """
-        if (
-            is_plain_name(name)
-            and not name.startswith(".")
-            and (self.root / name).is_dir()
-        ):
+        """Folder of a set of photos or a run; raises InputError for what is no name of one."""
+        if _is_name(name) and (self.root / name).is_dir():
             return self.root / name
         raise InputError(
             f"{str(name)[:60]!r}: no photos and no run of that name in {self.root}."
@@ -92,67 +89,58 @@ class JobsFolder:
     def is_run(self, name: str) -> bool:
         return (self.root / name / "run.json").is_file()
 
-    def scenes(self) -> list[Scene]:
-        """All that a history can begin with, newest first."""
-        jobs = list(self.jobs())
-        roots = {job.scene for job in jobs} | {
-            path.parent.name for path in self.root.glob("*/images")
-        }
-        found = []
-        for name in roots:
-            try:
-                photos = len(self.photos(name))
-            except InputError:  # its folder was taken away
-                continue
-            edits = sum(job.scene == name and job.name != name for job in jobs)
-            found.append((self.path(name).stat().st_mtime, Scene(name, photos, edits)))
-        return [
-            scene for _, scene in sorted(found, key=lambda one: (-one[0], one[1].name))
-        ]
+    def photos(self, name: str) -> dict[str, Path]:
+        """The photos of a set, or those that a run used, by the names of their views."""
+        return self.images(name, "inputs" if self.is_run(name) else "images")
 
-    def photos(self, name: str) -> list[Path]:
-        """Picture files of a set of photos, or of what a run was made from; none yet is no
-        error.
-        """
-        folder = self.path(name)
-        if self.is_run(name):
-            return self.pictures(name, "inputs")
-        images = folder / "images"
-        return (
-            find_photos([images])
-            if any(p.suffix.lower() in SUFFIXES for p in images.glob("*"))
-            else []
-        )
+    def images(self, name: str, kind: str) -> dict[str, Path]:
+        """The images of one of `KINDS`, by the names of their views."""
+        place = self.beside(name) if kind == PREVIEW else self.path(name)
+        try:
+            files = find_photos([place / kind])
+        except InputError:  # there are none yet
+            return {}
+        return dict(zip(unique_names([file.stem for file in files]), files))
 
-    def pictures(self, run: str, kind: str) -> list[Path]:
-        """The pictures of a run, one for each of its photos: kind inputs, edited or renders."""
-        folder = self.path(run)
-        names = (
-            [path.name for path in find_photos([folder / "inputs"])]
-            if (folder / "inputs").is_dir()
-            else []
-        )
-        return [folder / kind / name for name in names]
-
-    def new_scene(self, wish: str) -> str:
-        """Make an empty set of photos, called after `wish` as far as that can be a name."""
+    def new_scene(self, wanted: str) -> str:
+        """Make an empty set of photos, called as wanted as far as that can be a name."""
         taken = [path.name for path in self.root.iterdir()]
-        name = unique_names([*taken, wish.strip(". ") or "scene"])[-1]
+        name = unique_names([*taken, wanted.strip(". ") or "scene"])[-1]
         (self.root / name / "images").mkdir(parents=True)
         return name
 
+    def scenes(self) -> list[str]:
+        """All sets of photos, and runs of the command line, newest first."""
+        names = {job.scene for job in self.jobs()}
+        names |= {path.parent.name for path in self.root.glob("*/images")}
+        there = [self.root / name for name in names if (self.root / name).is_dir()]
+        there.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        return [path.name for path in there]
+
     # ---- jobs ----
 
-    def new_job(self, job: Job) -> Job:
-        """Write down a job under a name that is still free; `job.name` is ignored."""
-        stem, number = job.scene[:80], 1
-        while (self.root / f"{stem}-{number}").exists() or self._record(
-            f"{stem}-{number}"
-        ).exists():
-            number += 1
-        job = replace(job, name=f"{stem}-{number}", made=time.time())
+    def new_job(
+        self, job: Job, masks: Iterable[Float[Tensor, "height width"]] = ()
+    ) -> Job:
+        """Queue a job, after writing its masks, under a name that is free; its own is ignored."""
+        name = self._reserved(job.scene[:80])
+        count = 0
+        for mask in masks:
+            file = self.beside(name) / f"{count:03}.png"
+            save_image(mask.expand(3, -1, -1), file)
+            count += 1
+        job = replace(job, name=name, masks=count, made=time.time())
         self.write(job)
         return job
+
+    def _reserved(self, stem: str) -> str:
+        """A free name STEM-N, taken by making its folder."""
+        for number in itertools.count(1):
+            name = f"{stem}-{number}"
+            with suppress(FileExistsError):
+                if not (self.root / name).exists():
+                    (self.private / name).mkdir()
+                    return name
 
     def write(self, job: Job) -> None:
         with atomic_write(self._record(job.name)) as partial:
@@ -160,31 +148,21 @@ class JobsFolder:
 
     def jobs(self) -> Iterator[Job]:
         """Every run that was asked for or that lies there, in the order of asking."""
-        names = {
-            path.parent.name
-            for path in self.root.glob("*/run.json")
-            if is_plain_name(path.parent.name)
-        }
-        names = {name for name in names if not name.startswith(".")}
+        names = {path.parent.name for path in self.root.glob("*/run.json")}
         names |= {path.stem for path in self.private.glob("*.json")}
-        found = [job for job in map(self._read, names) if job is not None]
-        return iter(sorted(found, key=lambda job: (job.made, job.name)))
+        found = [self._read(name) for name in names]
+        jobs = [job for job in found if job is not None]
+        return iter(sorted(jobs, key=lambda job: (job.made, job.name)))
 
     def job(self, name: str) -> Job:
-        """One job. Raises InputError where there is none of that name."""
-        job = (
-            self._read(name)
-            if is_plain_name(name) and not name.startswith(".")
-            else None
-        )
+        """One job; raises InputError where there is none of that name."""
+        job = self._read(name)
         if job is None:
             raise InputError(f"{str(name)[:60]!r}: no run of that name in {self.root}.")
         return job
 
     def history(self, scene: str) -> list[Job]:
-        """The jobs of one scene, in the order of asking; the parent of each is in the list, or is
-        the scene itself.
-        """
+        """The jobs of one scene, in the order of asking."""
         return [job for job in self.jobs() if job.scene == scene]
 
     def log(self, name: str) -> Path:
@@ -200,87 +178,48 @@ class JobsFolder:
         return self.private / f"{name}.json"
 
     def _read(self, name: str) -> Job | None:
-        """What the record and the run folder say; a run of the command line has no record."""
-        run = self.root / name
+        """What the record and the run folder say; None where there is neither."""
+        if not _is_name(name):
+            return None
+        is_run = self.is_run(name)
         try:
             job = _JOB.validate_json(self._record(name).read_bytes())
-        except (OSError, ValueError):  # no record, or a damaged one
-            job = Job(
-                name,
-                scene=name,
-                state="done",
-                made=run.stat().st_mtime if run.is_dir() else 0.0,
-            )
-            if not self.is_run(name):
+        except (OSError, ValueError):  # a run of the command line, or a damaged record
+            if not is_run:
                 return None
-        if not self.is_run(name):
-            return replace(
-                job, name=name, state="failed" if job.state == "done" else job.state
-            )
-        manifest = manifest_of(run)
-        verdict = (
-            manifest.get("verdict") if isinstance(manifest.get("verdict"), dict) else {}
-        )
-        label, reason = (
-            str(verdict.get(key, ""))[:1000] for key in ("label", "reason")
-        )
-        settings = job.settings or {"prompt": str(manifest.get("prompt", ""))}
-        return replace(
-            job,
-            name=name,
-            state="done",
-            label=label,
-            sentence=reason,
-            settings=settings,
-        )
+            job = Job(name, name, made=(self.root / name).stat().st_mtime)
+        if is_run:
+            prompt = manifest_of(self.root / name).get("prompt")
+            settings = job.settings or {"prompt": prompt}
+            return replace(job, name=name, state="done", settings=settings)
+        if job.state == "done":
+            job = replace(job, state="failed", sentence="its folder is gone.")
+        return replace(job, name=name)
+
+
+def _is_name(name: object) -> bool:
+    """Whether it can be the name of a folder of ours."""
+    return is_plain_name(name) and not name.startswith(".")
 
 
 def manifest_of(run: Path) -> dict[str, Any]:
-    """Content of a run's run.json; empty where it cannot be read, since the folder may come from a
-    stranger.
-    """
-    try:
-        return _read_manifest(run / "run.json", (run / "run.json").stat().st_mtime_ns)
-    except (OSError, ValueError, RecursionError):
-        return {}
+    """Content of a run's run.json; empty where it cannot be read: it may be a stranger's."""
+    file = run / "run.json"
+    with suppress(OSError, ValueError, RecursionError):
+        content = _read_json(file, file.stat().st_mtime_ns)
+        return content if isinstance(content, dict) else {}
+    return {}
 
 
 @lru_cache(maxsize=1024)
-def _read_manifest(path: Path, changed: int) -> dict[str, Any]:
-    content = json.loads(path.read_text(encoding="utf-8"))
-    return content if isinstance(content, dict) else {}
-
-
-def undo(history: list[Job], at: str) -> str | None:
-    """The name of what was before `at` ("": the photos); None where nothing was."""
-    job = next((job for job in history if job.name == at), None)
-    if job is None or job.name == job.scene:
-        return None
-    return job.parent
-
-
-def redo(history: list[Job], at: str) -> str | None:
-    """The newest finished edit made from `at`; None where there is none."""
-    after = [
-        job.name
-        for job in history
-        if job.parent == at and job.state == "done" and job.name not in (at, job.scene)
-    ]
-    return after[-1] if after else None
+def _read_json(path: Path, changed: int) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def tree(history: list[Job]) -> list[tuple[int, Job]]:
-    """(depth, job) with every job below the one that it goes on from; siblings in the order of
-    asking.
-    """
-    names = {job.name for job in history}
-
-    def below(parent: str, depth: int) -> Iterator[tuple[int, Job]]:
-        for job in history:
-            if (
-                job.parent if job.parent in names else ""
-            ) == parent and job.name != parent:
-                yield depth, job
-                yield from below(job.name, depth + 1)
-
-    return list(below("", 0))
+    """(depth, job) with every job below the one that it goes on from, in the order of asking."""
+    places: dict[str, tuple[int, ...]] = {}
+    for index, job in enumerate(history):
+        places[job.name] = (*places.get(job.parent, ()), index)
+    ordered = sorted(history, key=lambda job: places[job.name])
+    return [(len(places[job.name]) - 1, job) for job in ordered]

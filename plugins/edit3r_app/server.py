@@ -1,31 +1,28 @@
-"""The parts of the app in one process, and the addresses of its pictures, uploads and downloads."""
+"""The parts of the app in one process, and the addresses of its images, uploads and downloads."""
 
 import io
-import os
-import tempfile
+import logging
 import urllib.parse
-import zipfile
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
 from fastapi import Request
-from fastapi.responses import (
-    FileResponse,
-    PlainTextResponse,
-    Response,
-    StreamingResponse,
-)
+from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import app, ui
 
 from edit3r.errors import Edit3rError, InputError
 from edit3r.io.decode import read_image
-from edit3r_app import page, uploads
-from edit3r_app.choosing import Chooser, read_draft
+from edit3r.plugins.registry import default_registry
+from edit3r_app import downloads, uploads
+from edit3r_app.draft import read_draft
 from edit3r_app.guard import Guard
-from edit3r_app.jobs import JobsFolder
+from edit3r_app.jobs import KINDS, JobsFolder
+from edit3r_app.looking import Looker
+from edit3r_app.pages import add_pages
+from edit3r_app.pages.parts import Tab
 from edit3r_app.runner import Runner
 
+THUMBNAIL = 320  # [pixels], longer side
 SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'unsafe-inline' 'unsafe-eval' data: blob:; "
     "frame-ancestors 'self'"
@@ -46,21 +43,20 @@ def serve(
     show: bool,
 ) -> None:
     """Serve the app until it is interrupted; `start` is the path that the browser opens."""
-    runner, chooser = Runner(folder), Chooser(folder, size)
-    app.add_middleware(Guard, token=token, most_bytes=uploads.MOST_BYTES)
+    runner = Runner(folder)
+    looker = Looker(folder, default_registry(), size)
+    app.add_middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     app.add_static_files("/static", Path(__file__).with_name("static"))
-    _add_routes(folder, chooser)
-    page.add_pages(folder, runner, chooser)
+    _add_routes(Answers(folder, looker))
+    add_pages(Tab(folder, runner, looker))
     app.on_startup(runner.start)
     app.on_shutdown(runner.stop)
-    path = start + (
-        f"{'&' if '?' in start else '?'}token={urllib.parse.quote(token)}"
-        if token
-        else ""
-    )
-    address = f"http://{'localhost' if host == '127.0.0.1' else host}:{port}{path}"
+    logging.getLogger("nicegui").addFilter(_is_unexpected)
+    path = f"{start}?token={urllib.parse.quote(token)}" if token else start
+    name = "localhost" if host == "127.0.0.1" else host
     print(
-        f"edit3r app: {address}\n  jobs are kept in {folder.root}\n  Ctrl-C ends it",
+        f"edit3r app: http://{name}:{port}{path}\n  jobs are kept in {folder.root}\n"
+        "  Ctrl-C ends it",
         flush=True,
     )
     ui.run(
@@ -75,104 +71,91 @@ def serve(
     )
 
 
-def _add_routes(folder: JobsFolder, chooser: Chooser) -> None:
-    @app.exception_handler(Edit3rError)
-    async def refused(request: Request, error: Edit3rError) -> Response:
-        return PlainTextResponse(str(error), 400)
+def _is_unexpected(record: logging.LogRecord) -> bool:
+    """Whether a logged error is none of those that the page has told the user."""
+    return not (record.exc_info and isinstance(record.exc_info[1], Edit3rError))
 
-    @app.post("/upload/{scene}")
-    async def upload(scene: str, request: Request) -> Response:
-        name, wish = (
+
+def _add_routes(answers: "Answers") -> None:
+    app.add_exception_handler(Edit3rError, refused)
+    app.add_exception_handler(OSError, refused)
+    app.post("/upload/{scene}")(answers.upload)
+    app.get("/thumbnail/{scene}/{name}")(answers.thumbnail)
+    app.get("/marked/{state}/{name}")(answers.marked)
+    app.get("/image/{state}/{kind}/{name}")(answers.image)
+    app.get("/viewer/{run}")(answers.viewer)
+    app.get("/download/{run}/{what}")(answers.download)
+
+
+def refused(request: Request, error: Exception) -> Response:
+    """What the user can act on, in a sentence; also of a disk that is full."""
+    return PlainTextResponse(str(error), 400 if isinstance(error, Edit3rError) else 507)
+
+
+class Answers:
+    """Answers to all addresses that are no page."""
+
+    def __init__(self, folder: JobsFolder, looker: Looker) -> None:
+        self.folder = folder
+        self.looker = looker
+
+    async def upload(self, scene: str, request: Request) -> Response:
+        name, wanted = (
             urllib.parse.unquote(request.headers.get(key, ""))
             for key in ("x-name", "x-folder")
         )
         length = request.headers.get("content-length")
-        new = scene == "-"
-        scene = folder.new_scene(wish or Path(name).stem) if new else scene
-        folder.path(scene)
+        size = int(length) if length else None
+        is_new = scene == "-"
+        if is_new:
+            scene = self.folder.new_scene(wanted or Path(name).stem)
+        self.folder.path(scene)
         try:
-            await uploads.receive(
-                folder, scene, name, int(length) if length else None, request.stream()
-            )
-        except Edit3rError:
-            if new:
-                uploads.discard(folder, scene)
+            await uploads.receive(self.folder, scene, name, size, request.stream())
+        except (Edit3rError, OSError):
+            if is_new:
+                uploads.discard(self.folder, scene)
             raise
         return PlainTextResponse(scene)
 
-    @app.get("/thumbnail/{state}/{view}")
-    def thumbnail(state: str, view: int) -> Response:
-        photo = _one_of(folder.photos(state), view)
-        return Response(
-            _small(photo, photo.stat().st_mtime_ns), media_type="image/jpeg"
-        )
+    def thumbnail(self, scene: str, name: str) -> Response:
+        photo = _there(self.folder.photos(scene).get(name))
+        content = _small(photo, photo.stat().st_mtime_ns)
+        return Response(content, media_type="image/jpeg")
 
-    @app.get("/photo/{state}/{view}")
-    def photo(state: str, view: int) -> Response:
-        _one_of(folder.photos(state), view)
-        return Response(
-            chooser.picture(state, read_draft(folder, state), view),
-            media_type="image/jpeg",
-        )
+    def marked(self, state: str, name: str) -> Response:
+        content = self.looker.image(state, read_draft(self.folder, state), name)
+        return Response(content, media_type="image/jpeg")
 
-    @app.get("/shown/{run}/{kind}/{view}")
-    def shown(run: str, kind: str, view: int) -> Response:
-        if kind not in ("inputs", "edited", "renders"):
-            raise InputError(f"{kind[:20]!r}: no pictures of that kind.")
-        return FileResponse(
-            _one_of(folder.pictures(run, kind), view), media_type="image/png"
-        )
+    def image(self, state: str, kind: str, name: str) -> Response:
+        if kind not in KINDS:
+            raise InputError(f"{kind[:20]!r}: no images of that kind.")
+        self.folder.job(state)
+        return FileResponse(_there(self.folder.images(state, kind).get(name)))
 
-    @app.get("/viewer/{run}")
-    def viewer(run: str) -> Response:
-        file = _one_of([folder.path(run) / "viewer.html"], 0)
-        return FileResponse(
-            file, media_type="text/html", headers={"content-security-policy": SANDBOX}
-        )
+    def viewer(self, run: str) -> Response:
+        file = _there(self.folder.path(run) / "viewer.html")
+        policy = {"content-security-policy": SANDBOX}
+        return FileResponse(file, media_type="text/html", headers=policy)
 
-    @app.get("/download/{run}/{what}")
-    def download(run: str, what: str) -> Response:
-        if what == "all.zip":
-            named = urllib.parse.quote(f"{run}.zip")
-            headers = {"content-disposition": f"attachment; filename*=UTF-8''{named}"}
-            return StreamingResponse(
-                _zipped(folder.path(run)), media_type="application/zip", headers=headers
-            )
-        if what not in page.DOWNLOADS:
-            raise InputError(f"{what[:40]!r}: not a file of a run.")
-        file = _one_of([folder.path(run) / what], 0)
+    def download(self, run: str, what: str) -> Response:
+        file = downloads.prepared(self.folder, run, what)
         return FileResponse(
             file, media_type="application/octet-stream", filename=f"{run}-{what}"
         )
 
 
-def _one_of(paths: list[Path], index: int) -> Path:
-    if not (
-        0 <= index < len(paths)
-        and paths[index].is_file()
-        and not paths[index].is_symlink()
-    ):
-        raise InputError("no such picture or file.")
-    return paths[index]
+def _there(file: Path | None) -> Path:
+    """The file, where it is one and no link to another."""
+    if file is None or not file.is_file() or file.is_symlink():
+        raise InputError("no such image or file.")
+    return file
 
 
 @lru_cache(maxsize=512)
 def _small(photo: Path, changed: int) -> bytes:
-    image, content = read_image(photo), io.BytesIO()
-    image.thumbnail((uploads.THUMBNAIL, uploads.THUMBNAIL))
+    image = read_image(photo)
+    image.thumbnail((THUMBNAIL, THUMBNAIL))
+    content = io.BytesIO()
     image.save(content, "JPEG", quality=85)
     return content.getvalue()
-
-
-def _zipped(run: Path) -> Iterator[bytes]:
-    """The files of a run that a person wants, as an archive; without its cache."""
-    with tempfile.TemporaryFile() as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            for place, folders, names in os.walk(run):
-                folders[:] = [name for name in folders if name != "cache"]
-                for path in sorted(Path(place, name) for name in names):
-                    if not path.is_symlink() and not path.name.startswith("."):
-                        archive.write(path, Path(run.name) / path.relative_to(run))
-        file.seek(0)
-        while chunk := file.read(1 << 20):
-            yield chunk

@@ -7,10 +7,12 @@ refused leaves nothing.
 
 import asyncio
 import os
+import re
 import secrets
 import shutil
-from collections.abc import AsyncIterator
-from contextlib import suppress
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from edit3r.errors import Edit3rError, InputError
@@ -18,21 +20,20 @@ from edit3r.io.atomic import sha256_of
 from edit3r.io.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.io.decode import READABLE, decode
 from edit3r.io.images import SUFFIXES, unique_names
-from edit3r_app.jobs import DRAFT, JobsFolder
+from edit3r_app.jobs import JobsFolder
 
-MOST_PHOTOS = (
-    60  # of one set; a reconstruction of more takes hours on the machine of one person
-)
-MOST_BYTES = 100 * 1024**2  # of one photo
-THUMBNAIL = 320  # [pixels], longer side
+DRAFT = ".upload-"  # how names of files begin that are still being received
+MAX_PHOTOS = 60  # of one set: more take hours on the machine of one person
+MAX_BYTES = 100 * 1024**2  # of one photo
+
+_KEEPING = threading.Lock()
+"""Several uploads come at once: a free name is found and taken under this lock."""
 
 
 def refuse_unwanted(
     folder: JobsFolder, scene: str, name: str, size: int | None
 ) -> None:
-    """Raise InputError for what need not even be sent: too large by its own word, too many, or of
-    no photo's type.
-    """
+    """Raise InputError for what need not even be sent: a wrong type, too large, too many."""
     label = _label(name)
     if folder.is_run(scene):
         raise InputError(
@@ -42,13 +43,13 @@ def refuse_unwanted(
         raise InputError(
             f"{label}: not a photo by its name; expected {READABLE}, or a video."
         )
-    if size is not None and size > MOST_BYTES:
+    if size is not None and size > MAX_BYTES:
         raise InputError(
-            f"{label}: {size / 1024**2:,.0f} MB; photos of at most {MOST_BYTES >> 20} MB are taken."
+            f"{label}: {size / 1024**2:,.0f} MB; photos of at most {MAX_BYTES >> 20} MB are taken."
         )
-    if len(folder.photos(scene)) >= MOST_PHOTOS:
+    if len(folder.photos(scene)) >= MAX_PHOTOS:
         raise InputError(
-            f"{label}: at most {MOST_PHOTOS} photos are taken; leave some out."
+            f"{label}: at most {MAX_PHOTOS} photos are taken; leave some out."
         )
 
 
@@ -59,81 +60,50 @@ async def receive(
     size: int | None,
     chunks: AsyncIterator[bytes],
 ) -> Path:
-    """Take in one file and return where it lies. Raises InputError, in one sentence, for what is
-    refused.
-    """
+    """Take in one file and return where it lies; raises InputError for what is refused."""
     refuse_unwanted(folder, scene, name, size)
-    draft, received = folder.private / f"{DRAFT}{secrets.token_hex(8)}", 0
-    try:
+    received = 0
+    with _draft(folder) as draft:
         with draft.open("wb") as file:
             async for chunk in chunks:
                 received += len(chunk)
-                if received > MOST_BYTES:
+                if received > MAX_BYTES:
                     raise InputError(
-                        f"{_label(name)}: photos of at most {MOST_BYTES >> 20} MB are taken."
+                        f"{_label(name)}: photos of at most {MAX_BYTES >> 20} MB are taken."
                     )
                 file.write(chunk)
         return await asyncio.to_thread(accept, folder, scene, name, draft)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
-    """Keep the file `draft` as a photo of the scene, under a name made from `name`; the same
-    picture only once.
+    """Keep the file `draft` as a photo of the scene; of a video the frames `edit3r run` would use.
 
-    Of a video the frames are kept that `edit3r run` would use; returns the first of them.
+    Returns the photo, or the first frame.
     """
+    label = Path(_label(name))
     try:
-        if Path(_label(name)).suffix.lower() in VIDEO_SUFFIXES:
-            with draft.open("rb") as file:
-                head = file.read(12)
-            if head[4:8] != b"ftyp" and head[:4] not in (
-                b"\x1aE\xdf\xa3",
-                b"RIFF",
-            ):  # such as a list of other files
-                raise InputError(f"{draft}: not a video that can be read.")
-            stem = Path(_label(name)).stem
-            kept = [
-                _copy(folder, scene, frame, f"{stem}-{n:02}.png")
-                for n, frame in enumerate(take_frames(draft))
-            ]
-            return kept[0]
-        decode(draft)
+        if label.suffix.lower() not in VIDEO_SUFFIXES:
+            decode(draft)
+            return _keep(folder, scene, label.name, draft)
+        if not _is_video(draft):  # such as a list of other files
+            raise InputError(f"{draft}: not a video that can be read.")
+        frames = take_frames(draft)
     except Edit3rError as error:
-        raise InputError(str(error).replace(str(draft), _label(name))) from None
-    photos, digest = folder.photos(scene), sha256_of(draft)
-    refuse_unwanted(folder, scene, name, draft.stat().st_size)
-    for photo in photos:
-        if photo.stat().st_size == draft.stat().st_size and sha256_of(photo) == digest:
-            return photo
-    stem = unique_names([*(photo.stem for photo in photos), Path(_label(name)).stem])[
-        -1
-    ]
-    kept = folder.path(scene) / "images" / f"{stem}{Path(_label(name)).suffix.lower()}"
-    os.replace(draft, kept)
-    return kept
+        raise InputError(str(error).replace(str(draft), label.name)) from None
+    names = [f"{label.stem}-{index:02}.png" for index in range(len(frames))]
+    copies = [_copy(folder, scene, *pair) for pair in zip(frames, names)]
+    return copies[0]
 
 
-def remove(folder: JobsFolder, scene: str, index: int) -> None:
-    """Take a photo out of a set that nothing was made from yet."""
+def remove(folder: JobsFolder, scene: str, photo: str) -> None:
+    """Take a photo, by its name, out of a set that nothing was made from yet."""
     if folder.is_run(scene) or folder.history(scene):
         raise InputError(
             f"{scene}: edits were made from these photos; begin with new photos to leave one out."
         )
-    folder.photos(scene)[index].unlink()
-
-
-def _label(name: str) -> str:
-    """The last part of whatever path the browser told, as a file name, for messages."""
-    stem, dot, suffix = (
-        name.replace("\\", "/").rpartition("/")[2] or "photo"
-    ).rpartition(".")
-    return (
-        ".".join(unique_names([part])[0] for part in (stem[:200], suffix[:12]) if part)
-        if dot
-        else suffix[:200]
-    )
+    file = folder.photos(scene).get(photo)
+    if file is not None:  # else it is out already
+        file.unlink(missing_ok=True)
 
 
 def discard(folder: JobsFolder, scene: str) -> None:
@@ -152,9 +122,47 @@ def copied(folder: JobsFolder, name: str, photos: list[Path]) -> str:
 
 
 def _copy(folder: JobsFolder, scene: str, photo: Path, name: str) -> Path:
-    draft = folder.private / f"{DRAFT}{secrets.token_hex(8)}"
-    try:
+    with _draft(folder) as draft:
         shutil.copyfile(photo, draft)
         return accept(folder, scene, name, draft)
+
+
+def _keep(folder: JobsFolder, scene: str, label: str, draft: Path) -> Path:
+    """Move a photo to a name that is free; the same photo is kept only once."""
+    size = draft.stat().st_size
+    digest = sha256_of(draft)
+    with _KEEPING:
+        refuse_unwanted(folder, scene, label, size)
+        photos = folder.photos(scene)
+        for photo in photos.values():
+            if photo.stat().st_size == size and sha256_of(photo) == digest:
+                return photo
+        stem = unique_names([*photos, Path(label).stem])[-1]
+        suffix = Path(label).suffix.lower()
+        kept = folder.path(scene) / "images" / f"{stem}{suffix}"
+        os.replace(draft, kept)
+    return kept
+
+
+@contextmanager
+def _draft(folder: JobsFolder) -> Iterator[Path]:
+    """A file for what is being received, which does not stay."""
+    draft = folder.private / f"{DRAFT}{secrets.token_hex(8)}"
+    try:
+        yield draft
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _is_video(draft: Path) -> bool:
+    """Whether it begins as MP4 (or MOV), WebM (or MKV) or AVI do."""
+    with draft.open("rb") as file:
+        head = file.read(12)
+    return head[4:8] == b"ftyp" or head[:4] in (b"\x1aE\xdf\xa3", b"RIFF")
+
+
+def _label(name: str) -> str:
+    """The last part of whatever path the browser told, as a file name, for messages."""
+    last = name.replace("\\", "/").rpartition("/")[2]
+    stem, suffix = os.path.splitext(last)
+    return unique_names([stem[:200]])[0] + re.sub(r"[^.\w]", "_", suffix[:12])

@@ -37,7 +37,9 @@ async function edit3rDropped(items) {
 }
 
 function edit3rChoose(scene, folder) {
-  const input = Object.assign(document.createElement("input"), { type: "file", multiple: true });
+  // Without HEIC in the list, phones send JPEG instead.
+  const accept = "image/jpeg,image/png,image/webp,image/tiff,image/avif,video/*";
+  const input = Object.assign(document.createElement("input"), { type: "file", multiple: true, accept });
   if (folder) input.webkitdirectory = true;
   input.onchange = () => {
     const name = folder && input.files.length ? input.files[0].webkitRelativePath.split("/")[0] : "";
@@ -58,7 +60,8 @@ for (const kind of ["dragover", "dragleave", "drop"])
     edit3rSend(files, zone.dataset.scene, folder);
   });
 
-// A click, in the mode "box" a drag, in the modes of the brush a stroke, on a photo; places are x and y in [0, 1] of it.
+// ---- marks: a click, a dragged box, or a stroke of the brush; places are x and y in [0, 1] of the photo ----
+
 let edit3rDrag = null;
 const edit3rPlace = (event, image) => {
   const area = image.getBoundingClientRect();
@@ -68,49 +71,86 @@ const edit3rPlace = (event, image) => {
 document.addEventListener("pointerdown", (event) => {
   const image = event.target.closest("img.e3-mark");
   if (!image || event.button) return;
-  const [box, brush] = [".e3-box", ".e3-brush"].map((mode) => image.closest(mode));
-  edit3rDrag = { image, places: [edit3rPlace(event, image)], box: !!box, brush: !!brush };
-  if (box) edit3rDrag.shown = image.parentElement.appendChild(Object.assign(document.createElement("div"), { className: "e3-rect" }));
-  if (!brush) return;
-  const { width, height } = image.getBoundingClientRect();
-  const shown = Object.assign(document.createElement("canvas"), { className: "e3-stroke", width, height });
-  const pen = Object.assign(shown.getContext("2d"), { lineWidth: brush.dataset.brush * Math.max(width, height), lineCap: "round", lineJoin: "round", strokeStyle: "#ff408c99" });
-  Object.assign(edit3rDrag, { shown: image.parentElement.appendChild(shown), pen });
-  edit3rStroke();
+  const { mode, radius } = image.closest(".e3-photos").dataset;
+  const kind = mode == "add" && event.altKey ? "remove" : mode;
+  const mark = { kind, photo: image.alt, places: [edit3rPlace(event, image)], radius: Number(radius || 0.04) };
+  edit3rDrag = { image, mark, drawn: null };
+  edit3rDrawDrag();
 });
 document.addEventListener("pointermove", (event) => {
-  if (!edit3rDrag || !edit3rDrag.shown) return;
-  const { image, places, shown, brush } = edit3rDrag;
-  const [u, v] = edit3rPlace(event, image);
-  if (brush) {
-    const [x, y] = places[places.length - 1];
-    if (Math.hypot(u - x, v - y) < 0.008) return;
-    places.push([u, v]);
-    return edit3rStroke();
-  }
-  const [x, y] = places[0];
-  const [left, top, width, height] = [Math.min(x, u), Math.min(y, v), Math.abs(u - x), Math.abs(v - y)].map((value) => 100 * value + "%");
-  Object.assign(shown.style, { left, top, width, height });
+  if (!edit3rDrag || !edit3rDrag.drawn) return;
+  const { image, mark } = edit3rDrag;
+  const place = edit3rPlace(event, image), last = mark.places[mark.places.length - 1];
+  if (mark.kind == "box") mark.places[1] = place;
+  else if (Math.hypot(place[0] - last[0], place[1] - last[1]) > 0.008) mark.places.push(place);
+  edit3rDrawDrag();
 });
 document.addEventListener("pointercancel", () => edit3rEnd());
 document.addEventListener("pointerup", (event) => {
   if (!edit3rDrag) return;
-  const { image, places, box, brush } = edit3rDrag;
-  places.push(edit3rPlace(event, image));
+  const { image, mark } = edit3rDrag;
   edit3rEnd();
-  const [[x, y], [u, v]] = [places[0], places[places.length - 1]];
-  const moved = Math.hypot(u - x, v - y) > 0.02;
-  if (moved && !box && !brush) return; // scrolled
-  emitEvent("edit3r_mark", { view: Number(image.dataset.view), places, box: box && moved, remove: event.altKey });
+  const end = edit3rPlace(event, image), [x, y] = mark.places[0];
+  const moved = Math.hypot(end[0] - x, end[1] - y) > 0.02;
+  if (mark.kind == "box" && !moved) mark.kind = event.altKey ? "remove" : "add";
+  if (moved && ["add", "remove"].includes(mark.kind)) return; // scrolled
+  if (mark.kind == "box") mark.places = [mark.places[0], end];
+  else if (mark.places.length > 1 || moved) mark.places.push(end);
+  emitEvent("edit3r_mark", mark);
 });
-function edit3rStroke() {
-  const { pen, places, shown } = edit3rDrag;
-  pen.clearRect(0, 0, shown.width, shown.height);
-  pen.beginPath();
-  for (const [x, y] of places.concat(places.slice(-1))) pen.lineTo(x * shown.width, y * shown.height);
-  pen.stroke();
+function edit3rDrawDrag() {
+  const { image, mark, drawn } = edit3rDrag;
+  if (["add", "remove"].includes(mark.kind)) return;
+  if (drawn) drawn.remove();
+  edit3rDrag.drawn = edit3rDraw(image, [mark], true);
 }
 function edit3rEnd() {
-  if (edit3rDrag && edit3rDrag.shown) edit3rDrag.shown.remove();
+  if (edit3rDrag && edit3rDrag.drawn) edit3rDrag.drawn.remove();
   edit3rDrag = null;
 }
+
+// Draw marks over a photo; strokes only while they are made, since afterwards the outline shows them.
+function edit3rDraw(image, marks, strokes) {
+  const [width, height] = [image.clientWidth, image.clientHeight], at = ([x, y]) => [x * width, y * height];
+  const node = (tag, values) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [key, value] of Object.entries(values)) made.setAttribute(key, value);
+    return made;
+  };
+  const over = node("svg", { viewBox: `0 0 ${width} ${height}`, class: "e3-over-photo" });
+  for (const { kind, places, radius } of marks) {
+    const all = places.concat(places.slice(-1)).map(at), [x, y] = all[0], [u, v] = all[all.length - 1];
+    if (kind == "box") over.append(node("rect", { x: Math.min(x, u), y: Math.min(y, v), width: Math.abs(u - x), height: Math.abs(v - y), "stroke-width": 2 }));
+    else if (kind == "add" || kind == "remove") over.append(node("circle", { cx: x, cy: y, r: 7, "stroke-width": 2, class: "e3-" + kind }));
+    else if (strokes) over.append(node("polyline", { points: all.join(" "), "stroke-width": 2 * radius * Math.max(width, height), class: "e3-" + kind }));
+  }
+  image.parentElement.append(over);
+  return over;
+}
+function edit3rDrawAll() {
+  const grid = document.querySelector(".e3-photos[data-marks]");
+  if (!grid) return;
+  const { marks } = JSON.parse(grid.dataset.marks);
+  for (const old of grid.querySelectorAll(".e3-over-photo")) old.remove();
+  for (const image of grid.querySelectorAll("img.e3-mark")) edit3rDraw(image, marks.filter((mark) => mark.photo == image.alt), false);
+}
+document.addEventListener("load", (event) => event.target.matches && event.target.matches("img.e3-mark") && edit3rDrawAll(), true);
+addEventListener("resize", edit3rDrawAll);
+
+// ---- keys, outside of fields where one types ----
+
+addEventListener("keydown", (event) => {
+  if (event.target.closest("input, textarea")) return;
+  if ((event.ctrlKey || event.metaKey) && event.key == "z") {
+    event.preventDefault();
+    emitEvent("edit3r_undo");
+  }
+});
+
+// ---- two scenes beside each other: a camera that moves in one moves in the other ----
+
+addEventListener("message", (event) => {
+  const frames = [...document.querySelectorAll(".e3-two iframe")].map((frame) => frame.contentWindow);
+  if (!frames.includes(event.source) || !event.data || !event.data.edit3rCamera) return;
+  for (const frame of frames) if (frame != event.source) frame.postMessage(event.data, "*");
+});

@@ -1,0 +1,128 @@
+"""What was marked and typed on one state of a scene, kept in a file.
+
+Marks are a list in the order of making, so that the last can be undone.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from pydantic import Field, TypeAdapter
+from torch import Tensor
+
+from edit3r.contract.types import Views
+from edit3r.errors import InputError
+from edit3r.io.atomic import atomic_write
+from edit3r.selection.select import Box, Selection
+from edit3r.wishes.things import read_thing
+from edit3r_app.jobs import JobsFolder
+
+MAX_MARKS = 200
+MAX_PLACES = 4000  # of all strokes of the brush on a scene
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One step of selecting; places are x and y in [0, 1] of a photo."""
+
+    kind: Literal["add", "remove", "box", "paint", "erase"]
+    photo: str  # its name
+    # one, or two corners of a box, or those of a stroke
+    places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
+    radius: Annotated[float, Field(ge=0, le=0.5)] = (
+        0.0  # of the brush, of the longer side
+    )
+
+
+@dataclass
+class Draft:
+    """Marks and form of one state of a scene."""
+
+    marks: list[Mark] = field(default_factory=list)
+    words: str = ""  # name the thing where nothing is marked
+    guess: bool = False  # take what stands out most where words are not known
+    # what was typed: the sentence, names of components, settings
+    form: dict[str, Any] = field(default_factory=dict)
+    # of a set of photos: marks by the name that the user gave them
+    named: dict[str, list[Mark]] = field(default_factory=dict)
+
+    @property
+    def selects(self) -> bool:
+        """Whether it says what is meant, and not only what is not."""
+        kinds = {mark.kind for mark in self.marks}
+        return bool(self.words or kinds - {"remove", "erase"})
+
+    def selection(self, views: Views) -> Selection:
+        """The marks on these views; those on photos that a run left out are passed over."""
+
+        def of(kind: str) -> Iterator[tuple[int, Mark]]:
+            for mark in self.marks:
+                if mark.kind == kind and mark.photo in views.names:
+                    yield views.names.index(mark.photo), mark
+
+        thing = read_thing(self.words.lower().split())
+        return Selection(
+            positive=tuple((view, *mark.places[0]) for view, mark in of("add")),
+            negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
+            boxes={view: _box(mark) for view, mark in of("box")},
+            added=_painted(of("paint"), views.image_size),
+            removed=_painted(of("erase"), views.image_size),
+            words=thing.name,
+            which=thing.which,
+            guess=self.guess,
+        )
+
+    def as_json(self) -> str:
+        return json.dumps(asdict(self))
+
+
+MARK = TypeAdapter(Mark)
+DRAFT = TypeAdapter(Draft)
+
+
+def read_draft(folder: JobsFolder, state: str) -> Draft:
+    """The draft of a set of photos or a run; an empty one where there is none that can be read."""
+    with suppress(OSError, ValueError):
+        return DRAFT.validate_json((folder.beside(state) / "draft.json").read_bytes())
+    return Draft()
+
+
+def write_draft(folder: JobsFolder, state: str, draft: Draft) -> None:
+    """Keep a draft; raises InputError for more marks than anybody makes."""
+    places = sum(len(mark.places) for mark in draft.marks)
+    if len(draft.marks) > MAX_MARKS or places > MAX_PLACES:
+        raise InputError(
+            f"more than {MAX_MARKS} marks, or longer strokes than are kept; clear them, and begin "
+            "with a box or a larger brush."
+        )
+    with atomic_write(folder.beside(state) / "draft.json") as partial:
+        partial.write_text(draft.as_json(), encoding="utf-8")
+
+
+def _box(mark: Mark) -> Box:
+    """x, y, width and height of the box between two corners."""
+    ends = zip(mark.places[0], mark.places[-1])
+    (left, right), (top, bottom) = map(sorted, ends)
+    return left, top, right - left, bottom - top
+
+
+def _painted(
+    strokes: Iterator[tuple[int, Mark]], size: tuple[int, int]
+) -> dict[int, Float[Tensor, "height width"]]:
+    """What strokes of the brush cover, as masks of 0 and 1 by view."""
+    height, width = size
+    masks: dict[int, np.ndarray] = {}
+    for view, stroke in strokes:
+        mask = masks.setdefault(view, np.zeros(size, np.float32))
+        places = np.rint(np.multiply(stroke.places, (width, height)))
+        thickness = max(1, round(2 * stroke.radius * max(size)))
+        cv2.polylines(mask, [places.astype(np.int32)], False, 1, thickness)
+    return {view: torch.from_numpy(mask) for view, mask in masks.items()}

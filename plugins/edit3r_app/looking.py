@@ -1,0 +1,220 @@
+"""What a draft means for the photos: what is selected, how the sentence is read, and the 2D edit.
+
+Found in the warm process of the server, by the steps that `edit3r run` takes.
+"""
+
+import io
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYet
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from edit3r.cache import Cache, using
+from edit3r.config import PartChoice
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import Views
+from edit3r.errors import Edit3rError, InputError
+from edit3r.io.images import save_image, to_bytes
+from edit3r.io.outline import outlined
+from edit3r.pipeline import steps
+from edit3r.pipeline.config import RunConfig, make_run_config
+from edit3r.pipeline.earlier import CACHE, read_views_of_run
+from edit3r.pipeline.job import RunJob
+from edit3r.pipeline.parts import Parts
+from edit3r.pipeline.scene import Scene
+from edit3r.plugins.registry import Registry
+from edit3r.reporting import Report, collecting
+from edit3r.selection.select import Selection, geometry_of, select_masks
+from edit3r_app.draft import DRAFT, Draft
+from edit3r_app.forms import run_settings
+from edit3r_app.jobs import PREVIEW, JobsFolder
+
+GEOMETRY_PATIENCE = 3.0
+"""[s] that a mark waits for poses and depths before masks are carried by what the photos show."""
+DIMMED = 0.55
+"""Brightness of what is not selected."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a draft means for the photos of a set, or for the edited ones of a run."""
+
+    views: Views
+    marked: Float[Tensor, "view height width"] | None = None  # what the marks select
+    # where the photos may change; None: everywhere, or nothing is said yet
+    masks: Float[Tensor, "view height width"] | None = None
+    understood: str = (
+        ""  # the sentence as it was read, and the editor that carries it out
+    )
+    problem: str = ""  # why it cannot be carried out
+    asks: bool = False  # a click, or a guess, would help
+    told: tuple[str, ...] = ()  # choices and warnings
+    scene: Scene | None = None  # after selecting; None where something is missing
+    parts: Parts | None = None
+
+
+class WarmRegistry(Registry):
+    """Builds a component once for each choice, and keeps it with its weights."""
+
+    def __init__(self, registry: Registry) -> None:
+        super().__init__(registry.plugins)
+        self._built: dict[tuple, Any] = {}
+
+    def build_choice(
+        self, kind: str, choice: PartChoice, parts: dict[str, Any] | None = None
+    ) -> Any:
+        key = (kind, choice.model_dump_json(), *(parts or {}).items())
+        if key not in self._built:
+            self._built[key] = super().build_choice(kind, choice, parts)
+        return self._built[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """A state of a scene, read once."""
+
+    scene: Scene  # its photos
+    cache: Cache
+    geometry: "Future[MatchedGeometry | None]"
+
+
+class Looker:
+    """Answers drafts. One call works at a time; geometry is read in the background."""
+
+    def __init__(self, folder: JobsFolder, registry: Registry, size: int) -> None:
+        self.folder = folder
+        self.registry = WarmRegistry(registry)
+        self.size = size  # of the photos [pixels]
+        self._working = threading.RLock()
+        self._background = ThreadPoolExecutor(2)
+        self._opened = lru_cache(maxsize=4)(self._open)
+        self._looks = lru_cache(maxsize=64)(self._look)
+
+    def look(self, state: str, draft: Draft) -> Look:
+        with self._working:
+            opened = self._opened(state, tuple(self.folder.photos(state)))
+            return self._looks(opened, draft.as_json())
+
+    def image(self, state: str, draft: Draft, name: str) -> bytes:
+        """JPEG of one photo; what is selected is outlined, and the rest is darker."""
+        look = self.look(state, draft)
+        if name not in look.views.names:
+            raise InputError(f"{name[:60]!r}: no photo of that name.")
+        view = look.views.names.index(name)
+        image = look.views.images[0, view]
+        if look.masks is not None:
+            mask = look.masks[view]
+            image = outlined(image * (DIMMED + (1 - DIMMED) * mask), mask)
+        content = io.BytesIO()
+        Image.fromarray(to_bytes(image)).save(content, "JPEG", quality=88)
+        return content.getvalue()
+
+    def begin_preview(self, look: Look, job: str) -> None:
+        """Write beside a job, in the background, what is selected and the 2D edit."""
+        self._background.submit(self._preview, look, job)
+
+    def _preview(self, look: Look, job: str) -> None:
+        scene = look.scene
+        used = [task.editor.offer.component for task in look.parts.tasks]
+        if not any(one.weights or one.needs_network for one in used):
+            # Of slower editors the edit is seen with the result.
+            with suppress(Edit3rError), self._working, _working_with(Cache()):
+                scene = steps.edit(scene, look.parts)
+        views = scene.edited or scene.start
+        folder = self.folder.beside(job) / PREVIEW
+        folder.mkdir()
+        for view, name in enumerate(views.names):
+            image = views.images[0, view]
+            if scene.masks is not None:
+                image = outlined(image, scene.masks[0, view])
+            save_image(image, folder / f"{name}.jpg")
+
+    def _open(self, state: str, names: tuple[str, ...]) -> _Opened:
+        """Read a state's photos as a run does; `names` says which there are."""
+        path = self.folder.path(state)
+        if self.folder.is_run(state):
+            cache = Cache(path / CACHE)
+            photos, edited = read_views_of_run(path)
+            scene = Scene(photos, start=edited)
+        else:
+            cache = Cache()
+            files = tuple(self.folder.photos(state).values())
+            job = RunJob(make_run_config({"size": self.size}), files)
+            with _working_with(cache):
+                scene = steps.read(job, self.registry)
+        geometry = self._background.submit(self._geometry, scene.photos, cache)
+        return _Opened(scene, cache, geometry)
+
+    def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
+        """Poses and depths by the matcher of the default reconstructor."""
+        choice = RunConfig.model_fields["reconstructor"].default
+        with _working_with(cache):
+            reconstructor = self.registry.build_choice("reconstructor", choice)
+            return geometry_of(reconstructor.parts.get("matcher"), photos)
+
+    def _look(self, opened: _Opened, text: str) -> Look:
+        draft = DRAFT.validate_json(text)
+        look = Look(opened.scene.start)
+        with _working_with(opened.cache) as told:
+            try:
+                config = make_run_config(run_settings(draft, self.registry))
+                parts = Parts(config, self.registry, RunJob(config))
+                if draft.selects:
+                    look = _with_marks(look, draft, opened, parts)
+                if config.prompt or config.editor is not None:
+                    wishes = [wish for task in parts.tasks for wish in task.wishes]
+                    said = "; ".join(map(str, wishes)) or config.prompt
+                    look = replace(look, understood=f"{said} ({parts.editor_names})")
+                    look = _with_regions(look, opened.scene, parts)
+            except Edit3rError as error:
+                asks = isinstance(error, InputError)
+                look = replace(look, problem=str(error), asks=asks)
+        return replace(look, told=tuple(told))
+
+
+def _with_marks(look: Look, draft: Draft, opened: _Opened, parts: Parts) -> Look:
+    """What the marks select on every photo."""
+    geometry = None
+    with suppress(NotYet):
+        geometry = opened.geometry.result(GEOMETRY_PATIENCE)
+    found = select_masks(
+        look.views.images[0],
+        draft.selection(look.views),
+        parts.segmenter,
+        geometry=geometry,
+        intrinsics=look.views.intrinsics,
+    )
+    masks = found.masks[:, 0]
+    return replace(look, marked=masks, masks=masks)
+
+
+def _with_regions(look: Look, scene: Scene, parts: Parts) -> Look:
+    """Where the sentence applies, by the step `select` of a run."""
+    if look.marked is not None:
+        marked = Selection(masks=dict(enumerate(look.marked)))
+        scene = replace(scene, marked=marked)
+    scene = steps.select(scene, parts)
+    masks = None if scene.masks is None else scene.masks[0]
+    return replace(look, masks=masks, scene=scene, parts=parts)
+
+
+@contextmanager
+def _working_with(cache: Cache) -> Iterator[list[str]]:
+    """Work as a run does; yields what components tell the user."""
+    told: list[str] = []
+
+    def hear(event: str, text: str, *counts: int) -> None:
+        if event in ("say", "warn"):
+            told.append(text)
+
+    with collecting(Report(on_event=hear)), using(cache), torch.no_grad():
+        yield told
