@@ -135,11 +135,16 @@ def run(
 
 
 def preview(
-    job: RunJob, registry: Registry | None = None, report: Report | None = None
+    job: RunJob,
+    registry: Registry | None = None,
+    report: Report | None = None,
+    *,
+    edits: bool = True,
 ) -> Scene:
-    """What is selected and how it is edited, without anything in 3D: the first steps of `run`."""
+    """What is selected and, with `edits`, how it is edited: the first steps of `run`."""
+    steps = STEPS_OF_PREVIEW if edits else STEPS_OF_PREVIEW[:1]
     with collecting(report or Report()), using(job.cache or Cache()):
-        scene, _ = _take(job, registry or default_registry(), STEPS_OF_PREVIEW)
+        scene, _ = _take(job, registry or default_registry(), steps)
     return scene
 
 

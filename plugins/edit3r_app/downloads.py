@@ -1,4 +1,4 @@
-"""What can be taken along from a run. Formats that the run did not write are made when asked for."""
+"""What can be taken along from a run; formats that the run did not write are made when asked."""
 
 import os
 import zipfile
@@ -54,10 +54,9 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
 
 
 def _pack(run: Path, target: Path) -> None:
-    with atomic_write(target) as partial:
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
-            for file in _files(run):
-                archive.write(file, Path(run.name) / file.relative_to(run))
+    with atomic_write(target) as partial, zipfile.ZipFile(partial, "w") as archive:
+        for file in _files(run):
+            archive.write(file, Path(run.name) / file.relative_to(run))
 
 
 def _files(run: Path) -> Iterator[Path]:

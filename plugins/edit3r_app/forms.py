@@ -48,7 +48,7 @@ def form_lines(registry: Registry, kind: str, name: str) -> tuple[SettingLine, .
 
 
 def in_words(line: SettingLine) -> str:
-    """What a setting is for and may be: "float or null, ≥ 0" is "a number, or empty, at least 0"."""
+    """What a setting is for and may be; "float or null" is "a number, or empty"."""
     allowed = line.allowed
     for pattern, words in WORDS.items():
         allowed = re.sub(pattern, words, allowed)

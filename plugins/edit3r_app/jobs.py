@@ -34,7 +34,7 @@ KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 
 
 @dataclass(frozen=True)
-class Job:
+class AppJob:
     """One edit that was asked for: what `edit3r run` is called with, and what came of it."""
 
     name: str  # of its run folder
@@ -60,7 +60,7 @@ class Job:
         return self.state in ("queued", "running")
 
 
-_JOB = TypeAdapter(Job)
+_JOB = TypeAdapter(AppJob)
 
 
 class JobsFolder:
@@ -120,8 +120,8 @@ class JobsFolder:
     # ---- jobs ----
 
     def new_job(
-        self, job: Job, masks: Iterable[Float[Tensor, "height width"]] = ()
-    ) -> Job:
+        self, job: AppJob, masks: Iterable[Float[Tensor, "height width"]] = ()
+    ) -> AppJob:
         """Queue a job, after writing its masks, under a name that is free; its own is ignored."""
         name = self._reserved(job.scene[:80])
         count = 0
@@ -142,11 +142,11 @@ class JobsFolder:
                     (self.private / name).mkdir()
                     return name
 
-    def write(self, job: Job) -> None:
+    def write(self, job: AppJob) -> None:
         with atomic_write(self._record(job.name)) as partial:
             partial.write_text(json.dumps(asdict(job), indent=1), encoding="utf-8")
 
-    def jobs(self) -> Iterator[Job]:
+    def jobs(self) -> Iterator[AppJob]:
         """Every run that was asked for or that lies there, in the order of asking."""
         names = {path.parent.name for path in self.root.glob("*/run.json")}
         names |= {path.stem for path in self.private.glob("*.json")}
@@ -154,14 +154,14 @@ class JobsFolder:
         jobs = [job for job in found if job is not None]
         return iter(sorted(jobs, key=lambda job: (job.made, job.name)))
 
-    def job(self, name: str) -> Job:
+    def job(self, name: str) -> AppJob:
         """One job; raises InputError where there is none of that name."""
         job = self._read(name)
         if job is None:
             raise InputError(f"{str(name)[:60]!r}: no run of that name in {self.root}.")
         return job
 
-    def history(self, scene: str) -> list[Job]:
+    def history(self, scene: str) -> list[AppJob]:
         """The jobs of one scene, in the order of asking."""
         return [job for job in self.jobs() if job.scene == scene]
 
@@ -177,7 +177,7 @@ class JobsFolder:
     def _record(self, name: str) -> Path:
         return self.private / f"{name}.json"
 
-    def _read(self, name: str) -> Job | None:
+    def _read(self, name: str) -> AppJob | None:
         """What the record and the run folder say; None where there is neither."""
         if not _is_name(name):
             return None
@@ -187,7 +187,7 @@ class JobsFolder:
         except (OSError, ValueError):  # a run of the command line, or a damaged record
             if not is_run:
                 return None
-            job = Job(name, name, made=(self.root / name).stat().st_mtime)
+            job = AppJob(name, name, made=(self.root / name).stat().st_mtime)
         if is_run:
             prompt = manifest_of(self.root / name).get("prompt")
             settings = job.settings or {"prompt": prompt}
@@ -216,7 +216,7 @@ def _read_json(path: Path, changed: int) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def tree(history: list[Job]) -> list[tuple[int, Job]]:
+def tree(history: list[AppJob]) -> list[tuple[int, AppJob]]:
     """(depth, job) with every job below the one that it goes on from, in the order of asking."""
     places: dict[str, tuple[int, ...]] = {}
     for index, job in enumerate(history):

@@ -23,14 +23,13 @@ from edit3r.config import PartChoice
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Views
 from edit3r.errors import Edit3rError, InputError
-from edit3r.io.images import save_image, to_bytes
+from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.io.outline import outlined
-from edit3r.pipeline import steps
 from edit3r.pipeline.config import RunConfig, make_run_config
 from edit3r.pipeline.earlier import CACHE, read_views_of_run
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts
-from edit3r.pipeline.scene import Scene
+from edit3r.pipeline.run import preview
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import Report, collecting
 from edit3r.selection.select import Selection, geometry_of, select_masks
@@ -45,7 +44,7 @@ DIMMED = 0.55
 
 
 @dataclass(frozen=True)
-class Look:
+class DraftAnswer:
     """What a draft means for the photos of a set, or for the edited ones of a run."""
 
     views: Views
@@ -58,11 +57,13 @@ class Look:
     problem: str = ""  # why it cannot be carried out
     asks: bool = False  # a click, or a guess, would help
     told: tuple[str, ...] = ()  # choices and warnings
-    scene: Scene | None = None  # after selecting; None where something is missing
-    parts: Parts | None = None
+    job: RunJob | None = (
+        None  # the run that it asks for; None where something is missing
+    )
+    is_quick: bool = False  # whether its editors answer at once
 
 
-class WarmRegistry(Registry):
+class KeepingRegistry(Registry):
     """Builds a component once for each choice, and keeps it with its weights."""
 
     def __init__(self, registry: Registry) -> None:
@@ -82,7 +83,7 @@ class WarmRegistry(Registry):
 class _Opened:
     """A state of a scene, read once."""
 
-    scene: Scene  # its photos
+    views: Views  # its photos, edited where it is a run
     cache: Cache
     geometry: "Future[MatchedGeometry | None]"
 
@@ -92,14 +93,14 @@ class Looker:
 
     def __init__(self, folder: JobsFolder, registry: Registry, size: int) -> None:
         self.folder = folder
-        self.registry = WarmRegistry(registry)
+        self.registry = KeepingRegistry(registry)
         self.size = size  # of the photos [pixels]
         self._working = threading.RLock()
         self._background = ThreadPoolExecutor(2)
         self._opened = lru_cache(maxsize=4)(self._open)
         self._looks = lru_cache(maxsize=64)(self._look)
 
-    def look(self, state: str, draft: Draft) -> Look:
+    def look(self, state: str, draft: Draft) -> DraftAnswer:
         with self._working:
             opened = self._opened(state, tuple(self.folder.photos(state)))
             return self._looks(opened, draft.as_json())
@@ -118,24 +119,21 @@ class Looker:
         Image.fromarray(to_bytes(image)).save(content, "JPEG", quality=88)
         return content.getvalue()
 
-    def begin_preview(self, look: Look, job: str) -> None:
+    def begin_preview(self, look: DraftAnswer, job: str) -> None:
         """Write beside a job, in the background, what is selected and the 2D edit."""
         self._background.submit(self._preview, look, job)
 
-    def _preview(self, look: Look, job: str) -> None:
-        scene = look.scene
-        used = [task.editor.offer.component for task in look.parts.tasks]
-        if not any(one.weights or one.needs_network for one in used):
-            # Of slower editors the edit is seen with the result.
-            with suppress(Edit3rError), self._working, _working_with(Cache()):
-                scene = steps.edit(scene, look.parts)
-        views = scene.edited or scene.start
+    def _preview(self, look: DraftAnswer, job: str) -> None:
+        views = look.views
+        if look.is_quick:  # of slower editors the edit is seen with the result
+            with suppress(Edit3rError), self._working:
+                views = preview(look.job, self.registry).edited
         folder = self.folder.beside(job) / PREVIEW
         folder.mkdir()
         for view, name in enumerate(views.names):
             image = views.images[0, view]
-            if scene.masks is not None:
-                image = outlined(image, scene.masks[0, view])
+            if look.masks is not None:
+                image = outlined(image, look.masks[view])
             save_image(image, folder / f"{name}.jpg")
 
     def _open(self, state: str, names: tuple[str, ...]) -> _Opened:
@@ -143,16 +141,13 @@ class Looker:
         path = self.folder.path(state)
         if self.folder.is_run(state):
             cache = Cache(path / CACHE)
-            photos, edited = read_views_of_run(path)
-            scene = Scene(photos, start=edited)
+            photos, views = read_views_of_run(path)
         else:
             cache = Cache()
-            files = tuple(self.folder.photos(state).values())
-            job = RunJob(make_run_config({"size": self.size}), files)
-            with _working_with(cache):
-                scene = steps.read(job, self.registry)
-        geometry = self._background.submit(self._geometry, scene.photos, cache)
-        return _Opened(scene, cache, geometry)
+            files = list(self.folder.photos(state).values())
+            photos = views = load_photos(files, size=self.size).views
+        geometry = self._background.submit(self._geometry, photos, cache)
+        return _Opened(views, cache, geometry)
 
     def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
         """Poses and depths by the matcher of the default reconstructor."""
@@ -161,9 +156,9 @@ class Looker:
             reconstructor = self.registry.build_choice("reconstructor", choice)
             return geometry_of(reconstructor.parts.get("matcher"), photos)
 
-    def _look(self, opened: _Opened, text: str) -> Look:
+    def _look(self, opened: _Opened, text: str) -> DraftAnswer:
         draft = DRAFT.validate_json(text)
-        look = Look(opened.scene.start)
+        look = DraftAnswer(opened.views)
         with _working_with(opened.cache) as told:
             try:
                 config = make_run_config(run_settings(draft, self.registry))
@@ -174,14 +169,33 @@ class Looker:
                     wishes = [wish for task in parts.tasks for wish in task.wishes]
                     said = "; ".join(map(str, wishes)) or config.prompt
                     look = replace(look, understood=f"{said} ({parts.editor_names})")
-                    look = _with_regions(look, opened.scene, parts)
+                    look = self._with_regions(look, opened.cache, parts)
             except Edit3rError as error:
                 asks = isinstance(error, InputError)
                 look = replace(look, problem=str(error), asks=asks)
         return replace(look, told=tuple(told))
 
+    def _with_regions(
+        self, look: DraftAnswer, cache: Cache, parts: Parts
+    ) -> DraftAnswer:
+        """Where the sentence applies, as a run finds it."""
+        marked = None
+        if look.marked is not None:
+            marked = Selection(masks=dict(enumerate(look.marked)))
+        job = RunJob(parts.config, look.views, masks=marked, cache=cache)
+        scene = preview(job, self.registry, edits=False)
+        used = [task.editor.offer.component for task in parts.tasks]
+        return replace(
+            look,
+            masks=None if scene.masks is None else scene.masks[0],
+            job=job,
+            is_quick=not any(one.weights or one.needs_network for one in used),
+        )
 
-def _with_marks(look: Look, draft: Draft, opened: _Opened, parts: Parts) -> Look:
+
+def _with_marks(
+    look: DraftAnswer, draft: Draft, opened: _Opened, parts: Parts
+) -> DraftAnswer:
     """What the marks select on every photo."""
     geometry = None
     with suppress(NotYet):
@@ -195,16 +209,6 @@ def _with_marks(look: Look, draft: Draft, opened: _Opened, parts: Parts) -> Look
     )
     masks = found.masks[:, 0]
     return replace(look, marked=masks, masks=masks)
-
-
-def _with_regions(look: Look, scene: Scene, parts: Parts) -> Look:
-    """Where the sentence applies, by the step `select` of a run."""
-    if look.marked is not None:
-        marked = Selection(masks=dict(enumerate(look.marked)))
-        scene = replace(scene, marked=marked)
-    scene = steps.select(scene, parts)
-    masks = None if scene.masks is None else scene.masks[0]
-    return replace(look, masks=masks, scene=scene, parts=parts)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from edit3r_app.jobs import Job, JobsFolder, manifest_of
+from edit3r_app.jobs import AppJob, JobsFolder, manifest_of
 
 
 @dataclass
@@ -51,7 +51,7 @@ def read_progress(log: Path) -> RunProgress:
     return progress
 
 
-def time_left(folder: JobsFolder, job: Job, progress: RunProgress) -> float | None:
+def time_left(folder: JobsFolder, job: AppJob, progress: RunProgress) -> float | None:
     """Seconds that a run still needs, by the stages of the newest run of the same reconstructor.
 
     None where there was none.

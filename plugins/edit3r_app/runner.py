@@ -19,7 +19,7 @@ import yaml
 from edit3r.errors import InputError
 from edit3r.io.atomic import remove_abandoned
 from edit3r.io.children import PYTHON
-from edit3r_app.jobs import Job, JobsFolder
+from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
 from edit3r_app.uploads import DRAFT
 
@@ -37,7 +37,7 @@ PATIENCE = 5.0  # [s] between asking a child to stop and ending it
 INTERRUPTED = "the run ended without saying why; start it again."
 
 
-def command_of(folder: JobsFolder, job: Job) -> list[str]:
+def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
     """The arguments of `edit3r` that carry out a job; its settings are written beside it first."""
     beside = folder.beside(job.name)
     settings = beside / "settings.yaml"
@@ -110,7 +110,7 @@ class Runner:
                 self.folder.write(replace(job, state="cancelled", pid=0, sentence=told))
 
     def step(self) -> None:
-        """Look after the run in progress, and start the next when there is none."""
+        """DraftAnswer after the run in progress, and start the next when there is none."""
         with self._changing:
             if self._stopping.is_set():
                 return
@@ -133,11 +133,11 @@ class Runner:
                 self.trouble = str(error)
                 time.sleep(1)
 
-    def _running(self) -> list[Job]:
+    def _running(self) -> list[AppJob]:
         """Jobs whose child nobody has seen end, though their results may be there."""
         return [job for job in self.folder.jobs() if job.pid]
 
-    def _begin(self, job: Job) -> None:
+    def _begin(self, job: AppJob) -> None:
         with self.folder.log(job.name).open("ab") as output:
             if not _locked(output):  # a child of a killed server still works on it
                 return
@@ -155,15 +155,16 @@ class Runner:
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))
 
-    def _alive(self, job: Job) -> bool:
+    def _alive(self, job: AppJob) -> bool:
         if self._child is not None and self._child.pid == job.pid:
             return self._child.poll() is None
-        with contextlib.suppress(FileNotFoundError):
-            with self.folder.log(job.name).open("rb") as log:
-                return not _locked(log)
-        return False
+        log = self.folder.log(job.name)
+        if not log.is_file():
+            return False
+        with log.open("rb") as output:
+            return not _locked(output)
 
-    def _end(self, job: Job) -> None:
+    def _end(self, job: AppJob) -> None:
         """Interrupt the child, which then removes what it began; end it where it does not obey."""
         for kind in (signal.SIGINT, getattr(signal, "SIGKILL", signal.SIGTERM)):
             asked = time.monotonic()
@@ -173,7 +174,7 @@ class Runner:
                 time.sleep(0.05)
         remove_abandoned(self.folder.root / job.name, job.name)
 
-    def _finish(self, job: Job) -> None:
+    def _finish(self, job: AppJob) -> None:
         """Write down how a child ended; what it made is in its folder, or nothing is."""
         if job.state == "running":
             error = read_progress(self.folder.log(job.name)).error

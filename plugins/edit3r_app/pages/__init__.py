@@ -1,4 +1,4 @@
-"""The pages: photos are dropped on the first, marked, edited and looked at on that of their scene."""
+"""The pages: photos are dropped on the first, and edited and looked at on that of their scene."""
 
 from dataclasses import replace
 

@@ -1,5 +1,6 @@
 """What is to change: the sentence, and marks on the photos."""
 
+import zlib
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from edit3r.errors import Edit3rError, InputError
 from edit3r_app import uploads
 from edit3r_app.draft import MARK, Draft, read_draft
 from edit3r_app.forms import run_settings
-from edit3r_app.jobs import Job
+from edit3r_app.jobs import AppJob
 from edit3r_app.pages.parts import Event, Tab, address, card, html, img, quiet
 from edit3r_app.pages.settings import SettingsForm
 from edit3r_app.pages.start import chooser_of_files, told_of_uploads
@@ -25,6 +26,7 @@ class Editing:
     def __init__(self, tab: Tab) -> None:
         self.tab = tab
         self.answered: Draft | None = None
+        self.images: dict[str, ui.element] = {}
 
     def build(self) -> None:
         with card("Edit it again" if self.tab.is_run else "Say what to change"):
@@ -70,12 +72,12 @@ class Editing:
         finally:
             self.go.enable()
 
-    def _queued(self) -> Job:
+    def _queued(self) -> AppJob:
         tab = self.tab
         look = tab.looker.look(tab.state, tab.draft)
-        if look.scene is None:
+        if look.job is None:
             raise InputError(look.problem or SAY)
-        job = Job(
+        job = AppJob(
             name="",
             scene=tab.scene,
             parent=tab.state if tab.is_run else "",
@@ -121,7 +123,7 @@ class Editing:
         with html("div", "e3-photos", data_mode="add") as self.grid:
             for name in tab.names:
                 with html("div", "e3-photo"):
-                    img("", name, "e3-mark")
+                    self.images[name] = img("", name, "e3-mark")
                     ui.label(name).classes("e3-name")
                     if not fixed:
                         away = ui.button(icon="close").classes("e3-away")
@@ -177,8 +179,12 @@ class Editing:
         tab = self.tab
         self.answered = draft = tab.draft
         self.grid._props["data-marks"] = draft.as_json()
-        self.grid._props["data-state"] = quote(tab.state)
-        self.grid.update()  # the page's script asks for the images
+        self.grid.update()
+        version = zlib.crc32(draft.as_json().encode())
+        for name, image in self.images.items():
+            there = f"/marked/{quote(tab.state)}/{quote(name)}?{version}"
+            image._props["src"] = there
+            image.update()
         look = await run.io_bound(tab.looker.look, tab.state, draft)
         if draft == self.answered:  # meanwhile nothing else was said
             told = f"understood: {look.understood}" if look.understood else ""

@@ -11,7 +11,7 @@ from nicegui import ui
 
 from edit3r.errors import Edit3rError
 from edit3r_app.draft import Draft, read_draft, write_draft
-from edit3r_app.jobs import Job, JobsFolder, manifest_of
+from edit3r_app.jobs import AppJob, JobsFolder, manifest_of
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
 
@@ -41,7 +41,7 @@ class Tab:
     state: str = ""
 
     @property
-    def job(self) -> Job:
+    def job(self) -> AppJob:
         return self.folder.job(self.state)
 
     @property

@@ -45,7 +45,7 @@ class ScenePage:
         self.main.build()
 
     async def _tick(self) -> None:
-        """Look at the folder again: the queue and other tabs change it."""
+        """DraftAnswer at the folder again: the queue and other tabs change it."""
         tab = self.tab
         seen = [(job.name, job.state) for job in tab.folder.history(tab.scene)]
         if seen != self.seen:

@@ -5,7 +5,7 @@ tree.
 import json
 
 import pytest
-from edit3r_app.jobs import Job, JobsFolder, manifest_of, redo, tree, undo
+from edit3r_app.jobs import AppJob, JobsFolder, manifest_of, redo, tree, undo
 from PIL import Image
 
 from edit3r.errors import InputError
@@ -100,20 +100,20 @@ def test_a_damaged_record_is_passed_over(folder, content):
 
 def test_what_is_written_is_read_by_another_server(folder):
     scene = folder.new_scene("bear")
-    job = folder.new_job(Job("", scene, settings={"prompt": "gold"}, masks=2, size=128))
+    job = folder.new_job(AppJob("", scene, settings={"prompt": "gold"}, masks=2, size=128))
     assert job.name == "bear-1"
     assert JobsFolder(folder.root).job("bear-1") == job
-    assert folder.new_job(Job("", scene)).name == "bear-2"
+    assert folder.new_job(AppJob("", scene)).name == "bear-2"
 
 
 def test_a_job_that_says_done_but_left_no_run_has_failed(folder):
-    job = folder.new_job(Job("", folder.new_scene("bear"), state="done"))
+    job = folder.new_job(AppJob("", folder.new_scene("bear"), state="done"))
     assert folder.job(job.name).state == "failed"
 
 
 def history():
     def job(name, parent, state="done"):
-        return Job(name, "bear", parent, state=state)
+        return AppJob(name, "bear", parent, state=state)
 
     return [
         job("bear-1", ""),
@@ -151,7 +151,7 @@ def test_branches_stand_below_what_they_go_on_from():
 
 def test_the_history_of_a_run_of_the_command_line_begins_with_itself(folder):
     make_run(folder, "mine")
-    job = folder.new_job(Job("", "mine", "mine"))
+    job = folder.new_job(AppJob("", "mine", "mine"))
     jobs = folder.history("mine")
     assert sorted(one.name for one in jobs) == ["mine", job.name]
     assert undo(jobs, "mine") is None and undo(jobs, job.name) == "mine"

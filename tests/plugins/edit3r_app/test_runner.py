@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from edit3r_app import runner as runner_module
-from edit3r_app.jobs import Job, JobsFolder
+from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.runner import Progress, Runner, command_of, read_progress, time_left
 
 from edit3r.errors import InputError
@@ -47,7 +47,7 @@ def runner_of(folder, program):
 
 
 def queued(folder, scene=None, **job):
-    return folder.new_job(Job("", scene or folder.new_scene("bear"), **job))
+    return folder.new_job(AppJob("", scene or folder.new_scene("bear"), **job))
 
 
 def wait_until(runner, condition, most=30):
