@@ -145,7 +145,8 @@ class Looker:
         else:
             cache = Cache()
             files = list(self.folder.photos(state).values())
-            photos = views = load_photos(files, size=self.size).views
+            with _working_with(cache):
+                photos = views = load_photos(files, size=self.size).views
         geometry = self._background.submit(self._geometry, photos, cache)
         return _Opened(views, cache, geometry)
 

@@ -1,72 +1,58 @@
 """Forms from settings schemas, and back."""
 
-from typing import Literal
+import re
 
 import pytest
-from edit3r_app.forms import CHOSEN, form_fields, offered, read_form, run_settings
-from pydantic import Field
+from edit3r_app.draft import Draft
+from edit3r_app.forms import (
+    CHOSEN,
+    NOT_IN_FORM,
+    form_lines,
+    in_words,
+    offered,
+    run_settings,
+)
 
-from edit3r.config import PartChoice, Settings
+from edit3r.config import is_user_only
 from edit3r.errors import SettingsError
+from edit3r.pipeline.config import RunConfig
 from edit3r.plugins.registry import default_registry
 
 REGISTRY = default_registry()
 
 
-class Some(Settings):
-    flag: bool = Field(True, description="a flag")
-    way: Literal["a", "b"] | None = Field(None, description="a way")
-    amount: float = Field(0.5, ge=0, le=1, description="an amount")
-    place: tuple[float, float] | None = Field(None, description="a place")
-    text: str = Field("", description="a text")
-    matcher: PartChoice = Field(PartChoice(name="classical"), description="a part")
+def test_every_setting_is_said_with_its_words_range_and_default():
+    told = {line.name: in_words(line) for line in form_lines(REGISTRY, "run", "")}
+    assert set(told) == set(RunConfig.model_fields) - set(NOT_IN_FORM)
+    assert "whole number" in told["seed"]
+    assert "at least 0" in told["seed"]
+    assert not re.search(r"≥|\| |\bint\b|\bfloat\b", " ".join(told.values()))
 
 
-def test_every_setting_gets_a_field_with_its_description_range_and_default():
-    fields = {field.name: field for field in form_fields(Some, REGISTRY)}
-    assert [fields[name].form for name in Some.model_fields] == [
-        "switch",
-        "choice",
-        "text",
-        "text",
-        "text",
-        "choice",
-    ]
-    assert (
-        fields["way"].choices == ("", "a", "b")
-        and fields["amount"].hint == "float, ≥ 0, ≤ 1"
-    )
-    assert fields["amount"].label == "an amount" and fields["amount"].default == "0.5"
-    assert "classical" in fields["matcher"].choices
+def test_settings_that_only_the_user_may_give_are_not_offered():
+    for kind in CHOSEN:
+        for name in offered(REGISTRY, kind):
+            cls = REGISTRY.settings_class(REGISTRY.find(kind, name))
+            for line in form_lines(REGISTRY, kind, name):
+                assert not is_user_only(cls.model_fields[line.name])
+    command = form_lines(REGISTRY, "editor", "command")
+    assert "command" not in {line.name for line in command}
 
 
-def test_only_what_differs_from_the_defaults_becomes_a_setting():
-    fields = form_fields(Some, REGISTRY)
-    assert read_form(fields, {"flag": True, "amount": "0.5", "way": ""}) == {}
-    typed = {
-        "flag": False,
-        "amount": "0.25",
-        "way": "b",
-        "place": "[0.1, 0.2]",
-        "text": "12",
-        "matcher": "posed",
-    }
-    read = read_form(fields, typed)
-    assert read == {
-        "flag": False,
-        "amount": 0.25,
-        "way": "b",
-        "place": [0.1, 0.2],
-        "text": "12",
-        "matcher": "posed",
-    }
-    assert Some(**read).matcher.name == "posed"
+def test_what_is_left_alone_is_no_setting_and_what_is_typed_is_read_as_by_set():
+    assert "seed" not in run_settings(Draft(form={"prompt": "x"}), REGISTRY)
+    typed = {"run": {"seed": "7", "fov": ""}, "editor recolor": {"strength": "0.25"}}
+    draft = Draft(form={"prompt": "x", "editor": "recolor", "settings": typed})
+    settings = run_settings(draft, REGISTRY)
+    assert settings["seed"] == 7
+    assert "fov" not in settings
+    assert settings["editor"] == {"name": "recolor", "strength": 0.25}
 
 
 @pytest.mark.parametrize("kind", CHOSEN)
 def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
     for name in offered(REGISTRY, kind):
-        settings = run_settings({"prompt": "x", kind: name}, REGISTRY)
+        settings = run_settings(Draft(form={"prompt": "x", kind: name}), REGISTRY)
         assert settings[kind] == {"name": name}
 
 
@@ -100,8 +86,9 @@ def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
 )
 def test_what_cannot_be_run_is_refused_before_it_is_queued(form, sentence):
     with pytest.raises(SettingsError, match=sentence):
-        run_settings({"prompt": "paint it red", **form}, REGISTRY)
+        run_settings(Draft(form={"prompt": "paint it red", **form}), REGISTRY)
 
 
-def test_a_wish_may_say_any_word():
-    assert run_settings({"prompt": "command"}, REGISTRY)["prompt"] == "command"
+def test_a_sentence_may_say_any_word():
+    draft = Draft(form={"prompt": "command"})
+    assert run_settings(draft, REGISTRY)["prompt"] == "command"

@@ -23,7 +23,7 @@ def ask(kind="http", token=None, path="/", query="", **headers):
         (key.replace("_", "-").encode(), value.encode())
         for key, value in headers.items()
     ]
-    asyncio.run(Guard(app, token=token, most_bytes=1000)(scope, None, send))
+    asyncio.run(Guard(app, token=token, max_bytes=1000)(scope, None, send))
     return sent[0].get("status") or sent[0].get("code"), dict(
         sent[0].get("headers", [])
     )
@@ -61,6 +61,7 @@ def test_other_hosts_may_not_as_after_dns_rebinding(host):
         "http://localhost:9",
         "http://localhost:8090.evil.com",
         "file://",
+        "http://[",
         "",
     ],
 )

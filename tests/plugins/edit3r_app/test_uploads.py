@@ -4,6 +4,7 @@ import asyncio
 import io
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ def test_a_claim_of_a_gigabyte_is_refused_before_anything_is_read(folder, scene)
 def test_a_body_that_is_longer_than_it_said_is_refused_on_the_way(
     folder, scene, monkeypatch
 ):
-    monkeypatch.setattr(uploads, "MOST_BYTES", 2000)
+    monkeypatch.setattr(uploads, "MAX_BYTES", 2000)
     with pytest.raises(InputError, match="photos of at most"):
         send(folder, scene, "x.png", picture(size=(200, 200)), size=10)
     assert everything(folder) == []
@@ -182,6 +183,24 @@ def test_photos_keep_their_bytes_and_equal_names_are_numbered(folder, scene):
     assert kept[0].read_bytes() == first and kept[1].read_bytes() == second
 
 
+def test_photos_of_one_name_that_come_at_once_are_all_kept(folder, scene):
+    contents = [picture(seed=seed) for seed in range(24)]
+    with ThreadPoolExecutor(24) as sending:
+        kept = list(
+            sending.map(lambda content: send(folder, scene, "a.png", content), contents)
+        )
+    assert len(set(kept)) == 24
+    assert [file.read_bytes() for file in kept] == contents
+
+
+def test_a_photo_that_is_taken_out_twice_takes_no_other_with_it(folder, scene):
+    for seed, name in enumerate("abc"):
+        send(folder, scene, f"{name}.png", picture(seed=seed))
+    uploads.remove(folder, scene, "a")
+    uploads.remove(folder, scene, "a")
+    assert list(folder.photos(scene)) == ["b", "c"]
+
+
 def test_a_finished_run_takes_no_photos(folder, scene):
     (folder.root / scene / "run.json").write_text("{}")
     with pytest.raises(InputError, match="begin with new photos"):
@@ -192,7 +211,7 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
     send(folder, scene, "a.png", picture())
     uploads.discard(folder, scene)
     assert len(folder.photos(scene)) == 1
-    uploads.remove(folder, scene, 0)
+    uploads.remove(folder, scene, "a")
     uploads.discard(folder, scene)
     assert not (folder.root / scene).exists()
 

@@ -1,0 +1,87 @@
+"""Marks and what was typed, in a file."""
+
+import pytest
+import torch
+from edit3r_app.draft import Draft, Mark, read_draft, write_draft
+from edit3r_app.jobs import JobsFolder
+
+from edit3r.contract.types import Views
+from edit3r.errors import InputError
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return JobsFolder(tmp_path)
+
+
+def test_a_draft_survives_a_restart(folder):
+    draft = Draft(
+        marks=[
+            Mark("add", "a", [(0.5, 0.5)]),
+            Mark("box", "b", [(0.1, 0.1), (0.3, 0.3)]),
+            Mark("erase", "b", [(0.2, 0.3), (0.4, 0.3)], 0.04),
+        ],
+        words="sky",
+        guess=True,
+        form={"prompt": "gold"},
+        named={"door": [Mark("add", "a", [(0.5, 0.5)])]},
+    )
+    write_draft(folder, "bear", draft)
+    assert read_draft(JobsFolder(folder.root), "bear") == draft
+
+
+@pytest.mark.parametrize(
+    "mark",
+    [
+        '{"kind": "add", "photo": "a", "places": []}',
+        '{"kind": "add", "photo": "a", "places": [["x", 1]]}',
+        '{"kind": "add", "photo": "a", "places": [[2, 0.5]]}',
+        '{"kind": "paint", "photo": "a", "places": [[NaN, 0.5]], "radius": 0.1}',
+        '{"kind": "cut", "photo": "a", "places": [[0.5, 0.5]]}',
+    ],
+)
+def test_a_damaged_draft_is_an_empty_one(folder, mark):
+    file = folder.beside("bear") / "draft.json"
+    for content in ("", "[]", f'{{"marks": [{mark}]}}'):
+        file.write_text(content)
+        assert read_draft(folder, "bear") == Draft()
+    file.write_text('{"marks": [{"kind": "add", "photo": "a", "places": [[1, 0]]}]}')
+    assert read_draft(folder, "bear").marks == [Mark("add", "a", [(1, 0)])]
+
+
+@pytest.mark.parametrize(
+    "marks",
+    [
+        [Mark("add", "a", [(0.5, 0.5)])] * 201,
+        [Mark("paint", "a", [(0.5, 0.5)] * 4001, 0.05)],
+    ],
+)
+def test_more_marks_than_anybody_makes_are_refused(folder, marks):
+    with pytest.raises(InputError, match="more than 200 marks"):
+        write_draft(folder, "bear", Draft(marks))
+    assert read_draft(folder, "bear") == Draft()
+
+
+def test_only_what_says_which_thing_is_meant_selects():
+    remove = Mark("remove", "a", [(0.5, 0.5)])
+    assert not Draft([remove]).selects
+    assert Draft([remove, Mark("add", "a", [(0.5, 0.5)])]).selects
+    assert Draft(words="sky").selects
+
+
+def test_marks_stay_with_their_photo_and_pass_over_one_that_is_gone():
+    views = Views(images=torch.zeros(1, 1, 3, 40, 60), names=("b",))
+    draft = Draft(
+        [
+            Mark("add", "a", [(0.1, 0.1)]),
+            Mark("add", "b", [(0.5, 0.5)]),
+            Mark("box", "b", [(0.75, 0.5), (0.25, 1)]),
+            Mark("paint", "b", [(0.2, 0.5), (0.8, 0.5)], 0.05),
+        ]
+    )
+    selection = draft.selection(views)
+    assert selection.positive == ((0, 0.5, 0.5),)
+    assert selection.boxes == {0: (0.25, 0.5, 0.5, 0.5)}
+    rows = selection.added[0][:, 30].nonzero()[:, 0]
+    assert rows.float().mean() == 20  # where the stroke is
+    assert 5 <= len(rows) <= 8  # 2 x 0.05 of 60 pixels

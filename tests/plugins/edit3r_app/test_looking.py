@@ -1,0 +1,114 @@
+"""What a draft means: masks on every photo, the sentence as it is read, the 2D edit at once."""
+
+import io
+from pathlib import Path
+
+import pytest
+import torch
+from edit3r_app import uploads
+from edit3r_app.draft import Draft, Mark
+from edit3r_app.jobs import PREVIEW, JobsFolder
+from edit3r_app.looking import Looker
+from PIL import Image
+
+from edit3r.errors import InputError
+from edit3r.io.images import packaged_pair
+from edit3r.plugins.registry import default_registry
+from edit3r.reporting import Report, collecting
+
+SIZE = 96
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return JobsFolder(tmp_path_factory.mktemp("jobs"))
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    files = [Path(file) for file in packaged_pair()[0]]
+    return uploads.copied(folder, "motorcycle", files)
+
+
+@pytest.fixture(scope="module")
+def looker(folder):
+    return Looker(folder, default_registry(), SIZE)
+
+
+def click(looker, scene, x=0.5, y=0.5):
+    first = looker.look(scene, Draft()).views.names[0]
+    return Mark("add", first, [(x, y)])
+
+
+def stroke(looker, scene, kind, radius, places):
+    first = looker.look(scene, Draft()).views.names[0]
+    return Mark(kind, first, places, radius)
+
+
+def test_a_click_gives_a_mask_on_every_photo(looker, scene):
+    assert looker.look(scene, Draft()).masks is None
+    draft = Draft([click(looker, scene)])
+    look = looker.look(scene, draft)
+    assert look.marked.shape == (2, *look.views.image_size)
+    assert (look.marked[0] > 0.5).any()
+    assert looker.look(scene, draft) is look  # asked for again by every image
+    name = look.views.names[0]
+    plain, marked = (
+        Image.open(io.BytesIO(looker.image(scene, one, name)))
+        for one in (Draft(), draft)
+    )
+    assert plain.size == marked.size
+    assert plain.tobytes() != marked.tobytes()
+    with pytest.raises(InputError, match="no photo of that name"):
+        looker.image(scene, draft, "../x")
+
+
+def test_the_brush_paints_exactly_and_the_eraser_takes_away(looker, scene):
+    across = [(0.2, 0.5), (0.8, 0.5)]
+    paint = stroke(looker, scene, "paint", 0.05, across)
+    erase = stroke(looker, scene, "erase", 0.1, [(0.5, 0.5), (0.5, 0.5)])
+    look = looker.look(scene, Draft([paint]))
+    height, width = look.views.image_size
+    rows = (look.marked[0, :, width // 2] > 0.5).nonzero()[:, 0] + 0.5
+    assert (rows - height / 2).abs().max() < 0.05 * SIZE + 1.5  # only the stroke
+    assert len(rows) >= 2 * 0.05 * SIZE - 2
+    assert (look.marked[1] > 0.5).any()  # carried
+    erased = looker.look(scene, Draft([paint, erase])).marked
+    lost = (look.marked[0] > 0.5) & (erased[0] <= 0.5)
+    assert lost[height // 2, width // 2]
+    assert not lost[height // 2, width // 4]
+
+
+def test_geometry_is_kept_in_the_cache(looker, scene):
+    opened = looker._opened(scene, tuple(looker.folder.photos(scene)))
+    first = opened.geometry.result()
+    with collecting(Report()):
+        again = looker._geometry(opened.views, opened.cache)
+    assert torch.equal(first.depths, again.depths)
+
+
+def test_words_that_nobody_knows_are_asked_back(looker, scene):
+    look = looker.look(scene, Draft(words="the frobnicator"))
+    assert "frobnicator" in look.problem
+    assert look.asks
+
+
+def test_a_sentence_is_said_as_it_was_read(looker, scene):
+    draft = Draft([click(looker, scene)], form={"prompt": "paint it red"})
+    look = looker.look(scene, draft)
+    assert "red" in look.understood
+    assert "recolor" in look.understood
+    assert look.problem == ""
+
+
+def test_the_edit_of_a_quick_editor_is_there_before_the_run(looker, folder, scene):
+    draft = Draft([click(looker, scene)], form={"prompt": "paint it red"})
+    look = looker.look(scene, draft)
+    assert look.is_quick
+    looker._preview(look, "early")
+    images = folder.images("early", PREVIEW)
+    assert list(images) == list(look.views.names)
+    edited = torch.tensor(list(Image.open(images[look.views.names[0]]).getdata()))
+    red, green, _ = edited.float().mean(0)
+    plain_red, plain_green, _ = look.views.images[0, 0].mean((1, 2)) * 255
+    assert red - green > plain_red - plain_green + 1
