@@ -172,7 +172,7 @@ class Runner:
                 _send(kind, job.pid)
             while self._alive(job) and time.monotonic() - asked < PATIENCE:
                 time.sleep(0.05)
-        remove_abandoned(self.folder.root / job.name, job.name)
+        remove_abandoned(self.folder.root / job.name)
 
     def _finish(self, job: AppJob) -> None:
         """Write down how a child ended; what it made is in its folder, or nothing is."""

@@ -70,7 +70,9 @@ def test_only_what_says_which_thing_is_meant_selects():
 
 
 def test_marks_stay_with_their_photo_and_pass_over_one_that_is_gone():
-    views = Views(images=torch.zeros(1, 1, 3, 40, 60), names=("b",))
+    views = Views(
+        torch.zeros(1, 1, 3, 40, 60), torch.eye(3).expand(1, 1, 3, 3), names=("b",)
+    )
     draft = Draft(
         [
             Mark("add", "a", [(0.1, 0.1)]),

@@ -81,7 +81,10 @@ def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
         ),
         ({"settings": {"run": {"seed": "-1"}}}, "run.seed"),
         ({"settings": {"run": {"fov": "{"}}}, "fov"),
-        ({"settings": {"editor recolor": {"strength": "7"}}}, "editor.strength"),
+        (
+            {"editor": "recolor", "settings": {"editor recolor": {"strength": "7"}}},
+            "editor.strength",
+        ),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_it_is_queued(form, sentence):

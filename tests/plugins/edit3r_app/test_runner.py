@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 from edit3r_app import runner as runner_module
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
@@ -28,7 +29,8 @@ import pathlib, sys, time
 out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])
 partial = out.with_name(f".{out.name}.partial-00000000")
 partial.mkdir()
-print('{"event": "start", "text": "edit", "done": 0, "total": 0, "at": 1.0}', file=sys.stderr, flush=True)
+event = '{"event": "start", "text": "edit", "done": 0, "total": 0, "at": 1.0}'
+print(event, file=sys.stderr, flush=True)
 time.sleep(60)
 """
 WRONG = "import sys; print('noise'); print('edit3r: too dark.', file=sys.stderr); sys.exit(2)"
@@ -160,13 +162,12 @@ def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
     scene = folder.new_scene("bear")
     photo = folder.path(scene) / "images" / "a.png"
     photo.write_bytes(b"")
-    command = command_of(
-        folder, queued(folder, scene, settings={"prompt": "gold"}, masks=2, size=96)
-    )
+    asked = AppJob("", scene, settings={"prompt": "gold"}, size=96)
+    command = command_of(folder, folder.new_job(asked, torch.ones(2, 4, 4)))
     assert str(photo) in command and "--from" not in command
-    assert [
-        path.rpartition("/")[2] for path in command[command.index("--mask") + 1 :]
-    ] == ["000.png", "001.png"]
+    masks = [Path(file) for file in command[command.index("--mask") + 1 :]]
+    assert [mask.name for mask in masks] == ["000.png", "001.png"]
+    assert all(mask.is_file() for mask in masks)
     settings = command[command.index("--config") + 1]
     assert Path(settings).read_text() == "prompt: gold\nsize: 96\n"
     command = command_of(folder, queued(folder, scene, parent=scene))
