@@ -268,7 +268,7 @@ def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):
     go(page, server.address)
     before = sorted(path.name for path in server.folder.iterdir())
     upload(page, [str(bad), str(tmp_path / "x.svg")])
-    page.get_by_text("not a picture that can be read").wait_for()
+    page.get_by_text("not an image that can be read").wait_for()
     page.get_by_text("x.svg: not a photo by its name").wait_for()
     assert page.locator("img[src=x]").count() == 0
     assert sorted(path.name for path in server.folder.iterdir()) == before
