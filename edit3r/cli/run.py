@@ -122,6 +122,8 @@ class RunCommand(Command):
         scene = preview(job, registry, report)
         save_pixels(np.asarray(preview_sheet(scene, job.config.prompt)), args.preview)
         if not args.quiet:
+            if scene.edit_verdict is not None:
+                print(f"edit: {scene.edit_verdict}.")
             print(f"look at {args.preview}; nothing is reconstructed yet")
         return 0
 

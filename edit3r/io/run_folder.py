@@ -106,6 +106,7 @@ class RunManifest:
     masks: Mapping[str, str]  # file: sha256
     weights: Sequence[WeightsRecord]
     verdict: Any  # `edit3r.pipeline.verdict.Verdict`
+    edit_verdict: Any  # `edit3r.pipeline.edit_verdict.EditVerdict`; None: no edit
     gaussians: int
     harmonics_degree: int
     stages: Sequence[StageRecord]

@@ -10,6 +10,7 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.pipeline.checks import require_device
 from edit3r.pipeline.config import RunConfig, check_components
 from edit3r.pipeline.earlier import EarlierRun
+from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, with_known_poses
 from edit3r.pipeline.quality import note_quality
@@ -67,6 +68,11 @@ class RunResult:
     def verdict(self) -> Verdict:
         """How well the scene shows the edited images."""
         return self.scene.verdict
+
+    @property
+    def edit_verdict(self) -> EditVerdict | None:
+        """How surely the edit is what was asked for; None where none was."""
+        return self.scene.edit_verdict
 
     @property
     def editor(self) -> Editor:

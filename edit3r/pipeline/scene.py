@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.io.images import Photo
+from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.verdict import Verdict
 from edit3r.selection.select import Selected, Selection
 
@@ -54,7 +55,8 @@ class Scene:
     left_out: Views | None = None  # photos that could not be placed
     gaussians: Gaussians = NOT_YET  # after the refiners, in the frame of view 0
     rendered: Rendering = NOT_YET  # the Gaussians from the input views
-    verdict: Verdict = NOT_YET
+    verdict: Verdict = NOT_YET  # on the scene
+    edit_verdict: EditVerdict | None = None  # None: no edit was asked for
 
     @property
     def cameras(self) -> Cameras:

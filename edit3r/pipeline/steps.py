@@ -1,13 +1,13 @@
 """The steps of a run. Each takes what is known of the scene and returns it with more filled in.
 
     read --> select --> edit --> reconstruct --> refine --> judge
-    photos   masks      edited    Gaussians      Gaussians   verdict
+    photos   masks      edited    Gaussians      Gaussians   verdicts
 
 `edit3r.pipeline.run` is the loop over them. `read` begins, with the job alone; the others get the
 components of the run as `Parts`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,8 @@ from edit3r.pipeline.checks import (
     errors_named_after,
 )
 from edit3r.pipeline.earlier import EarlierRun
+from edit3r.pipeline.edit_measures import measure_edit, measure_edit_in_3d
+from edit3r.pipeline.edit_verdict import judge_edit
 from edit3r.pipeline.editors import EditorTask
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, read_lens
@@ -238,7 +240,21 @@ def edit(scene: Scene, parts: Parts) -> Scene:
             done += len(task.wishes)
         _note_change(edited.images - chosen.images, config.prompt)
         images = torch.cat((edited.images, views.images[:, count:]), dim=1)
-    return replace(scene, edited=replace(views, images=images))
+        scene = replace(scene, edited=replace(views, images=images))
+        return _with_edit_verdict(scene, parts, range(count))
+
+
+def _with_edit_verdict(scene: Scene, parts: Parts, views: Sequence[int]) -> Scene:
+    """The scene with what can be said of the edit of these views before anything is in 3D."""
+    if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
+        return scene
+    wishes = [wish for task in parts.tasks for wish in task.wishes]
+    measures = measure_edit(scene, wishes, views)
+    guessed = any("guess" in selected.how for selected in scene.selected)
+    verdict = judge_edit(measures, guessed)
+    if verdict.label == "doubtful":
+        warn(f"the edit is doubtful: {verdict.reason}.")
+    return replace(scene, edit_verdict=verdict)
 
 
 def _request(task: EditorTask, scene: Scene, seed: int, wishes: range) -> EditRequest:
@@ -512,4 +528,15 @@ def judge(scene: Scene, parts: Parts) -> Scene:
         verdict = judged(
             scene.edited, first, rendered, scene.placed, reconstruction.measured
         )
-    return replace(scene, rendered=rendered, verdict=verdict)
+        scene = replace(scene, rendered=rendered, verdict=verdict)
+        return _with_edit_judged_in_3d(scene, parts)
+
+
+def _with_edit_judged_in_3d(scene: Scene, parts: Parts) -> Scene:
+    """The verdict on the edit, with what the scene tells of it."""
+    verdict = scene.edit_verdict
+    if verdict is None:
+        return scene
+    views = range(scene.start.count if parts.config.edit_views == "all" else 1)
+    measures = measure_edit_in_3d(verdict.measures, scene, views)
+    return replace(scene, edit_verdict=judge_edit(measures, verdict.guessed))

@@ -16,11 +16,13 @@ def summary(out: Path, result: RunResult) -> str:
     seconds = sum(stage.seconds for stage in result.report.stages)
     height, width = result.cameras.image_size
     lines = [
-        f"{result.verdict.label}: {result.verdict.reason}",
+        f"scene: {result.verdict.label}, {result.verdict.reason}",
         f"{_named_settings(result)} settings, {width}x{height}: "
         f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in "
         f"{seconds:.1f} s; {_field_of_view(result)}",
     ]
+    if result.edit_verdict is not None:
+        lines.insert(1, f"edit: {result.edit_verdict}.")
     folder = RunFolder(out)
     places = (
         (folder.before_after, "look first   {}"),

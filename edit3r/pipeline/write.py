@@ -199,8 +199,10 @@ def _sheet(result: "RunResult") -> Image.Image:
     subtitle = (
         f"editor {result.parts.editor_names}, "
         f"reconstructor {component_name(result.reconstructor)}; "
-        f"verdict: {result.verdict.label}"
+        f"scene: {result.verdict.label}"
     )
+    if result.edit_verdict is not None:
+        subtitle += f", edit: {result.edit_verdict.label}"
     if result.scene.left_out is not None:
         subtitle += f"; left out: {', '.join(result.scene.left_out.names)}"
     title = result.config.prompt or "no prompt"
@@ -224,8 +226,15 @@ def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
         columns,
         names=scene.photos.names,
         title=prompt or "no prompt",
-        subtitle="preview: nothing is reconstructed yet",
+        subtitle=_preview_line(scene),
     )
+
+
+def _preview_line(scene: Scene) -> str:
+    line = "preview: nothing is reconstructed yet"
+    if scene.edit_verdict is None:
+        return line
+    return f"{line}; edit: {scene.edit_verdict.label}"
 
 
 def _images(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:
@@ -268,6 +277,7 @@ def _manifest(result: "RunResult") -> RunManifest:
         masks=result.scene.mask_files,
         weights=[WeightsRecord(**facts) for facts in weights.values()],
         verdict=result.verdict,
+        edit_verdict=result.edit_verdict,
         gaussians=result.gaussians.count,
         harmonics_degree=result.gaussians.degree,
         stages=report.stages,

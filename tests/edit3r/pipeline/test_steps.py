@@ -1,5 +1,6 @@
 """The pipeline's promises, with small editors and reconstructors made here."""
 
+import json
 import sys
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.pipeline.config import DEFAULTS, make_run_config
+from edit3r.pipeline.job import JobInputs, job_from
+from edit3r.pipeline.run import preview
 from edit3r.pipeline.steps import _as_fused, composite
 from edit3r.reporting import Report
 
@@ -150,6 +153,31 @@ def test_an_edit_that_does_nothing_is_reported(views):
     report = Report()
     run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
     assert any("changed the photos very little" in text for text in report.warnings)
+
+
+def test_the_edit_is_judged_before_and_after_the_3d_part(views):
+    job = job_from(JobInputs(), {"prompt": "paint it red"})
+    job = replace(job, photos=views, components={"editor": Answer(lambda v: v)})
+    report = Report()
+    seen = preview(job, report=report)
+    assert seen.edit_verdict.label == "doubtful"
+    assert seen.edit_verdict.measures.shown is None
+    assert any("the edit is doubtful: only 0%" in text for text in report.warnings)
+    result = run(views, "invert it", editor=Invert(), recon=Flat())
+    assert result.edit_verdict.measures.changed > 0.9
+    assert result.edit_verdict.measures.shown is not None
+
+
+def test_without_a_prompt_there_is_no_edit_to_judge(views):
+    assert run(views, editor="none", recon=Flat()).edit_verdict is None
+
+
+def test_both_verdicts_stand_in_the_manifest(views, tmp_path):
+    result = run(views, "x", editor=Invert(), recon=Flat(), outputs=["sheet"])
+    content = json.loads((result.save(tmp_path / "out") / "run.json").read_text())
+    assert content["verdict"]["label"] == result.verdict.label
+    assert content["edit_verdict"]["reason"] == result.edit_verdict.reason
+    assert set(content["edit_verdict"]["measures"]) >= {"changed", "outline", "shown"}
 
 
 def test_a_reconstructor_that_edits_is_given_the_request(views):
