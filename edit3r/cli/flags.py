@@ -8,12 +8,14 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from edit3r.config import PartChoice, Settings
-from edit3r.pipeline.config import JobInputs
+from edit3r.pipeline.config import JobInputs, RunConfig
 
 INPUTS = {name: field.description for name, field in JobInputs.model_fields.items()}
 REPEATED: dict[str, Any] = {"action": "append", "default": []}
 SHORT = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
+OUTLINE = ("larger", "grow", "invert")
+"""Settings that `add_mark_flags` has flags for."""
 
 
 def add_flags(parser: argparse.ArgumentParser, cls: type[Settings]) -> None:
@@ -22,7 +24,7 @@ def add_flags(parser: argparse.ArgumentParser, cls: type[Settings]) -> None:
     """
     for name, field in cls.model_fields.items():
         form = _form(field)
-        if form is None:
+        if form is None or name in OUTLINE:
             continue
         flag = f"--{SHORT.get(name, name).replace('_', '-')}"
         parser.add_argument(flag, dest=name, help=_help(field), **form)
@@ -42,6 +44,16 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
         action="extend",
         default=[],
         help=INPUTS["mask"],
+    )
+    outline = RunConfig.model_fields
+    larger = outline["larger"].description or ""
+    add("--larger", action="append_const", const=1, help=larger)
+    smaller = larger.replace("larger", "smaller")
+    add("--smaller", action="append_const", const=-1, dest="larger", help=smaller)
+    grow = outline["grow"].description
+    add("--grow", metavar="PIXELS", type=float, help=grow)
+    add(
+        "--invert", action="store_const", const=True, help=outline["invert"].description
     )
 
 

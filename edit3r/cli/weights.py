@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from edit3r.contract.weights import Weights
 
 
+ESSENTIALS = "essentials"
+"""Name that stands for all weights that declare themselves essential."""
+
+
 class WeightsCommand(Command):
     """`edit3r weights`."""
 
@@ -39,7 +43,10 @@ class WeightsCommand(Command):
         path = steps.add_parser("path", help="print where weights lie on this machine")
         for step in (get, path):
             step.add_argument(
-                "names", nargs="+", metavar="NAME", help="as in: edit3r weights list"
+                "names",
+                nargs="+",
+                metavar="NAME",
+                help="as in: edit3r weights list; essentials: all that makes a CPU complete",
             )
         for step in (listing, get, path):
             step.add_argument(
@@ -50,43 +57,63 @@ class WeightsCommand(Command):
             add_plugin_option(step)
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r.io.fetching import fetch
         from edit3r.plugins.weights import declared, find, named
 
         known = declared(tuple(args.plugin))
         if args.step == "list":
             _list(known.values(), args)
             return 0
-        for weights in [named(name, known) for name in args.names]:
-            print(
-                _get(weights, args)
-                if args.step == "get"
-                else find(weights, args.folder)
-            )
+        names = dict.fromkeys(args.names)
+        chosen = [named(name, known) for name in names if name != ESSENTIALS]
+        if ESSENTIALS in names:
+            essential = [one for one in known.values() if one.essential]
+            # a machine without the client npm gets all the others first
+            chosen += sorted(essential, key=lambda one: one.source.startswith("npm:"))
+        if args.step == "path":
+            for weights in chosen:
+                print(find(weights, args.folder))
+            return 0
+        _accept(chosen, args)
+        for weights in chosen:
+            print(fetch(weights, args.folder, args.offline))
         return 0
 
 
-def _get(weights: "Weights", args: argparse.Namespace) -> str:
-    """Fetch weights once the user accepts their licence; raises InputError otherwise."""
+def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
+    """Show licences of what is not here and ask once; raises InputError where the user does not
+    accept them.
+    """
     from edit3r.errors import InputError
-    from edit3r.io.fetching import fetch, unfinished
+    from edit3r.io.fetching import unfinished
     from edit3r.plugins.weights import at_hand
 
-    if at_hand(weights, args.folder) is None and not args.offline:
+    if args.offline:
+        return
+    missing = [one for one in chosen if at_hand(one, args.folder) is None]
+    for weights in missing:
         pinned = weights.revision or "not pinned: the newest is fetched"
         print(
             f"{weights.name}: {weights.purpose}\n  licence: {weights.terms}\n  source: "
             f"{weights.source} ({pinned})"
         )
-        if not (args.yes or unfinished(weights, args.folder).is_dir()):
-            if not sys.stdin.isatty():
-                raise InputError(f"accept the licence with: {weights.get} --yes")
-            if input(
-                "Accept this licence and fetch the files? [y/N] "
-            ).strip().lower() not in ("y", "yes"):
-                raise InputError(
-                    f"{weights.name}: the licence was not accepted; nothing was fetched."
-                )
-    return str(fetch(weights, args.folder, args.offline))
+        if weights.caution:
+            print(f"  note: {weights.caution}")
+    asked = [one for one in missing if not unfinished(one, args.folder).is_dir()]
+    if args.yes or not asked:
+        return
+    licences = "licence" if len(asked) == 1 else "licences"
+    if not sys.stdin.isatty():
+        get = f"edit3r weights get {' '.join(args.names)} --yes"
+        raise InputError(f"accept the {licences} with: {get}")
+    question = f"Accept the {licences} and fetch the files? [y/N] "
+    if input(question).strip().lower() not in ("y", "yes"):
+        names = ", ".join(weights.name for weights in asked)
+        raise InputError(
+            f"{names}: the licences were not accepted; nothing was fetched."
+            if len(asked) > 1
+            else f"{names}: the licence was not accepted; nothing was fetched."
+        )
 
 
 def _list(known, args: argparse.Namespace) -> None:

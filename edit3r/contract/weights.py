@@ -12,7 +12,7 @@ COMMERCIAL = ("yes", "no", "unclear")
 NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 """Names of components and of weights."""
 
-_SOURCE = re.compile(r"(hub:[\w.-]+/[\w.-]+|package:[\w.-]+)")
+_SOURCE = re.compile(r"hub:[\w.-]+/[\w.-]+|package:[\w.-]+|npm:(@[\w.-]+/)?[\w.-]+")
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -26,7 +26,9 @@ class Weights:
     size: int  # of all files [bytes]; about, where the files are patterns
     licence: str  # of the files, which may differ from that of the code
     commercial: str  # use: "yes", "no" or "unclear"
-    source: str  # "hub:OWNER/NAME" on the Hugging Face hub, or "package:NAME" in the package index
+    # "hub:OWNER/NAME" on the Hugging Face hub, "package:NAME" in Python's package index, or
+    # "npm:NAME" in npm's
+    source: str
     revision: str = (
         ""  # commit on the hub, version of the package; "": not pinned, and said so
     )
@@ -34,6 +36,8 @@ class Weights:
         tuple[str, str], ...
     ] = ()  # (path or pattern at the source, SHA-256 or "" where it is not known)
     gated: bool = False  # the hub asks for an account that accepted the licence
+    essential: bool = False  # `edit3r weights get essentials` fetches them
+    caution: str = ""  # a sentence that whoever fetches them must have read
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
@@ -47,7 +51,8 @@ class Weights:
             )
         if not _SOURCE.fullmatch(self.source):
             raise ValueError(
-                f"{who}: source must read 'hub:OWNER/NAME' or 'package:NAME', got {self.source!r}"
+                f"{who}: source must read 'hub:OWNER/NAME', 'package:NAME' or 'npm:NAME', got "
+                f"{self.source!r}"
             )
         if not self.files:
             raise ValueError(f"{who}: names no files")
@@ -63,18 +68,23 @@ class Weights:
                     f"{who}: files must be pairs of a relative path and a SHA-256, got "
                     f"{(path, sha256)!r}"
                 )
-        if self.source.startswith("package:") and not (
+        if self.packed and not (
             self.revision and all(sha256 for _, sha256 in self.files)
         ):
             raise ValueError(
                 f"{who}: from a package, the version and every SHA-256 must be given"
             )
 
+    @property
+    def packed(self) -> bool:
+        """Whether the files come out of a package, and not one by one."""
+        return not self.source.startswith("hub:")
+
     def stored(self, path: str) -> str:
         """Where a file of the source lies in the folder of these weights; files of a package lie
         side by side.
         """
-        return PurePosixPath(path).name if self.source.startswith("package:") else path
+        return PurePosixPath(path).name if self.packed else path
 
     @property
     def get(self) -> str:

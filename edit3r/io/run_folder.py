@@ -66,6 +66,11 @@ class RunFolder:
         """Folder of the images of the scene."""
         return self._made("renders")
 
+    @property
+    def masks(self) -> Path:
+        """Folder of the masks of what was named, a folder for each."""
+        return self._made("masks")
+
     def _made(self, name: str) -> Path:
         folder = self.root / name
         folder.mkdir(exist_ok=True)

@@ -24,6 +24,8 @@ FORMATS = {
 }
 """Formats that a scene is exported in, and the suffix of each one's files."""
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+MAX_STEPS = 9  # from one reading of what was meant to the next
+MAX_GROWTH = 200.0  # of an outline [pixels]
 Output = Literal["scene", "images", "sheet", "video", "viewer", "cache", "frames"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
@@ -57,9 +59,22 @@ class RunConfig(Settings):
     )
     guess: bool = Field(
         False,
-        description="take what stands out most where the segmenter does not know the words for "
-        "the object",
+        description="take what was found unsurely, and what stands out most where the words for "
+        "the object are not known",
     )
+    larger: int = Field(
+        0,
+        ge=-MAX_STEPS,
+        le=MAX_STEPS,
+        description="take a larger part of what was meant; repeatable",
+    )
+    grow: float = Field(
+        0.0,
+        ge=-MAX_GROWTH,
+        le=MAX_GROWTH,
+        description="move the outline of what is selected outwards [pixels]; inwards if negative",
+    )
+    invert: bool = Field(False, description="change all but what is selected")
     refiners: tuple[PartChoice, ...] = Field(
         tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
         description="steps after reconstruction, in order; --gaussians and --refine add theirs "
@@ -149,6 +164,12 @@ class RunConfig(Settings):
         if not known:
             raise ValueError(f"expected some of {','.join(FORMATS)}")
         return value
+
+    @field_validator("larger", mode="before")
+    @classmethod
+    def _read_steps(cls, value: Any) -> Any:
+        """Accept the steps of --larger and --smaller one by one."""
+        return sum(value) if isinstance(value, list) else value
 
     @field_validator("gaussians", mode="before")
     @classmethod

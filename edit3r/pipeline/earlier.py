@@ -7,8 +7,8 @@ checked, nothing in it is executed, and nothing is written there.
 """
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +33,7 @@ from edit3r.reporting import note
 
 Read = TypeVar("Read")
 NOTE = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
+THINGS = "things"  # note in run.json: names of the masks in the folders `masks/0`, `masks/1`...
 CACHE = "cache"  # folder of the run's cache inside its results
 
 
@@ -47,6 +48,10 @@ class EarlierRun:
     records: tuple[Photo, ...]  # how the photos became views
     reconstructor: dict[str, Any]  # name and settings, as a configuration holds them
     frames: int  # of its camera path
+    # masks of what was named, in [0, 1]; the last named comes last
+    things: Mapping[str, Float[Tensor, "view height width"]] = field(
+        default_factory=dict
+    )
 
 
 def note_views(views: Views) -> None:
@@ -134,6 +139,7 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
             **run["reconstructor"]["settings"],
         },
         frames=int(run["frames"]),
+        things=_things(root, manifest["notes"].get(THINGS, []), photos),
     )
 
 
@@ -179,6 +185,21 @@ def _as_batch(
     matrices: Sequence[np.ndarray | None],
 ) -> Float[Tensor, "1 view rows columns"]:
     return torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
+
+
+def _things(
+    root: Path, names: list[str], photos: Views
+) -> dict[str, Float[Tensor, "view height width"]]:
+    """Masks of what was named; those of a folder from before they were kept are none."""
+    things = {}
+    for place, name in enumerate(TypeAdapter(list[str]).validate_python(names)):
+        folder = root / "masks" / str(place)
+        pixels = [np.array(read_image(folder / f"{view}.png")) for view in photos.names]
+        masks = torch.from_numpy(np.stack(pixels)[..., 0].astype(np.float32) / 255)
+        if tuple(masks.shape[1:]) != photos.image_size:
+            raise ValueError(f"{folder} holds masks of another size than the photos")
+        things[name] = masks
+    return things
 
 
 def _records(value: Any, count: int) -> tuple[Photo, ...]:

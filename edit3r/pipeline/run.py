@@ -106,6 +106,7 @@ class RunResult:
             records=self.scene.records,
             reconstructor={"name": choice.name, **choice.settings},
             frames=self.config.frames,
+            things=self.scene.things,
         )
 
     def view(self) -> Path:

@@ -45,6 +45,10 @@ class Scene:
     selected: tuple[
         Selected, ...
     ] = ()  # the things that were looked for, of the first scene
+    # masks of what was named, in this run and before; of the first scene
+    things: Mapping[str, Float[Tensor, "view height width"]] = field(
+        default_factory=dict
+    )
     edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
@@ -78,6 +82,7 @@ class Scene:
             records=records,
             masks=None if self.masks is None else self.masks[:, indices],
             regions=None if self.regions is None else self.regions[:, :, indices],
+            things={name: masks[indices] for name, masks in self.things.items()},
             edited=None if self.edited is None else self.edited.select(indices),
         )
 

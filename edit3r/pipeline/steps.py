@@ -89,6 +89,7 @@ def _read_earlier(earlier: EarlierRun) -> Scene:
         start=earlier.edited,
         records=earlier.records,
         prompts=earlier.prompts,
+        things=earlier.things,
         before=earlier.scene,
     )
 
@@ -192,6 +193,7 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
         regions=regions if wishes else None,
         masks=None if bool((masks >= 1).all()) else masks,
         selected=found[0].selected,
+        things=found[0].things,
     )
 
 
@@ -212,12 +214,19 @@ MARKED = Wish("other", Thing("marked"))
 
 
 def _finder(views: Views, scene: Scene, parts: Parts) -> RegionFinder:
+    config = parts.config
     return RegionFinder(
         views,
         segmenter=lambda: parts.segmenter,
         geometry=lambda: geometry_of(parts.matcher, views),
         marked=scene.marked,
-        guess=parts.config.guess,
+        defaults=Selection(
+            guess=config.guess,
+            larger=config.larger,
+            grow=config.grow,
+            inverted=config.invert,
+        ),
+        known=scene.things,
     )
 
 

@@ -38,7 +38,7 @@ from edit3r.io.sheet import draw_sheet
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.pipeline.checks import component_name
-from edit3r.pipeline.earlier import CACHE, note_views
+from edit3r.pipeline.earlier import CACHE, THINGS, note_views
 from edit3r.pipeline.rendering import path_around, render_one
 from edit3r.pipeline.scene import Scene
 from edit3r.pipeline.verdict import WORST_PSNR
@@ -186,8 +186,21 @@ def _write_images(folder: RunFolder, result: "RunResult") -> None:
         ]
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
             list(pool.map(lambda job: save_pixels(*job), jobs))
+        _write_masks(folder, result)
     if "sheet" in result.config.outputs:
         save_pixels(np.asarray(_sheet(result)), folder.before_after)
+
+
+def _write_masks(folder: RunFolder, result: "RunResult") -> None:
+    """Masks of what was named, which a further edit knows by these names."""
+    things = result.scene.things
+    for place, masks in enumerate(things.values()):
+        masks_folder = folder.masks / str(place)
+        masks_folder.mkdir()
+        for name, mask in zip(result.photos.names, masks):
+            save_pixels(to_bytes(mask.expand(3, -1, -1)), masks_folder / f"{name}.png")
+    if things:
+        note(THINGS, list(things))
 
 
 def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"], ...]:
@@ -207,6 +220,7 @@ def _sheet(result: "RunResult") -> Image.Image:
         subtitle += f"; left out: {', '.join(result.scene.left_out.names)}"
     title = result.config.prompt or "no prompt"
     scene = result.scene
+    subtitle += _how_sure(scene)
     columns = {
         "photo": _outlined_photos(scene),
         "2D edit": _images(scene.edited),
@@ -231,10 +245,16 @@ def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
 
 
 def _preview_line(scene: Scene) -> str:
-    line = "preview: nothing is reconstructed yet"
+    line = "preview: nothing is reconstructed yet" + _how_sure(scene)
     if scene.edit_verdict is None:
         return line
     return f"{line}; edit: {scene.edit_verdict.label}"
+
+
+def _how_sure(scene: Scene) -> str:
+    """How surely the words found what they name, where that was by learned words."""
+    unsure = [one.surety for one in scene.selected if (one.surety or 1.0) < 1]
+    return "".join(f"; selected by words, {surety:.0%} sure" for surety in unsure)
 
 
 def _images(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:

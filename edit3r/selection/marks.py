@@ -47,8 +47,11 @@ class MarkTexts:
                 view = self._view_of_mask(path, photos)
                 masks[view] = read_mask(path, frames[view])
         thing = read_thing(self.thing.lower().split())
+        words = thing.name
+        if self.thing and not words:
+            words = {"whole": "everything"}.get(thing.scope, thing.scope)
         return Selection(
-            positive, negative, boxes, masks=masks, words=thing.name, which=thing.which
+            positive, negative, boxes, masks=masks, words=words, which=thing.which
         )
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":

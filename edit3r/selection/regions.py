@@ -5,8 +5,8 @@ Marks (clicks, boxes, masks) stand for the thing that the sentence names; in "th
 name.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -16,9 +16,11 @@ from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import InputError, PromptError
+from edit3r.reporting import say
 from edit3r.selection.near_colour import near_colour
 from edit3r.selection.select import ASK, Selected, Selection, select_masks
 
+PLAIN = Selection()
 Masks = Float[Tensor, "view height width"]
 
 
@@ -28,6 +30,9 @@ class Regions:
 
     masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
+    things: Mapping[str, Masks] = field(
+        default_factory=dict
+    )  # masks of what has a name
 
 
 class RegionFinder:
@@ -39,21 +44,42 @@ class RegionFinder:
         segmenter: Callable[[], Segmenter],
         geometry: Callable[[], MatchedGeometry | None],
         marked: Selection | None = None,
-        guess: bool = False,
+        defaults: Selection = PLAIN,
+        known: Mapping[str, Masks] | None = None,
     ) -> None:
-        """`views` hold one scene; segmenter and geometry are asked for only where needed."""
+        """`views` hold one scene; segmenter and geometry are asked for only where needed.
+
+        `defaults` say whether to guess and what to do with outlines; `known` are masks of things
+        that were named before.
+        """
         self._views = views
         self._segmenter = segmenter
         self._geometry = geometry
         self._marked = marked
-        self._guess = guess
+        self._defaults = defaults
+        self._known = dict(known or {})
         self._found: dict[Thing | None, Selected] = {}
 
     def find(self, wishes: Sequence[Wish]) -> Regions:
         """Where each wish applies. Raises InputError for what cannot be found."""
         marked_thing = self._thing_of_marks(wishes)
         masks = [self._region(wish, marked_thing) for wish in wishes]
-        return Regions(torch.stack(masks), tuple(self._found.values()))
+        found = tuple(self._found.values())
+        return Regions(torch.stack(masks), found, self._things(marked_thing))
+
+    def _things(self, marked_thing: Thing | None) -> dict[str, Masks]:
+        """Masks of everything that has a name, those of earlier runs first."""
+        things = dict(self._known)
+        marked = self._marked or PLAIN
+        if self._defaults.inverted != marked.inverted:  # the masks are of all else
+            return things
+        for thing, selected in self._found.items():
+            thing = thing or marked_thing
+            if thing is not None and thing.scope == "named":
+                name = _name(thing)
+                things.pop(name, None)  # the newest is the last
+                things[name] = selected.masks[:, 0]
+        return things
 
     def _thing_of_marks(self, wishes: Sequence[Wish]) -> Thing | None:
         """The one thing that the marks stand for; None for one that has no name."""
@@ -100,7 +126,7 @@ class RegionFinder:
         """All but what is marked, or what the segmenter takes for the background."""
         if self._marked is not None:
             return self._inverse(self._look_for(None, self._marked))
-        asked = Selection(words="background", guess=self._guess)
+        asked = Selection(words="background")
         selected = self._look_for(Thing("background"), asked)
         masks = selected.masks[:, 0]
         return self._inverse(selected) if "guess" in selected.how else masks
@@ -127,21 +153,33 @@ class RegionFinder:
         if self._marked is not None and stands_for:
             return self._look_for(None, self._marked).masks[:, 0]
         if thing is None or (thing.scope != "named" and thing.part is None):
-            if not self._guess:
+            if thing is not None and self._known:  # "paint it red"
+                return self._look_for(thing, self._as_known([*self._known][-1])).masks[
+                    :, 0
+                ]
+            if not self._defaults.guess:
                 raise InputError(f"nothing says which object is meant; {ASK}.")
-            return self._look_for(None, Selection(guess=True)).masks[:, 0]
+            return self._look_for(None, Selection()).masks[:, 0]
         if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
             return near_colour(whole, self._views.images[0], thing.part)
-        asked = Selection(words=thing.name, which=thing.which, guess=self._guess)
+        asked = Selection(words=thing.name, which=thing.which)
+        if _name(thing) in self._known:
+            asked = self._as_known(_name(thing))
         mask = self._look_for(thing, asked).masks[:, 0]
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
 
+    def _as_known(self, name: str) -> Selection:
+        """The masks that an earlier run has of a thing."""
+        say("selection.known", f"{name} is what the earlier run took for it")
+        return Selection(masks=dict(enumerate(self._known[name])))
+
     def _look_for(self, thing: Thing | None, selection: Selection) -> Selected:
         key = None if thing is None else replace(thing, part=None)
         if key not in self._found:
+            selection = _with_defaults(selection, self._defaults)
             carried = len(selection.masks) < self._views.count
             self._found[key] = select_masks(
                 self._views.images[0],
@@ -151,3 +189,19 @@ class RegionFinder:
                 self._views.intrinsics,
             )
         return self._found[key]
+
+
+def _name(thing: Thing) -> str:
+    """The words that name a thing, such as "left cup"."""
+    return " ".join((*thing.which, thing.name))
+
+
+def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
+    """A selection with what the run says of guesses and outlines beside its own."""
+    return replace(
+        selection,
+        guess=selection.guess or defaults.guess,
+        larger=selection.larger + defaults.larger,
+        grow=selection.grow + defaults.grow,
+        inverted=selection.inverted != defaults.inverted,
+    )

@@ -7,8 +7,10 @@ geometry where it is at hand, else by what the pictures show. The command line, 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -17,6 +19,7 @@ from edit3r.contract.interfaces import (
     Marks,
     MatchedGeometry,
     Matcher,
+    Proposal,
     Segmenter,
     Tracks,
 )
@@ -25,7 +28,7 @@ from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import project, unproject
 from edit3r.geometry.warping import warp
 from edit3r.pipeline.checks import component_name
-from edit3r.reporting import note, warn
+from edit3r.reporting import note, say, warn
 from edit3r.selection.which import pick
 
 Box = tuple[float, float, float, float]
@@ -36,6 +39,7 @@ SAME_SURFACE = (
 MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
+SURE = 0.6  # surety under which what words found is not taken unasked
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
 
@@ -63,9 +67,12 @@ class Selection:
     )  # finished masks, by view
     words: str = ""  # what is meant, such as "bike"; looked up where nothing is marked
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
-    guess: bool = (
-        False  # True: words that cannot be looked up mean what stands out most
-    )
+    # True: what was found unsurely is taken, else what stands out most
+    guess: bool = False
+    # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
+    larger: int = 0
+    grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
+    inverted: bool = False  # True: all but the object is meant
 
     @property
     def views(self) -> tuple[int, ...]:
@@ -91,6 +98,7 @@ class Selected:
     warnings: tuple[
         str, ...
     ] = ()  # sentences for the user, also sent to `edit3r.reporting`
+    surety: float | None = None  # of what words named, in [0, 1]
 
 
 def select_masks(
@@ -118,6 +126,7 @@ def select_masks(
         if view not in work.masks:
             work.carry(view)
     how = tuple(work.how[view] for view in range(len(images)))
+    masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
     note(
         "selection",
         {
@@ -129,11 +138,27 @@ def select_masks(
     )
     for text in work.warnings:
         warn(text)
-    return Selected(
-        torch.stack([work.masks[view] for view in range(len(images))])[:, None],
-        how,
-        tuple(work.warnings),
-    )
+    masks = grown(masks, selection.grow)
+    if selection.inverted:
+        seen = [one != "not found" for one in how]
+        masks = (1 - masks) * masks.new_tensor(seen)[:, None, None, None]
+    return Selected(masks, how, tuple(work.warnings), work.surety)
+
+
+def grown(
+    masks: Float[Tensor, "view 1 height width"], pixels: float
+) -> Float[Tensor, "view 1 height width"]:
+    """Soft masks with their outline moved outwards, inwards where `pixels` is negative; the soft
+    edge moves along.
+    """
+    if not pixels:
+        return masks
+    reach = int(np.ceil(abs(pixels)))
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (np.hypot(rows, columns) <= abs(pixels) + 0.25).astype(np.uint8)
+    move = cv2.dilate if pixels > 0 else cv2.erode
+    moved = [move(mask.numpy(force=True), disc) for mask in masks[:, 0]]
+    return torch.from_numpy(np.stack(moved))[:, None].to(masks)
 
 
 def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
@@ -195,29 +220,22 @@ class _Work:
             tuple[int, int], Tracks
         ] = {}  # by view of the mask and direction
         self.warnings: list[str] = []
+        self.surety: float | None = None  # of what the words named
 
     def look_up(self, view: int) -> None:
         """The mask of what the words name, or of what stands out where a guess is allowed."""
-        words, name = self.selection.words, component_name(self.segmenter)
-        found = self.segmenter.segment_text(self.images[view], words) if words else None
+        words, guess = self.selection.words, self.selection.guess
+        image, found = self.images[view], None
+        if words:
+            found = self.segmenter.segment_text(image, words)
+        elif self.selection.which:  # "the big one" may be one of anything
+            proposals = self.segmenter.propose(image)
+            found = tuple(replace(one, surety=SURE / 2) for one in proposals)
         if found:
-            picked = pick(found, self.selection.which, self.images[view])
-            mask = torch.stack([proposal.soft_mask for proposal in picked]).amax(0)
-            self._keep(view, mask, "words")
+            self._take_named(view, found)
             return
-        if not self.selection.guess:
-            if not words:
-                raise InputError(f"nothing says which object is meant; {ASK}.")
-            why = (
-                "was not found on the photo"
-                if found is not None
-                else f"is not a word that segmenter {name!r} knows"
-            )
-            raise InputError(
-                f"{words!r} {why}; {ASK}, add --guess to take what stands out most, or use a "
-                "segmenter that reads "
-                "words (edit3r list-plugins --kind segmenter)."
-            )
+        if not guess:
+            raise InputError(self._why_not(view, known=found is not None))
         proposals = self.segmenter.propose(self.images[view])
         if not proposals:
             raise InputError(f"nothing stands out on photo {view + 1}; {ASK}.")
@@ -226,6 +244,48 @@ class _Work:
             f"what stands out most on photo {view + 1} is taken, which is a guess; to be sure, "
             f"{ASK}."
         )
+
+    def _take_named(self, view: int, found: tuple[Proposal, ...]) -> None:
+        """The mask of those of `found` that are meant. Raises InputError for an unsure one."""
+        words, which = self.selection.words, self.selection.which
+        picked = pick(found, which, self.images[view])
+        self.surety = min(proposal.surety for proposal in picked)
+        sure = f"{self.surety:.0%} sure"
+        if self.surety < SURE and not self.selection.guess:
+            named = " ".join((*which, words)).strip()
+            raise InputError(
+                f"{named!r} was found on photo {view + 1}, but it may be something else ({sure}, "
+                f"{SURE:.0%} are needed); {ASK}, or add --guess to take what was found (--preview "
+                "shows it)."
+            )
+        if self.surety < 1:
+            say("selection.words", f"{' '.join((*which, words))}: found, {sure}")
+        masks = [self._stepped(view, proposal) for proposal in picked]
+        self._keep(view, torch.stack(masks).amax(0), "words")
+
+    def _stepped(self, view: int, proposal: Proposal) -> Float[Tensor, "height width"]:
+        """The mask of a named thing; a larger or smaller reading of its box where that is asked."""
+        if not self.selection.larger:
+            return proposal.soft_mask
+        height, width = self.images.shape[-2:]
+        x, y, across, down = proposal.box
+        box = (x / width, y / height, across / width, down / height)
+        marks = Marks(box=box, larger=self.selection.larger)
+        return self.segmenter.segment_marks(self.images[view], marks).soft_mask
+
+    def _why_not(self, view: int, known: bool) -> str:
+        """Why the words found nothing, and what to do."""
+        words = self.selection.words
+        if not words:
+            return f"nothing says which object is meant; {ASK}."
+        guess = "add --guess to take what stands out most"
+        if known:
+            return f"{words!r} was not found on photo {view + 1}; {ASK}, or {guess}."
+        name = component_name(self.segmenter)
+        more = self.segmenter.words_help() or (
+            "use a segmenter that reads words (edit3r list-plugins --kind segmenter)"
+        )
+        return f"{words!r} is not a word that segmenter {name!r} knows; {ASK}, {more}, or {guess}."
 
     def mark(self, view: int) -> None:
         """The mask of a view that carries marks; what other views showed so far is where it is
@@ -252,6 +312,7 @@ class _Work:
                 negative=_places(chosen.negative, view),
                 box=chosen.boxes.get(view),
                 prior=prior if expected else None,
+                larger=chosen.larger,
             )
             if marks.positive or marks.box is not None or (marks.negative and expected):
                 self._keep(

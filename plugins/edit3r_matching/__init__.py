@@ -23,6 +23,7 @@ _ALIKED = Weights(
             "d975e965b105311a6143194852297dff4f02aea5cc2e10cecfed966ca0e22503",
         ),
     ),
+    essential=True,
 )
 
 _PAIR_NETWORKS = (

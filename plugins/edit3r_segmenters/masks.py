@@ -1,5 +1,7 @@
 """Masks whose outlines follow the image: graph cut, small parts and holes, soft edges."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -135,6 +137,14 @@ def distance_to(mask: np.ndarray) -> np.ndarray:
     it is empty.
     """
     return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+
+
+def stepped(areas: Sequence[float], best: int, larger: int) -> int:
+    """Which of several masks is `larger` steps above the best in order of size; below, if
+    negative. Beyond the ends it is the last.
+    """
+    order = sorted(range(len(areas)), key=lambda index: areas[index])
+    return order[min(max(order.index(best) + larger, 0), len(order) - 1)]
 
 
 def _window(mask: np.ndarray, margin: float) -> tuple[slice, slice]:

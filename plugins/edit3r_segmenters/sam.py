@@ -41,6 +41,7 @@ from edit3r.io.pretrained import (
     require_at_hand,
 )
 from edit3r.reporting import note, progress
+from edit3r_segmenters.masks import stepped
 
 STABILITY_OFFSET = 1.0  # logits
 TEXT_LENGTH = 32  # tokens that SAM3's text encoder takes
@@ -156,16 +157,17 @@ class SamSegmenter(Segmenter):
         if points:
             on = [[[1] * len(marks.positive) + [0] * len(marks.negative)]]
             prompts["input_labels"] = torch.tensor(on, device=model.device)
-        ambiguous = (
-            len(points) == 1 and box is None
-        )  # one point may mean a part or the whole: ask for all three
+        # one point may mean a part or the whole: ask for all three
+        ambiguous = (len(points) == 1 and box is None) or marks.larger != 0
         with torch.no_grad(), self._memory("segmenting"):
             output = model(
                 image_embeddings=self._embed(model, image),
                 multimask_output=ambiguous,
                 **prompts,
             )
+            areas = (output.pred_masks[0, 0] > 0).sum((1, 2)).tolist()
             best = int(output.iou_scores[0, 0].argmax())
+            best = stepped(areas, best, marks.larger)
             logits = enlarge(output.pred_masks[0, 0, best : best + 1], (height, width))[
                 0
             ]
@@ -374,7 +376,10 @@ class Sam3Segmenter(SamSegmenter):
     """
 
     image_class, video_class = "Sam3TrackerModel", "Sam3TrackerVideoModel"
-    session = "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:Sam3TrackerVideoInferenceSession"
+    session = (
+        "transformers.models.sam3_tracker_video.modeling_sam3_tracker_video:"
+        "Sam3TrackerVideoInferenceSession"
+    )
     mean = std = (0.5, 0.5, 0.5)
     threshold_key = "segmenter.min_score"
 

@@ -12,7 +12,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from edit3r.contract.interfaces import Tracks
 from edit3r_segmenters.masks import (
     distance_to,
     overlap,
@@ -77,6 +81,26 @@ class _View:
 
     pixels: np.ndarray  # uint8 RGB [h, w, 3]
     grey: np.ndarray  # uint8 [h, w]
+
+
+def tracks(
+    images: Float[Tensor, "view 3 height width"],
+    masks: Float[Tensor, "object height width"],
+    size: int,
+) -> Tracks:
+    """`follow` on tensors: what a segmenter's `track` returns."""
+    pixels = images.detach().cpu().float().permute(0, 2, 3, 1).numpy()
+    found, seen = follow(
+        [np.ascontiguousarray(one) for one in pixels],
+        masks.detach().cpu().numpy(),
+        size,
+    )
+    soft = torch.from_numpy(found).to(images)
+    present = torch.from_numpy(seen).to(images.device)
+    logits = soft.logit(1e-4)
+    logits = torch.where(soft > 0.5, logits, logits.clamp(max=0))
+    lost = logits.clamp(max=-1e-3)
+    return Tracks(torch.where(present[..., None, None], logits, lost), present)
 
 
 def follow(

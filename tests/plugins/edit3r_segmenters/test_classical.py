@@ -5,8 +5,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from edit3r_segmenters.candidates import Evidence, Salience, choose
 from edit3r_segmenters.classical import _analyse
-from edit3r_segmenters.interactive import Glimpse, Picture, find
 
 from edit3r.contract.interfaces import Marks
 from edit3r.errors import InputError
@@ -190,8 +190,8 @@ def test_learned_salience_that_a_click_agrees_with_decides_between_part_and_whol
     shared = (analysis.pixels, analysis.superpixels, analysis.members, analysis.measure)
     spot = (seen.shape[0] // 2, seen.shape[1] * 75 // WIDTH)
     alone, told = (
-        find(Picture(*shared, glimpses), [spot], [])
-        for glimpses in ((), (Glimpse(seen, everywhere),))
+        choose(Evidence(*shared, saliences), [(spot, True)])[0].mask
+        for saliences in ((), (Salience(seen, everywhere),))
     )
     assert (
         iou(torch.from_numpy(told), seen > 0.5)

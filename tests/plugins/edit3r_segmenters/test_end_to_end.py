@@ -79,7 +79,12 @@ def test_an_editor_that_takes_any_sentence_is_confined_where_a_segmenter_is_name
 
 def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
     out = tmp_path / "out"
-    words = "--set segmenter.detector.box_threshold=1.0 --editor mock-diffusion".split()
+    words = [
+        "--set",
+        "segmenter.detector.box_threshold=1.0",
+        "--editor",
+        "mock-diffusion",
+    ]
     command = ["run", *photos, *CHEAP, *sam2, *words, "--out", str(out)]
     assert main([*command, "--prompt", "paint the bike red"]) == 2
     assert "'bike' was not found" in capsys.readouterr().err and not out.exists()

@@ -42,8 +42,9 @@ def edit(planted, rasterizer):
             "recon": "planted",
             "rasterizer": rasterizer,
             "registry": planted.registry,
+            "prompt": "x",
         }
-        return edit3r.run(views, "x", **{**chosen, **asked})
+        return edit3r.run(views, **{**chosen, **asked})
 
     return edited
 
@@ -301,3 +302,18 @@ def test_the_earlier_run_comes_back_as_it_was(folders, planted):
     ] == ["a", "b"]
     assert earlier.records[0].frame.target == (48, 64) and earlier.frames == 3
     assert torch.equal(earlier.photos.images, planted.views.images)
+
+
+def test_masks_of_what_was_named_are_known_to_the_next_run(folders, capsys):
+    files = [str(folders / f"ball0_{name}.png") for name in ("a", "b")]
+    fox = ("--editor", "recolor", "--prompt", "paint the fox red")
+    assert again(folders, *fox, "--mask", *files) == 0
+    second = read_earlier_run(folders / "second")
+    expected = np.stack([np.array(Image.open(file)) for file in files]) / 255
+    assert np.allclose(second.things["fox"], expected, atol=1e-3)
+    third = {"start": "second", "out": "third"}
+    assert again(folders, *fox, "--prompt", "paint the fox blue", **third) == 0
+    assert "fox" in read_earlier_run(folders / "third").things
+    (folders / "second" / "masks" / "0" / "b.png").write_bytes(b"no image")
+    assert again(folders, *fox, start="second", out="fourth") == 2
+    assert "b.png" in capsys.readouterr().err and not (folders / "fourth").exists()

@@ -1,0 +1,95 @@
+"""Boxes of 80 everyday things by NanoDet (RangiLyu 2020), a small network in torch."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.config import Settings
+from edit3r.contract.interfaces import Detection, Detector
+from edit3r.plugins.weights import find
+from edit3r_segmenters import NANODET
+from edit3r_segmenters.sam import best_boxes
+from edit3r_segmenters.tfjs import TfjsGraph
+from edit3r_segmenters.words import COCO, coco_classes
+
+SIDE = 416  # of the network's input [pixels]
+BINS = 11  # a distance to a side of the box is a distribution over 0 to 10 strides
+MEAN = np.array([103.53, 116.28, 123.675], np.float32)  # BGR
+STD = np.array([57.375, 57.12, 58.395], np.float32)
+LEVELS = (
+    ("Identity", "Identity_3"),
+    ("Identity_1", "Identity_4"),
+    ("Identity_2", "Identity_5"),
+)
+"""The graph's outputs for each size of things: scores of the classes, distances to the sides."""
+
+
+class CocoDetector(Detector):
+    """Knows the words of COCO and their synonyms; for other words it finds nothing."""
+
+    class Settings(Settings):
+        min_score: float = Field(0.1, ge=0, le=1, description="least score of a box")
+        overlap: float = Field(
+            0.5, ge=0, le=1, description="overlap above which two boxes are one thing"
+        )
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._graph = TfjsGraph(find(NANODET) / "nanodet.json")
+
+    def knows(self, text: str) -> bool:
+        return bool(coco_classes(text))
+
+    @torch.no_grad()
+    def detect(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Detection, ...]:
+        classes = coco_classes(text)
+        if not classes:
+            return ()
+        height, width = image.shape[-2:]
+        boxes, scores = self._boxes(image)
+        score, which = scores[:, list(classes)].max(1)
+        likely = score >= self.settings.min_score
+        boxes, score, which = boxes[likely], score[likely], which[likely]
+        boxes = boxes * torch.tensor([width, height, width, height]) / SIDE
+        boxes[:, 0::2] = boxes[:, 0::2].clamp(0, width)
+        boxes[:, 1::2] = boxes[:, 1::2].clamp(0, height)
+        boxes[:, 2:] -= boxes[:, :2]
+        found = []
+        for index in best_boxes(boxes, score, self.settings.overlap):
+            label = COCO[classes[int(which[index])]]
+            box = tuple(boxes[index].tolist())
+            found.append(Detection(label, float(score[index]), box))
+        return tuple(found)
+
+    def _boxes(
+        self, image: Float[Tensor, "3 height width"]
+    ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n 80"]]:
+        """Corners [pixels of the network's input] and scores of all boxes."""
+        pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy()
+        square = cv2.resize(pixels[:, :, ::-1] * 255, (SIDE, SIDE))
+        read = torch.from_numpy((square - MEAN) / STD).permute(2, 0, 1)[None]
+        outputs = [name for level in LEVELS for name in level]
+        values = self._graph.run({"input_1": read.float()}, outputs)
+        boxes = [_corners(values[place][0]) for place in (1, 3, 5)]
+        scores = [values[place][0] for place in (0, 2, 4)]
+        return torch.cat(boxes), torch.cat(scores)
+
+
+def _corners(distances: Float[Tensor, "n 44"]) -> Float[Tensor, "n 4"]:
+    """Boxes of one level (generalised focal loss, Li et al. 2020, eq. 5): a cell's middle and the
+    expected distances to the four sides.
+    """
+    count = len(distances)
+    cells = round(count**0.5)
+    stride = SIDE / cells
+    shares = distances.view(count, 4, BINS).softmax(-1)
+    left, top, right, bottom = (shares @ torch.arange(float(BINS)) * stride).T
+    index = torch.arange(count)
+    x = (index % cells + 0.5) * stride
+    y = (index // cells + 0.5) * stride
+    return torch.stack((x - left, y - top, x + right, y + bottom), 1)

@@ -1,0 +1,94 @@
+"""Where an image shows what one of ImageNet's 1,000 words names: class activation maps (Zhou et al.
+2016) of EfficientNet-lite0.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.compute.perceptual import efficientnet_input
+from edit3r.config import Settings
+from edit3r.contract.interfaces import Detection, Detector
+from edit3r.errors import InputError
+from edit3r.io.pretrained import foreign
+from edit3r.plugins.weights import find
+from edit3r_segmenters import EFFICIENTNET
+from edit3r_segmenters.words import imagenet_classes, imagenet_names
+
+CORE = 0.5  # share of the map's peak above which a place belongs to the thing
+
+
+class ImagenetDetector(Detector):
+    """One thing an image; for words that ImageNet does not have it finds nothing."""
+
+    class Settings(Settings):
+        size: int = Field(
+            448, ge=64, le=2048, description="side of the network's input [pixels]"
+        )
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._file = find(EFFICIENTNET)
+        self._network: Any = None
+
+    def knows(self, text: str) -> bool:
+        return bool(imagenet_classes(text))
+
+    def detect(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Detection, ...]:
+        found = self.activation(image, text)
+        if found is None:
+            return ()
+        label, probability, heat = found
+        core = (heat > CORE).astype(np.uint8)
+        labels = cv2.connectedComponents(core)[1]
+        peak = np.unravel_index(heat.argmax(), heat.shape)
+        box = cv2.boundingRect((labels == labels[peak]).astype(np.uint8))
+        return (Detection(label, probability, tuple(map(float, box))),)
+
+    @torch.no_grad()
+    def activation(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[str, float, np.ndarray] | None:
+        """Name and probability of the class that the text names and the image shows most, and its
+        activation map `[height, width]` with a peak of 1; None for a word that is not known.
+        """
+        classes = list(imagenet_classes(text))
+        if not classes:
+            return None
+        if self._network is None:
+            self._network = self._load()
+        network = self._network
+        shown = efficientnet_input(image[None].cpu().float(), self.settings.size)
+        features = network.extract_features(shown)[0]
+        layer = network._fc
+        maps = torch.einsum("kc,chw->khw", layer.weight, features)
+        logits = maps.mean((1, 2)) + layer.bias
+        shares = logits.softmax(0)
+        best = classes[int(logits[classes].argmax())]
+        heat = maps[classes].amax(0) - maps.mean(0)
+        heat = (heat / heat.max().clamp(min=1e-6)).clamp(min=0).numpy()
+        height, width = image.shape[-2:]
+        heat = cv2.resize(heat, (width, height), interpolation=cv2.INTER_CUBIC)
+        name = imagenet_names()[best].split(",")[0]
+        return name, float(shares[classes].sum()), np.clip(heat, 0, 1)
+
+    def _load(self) -> Any:
+        """Raises InputError for a file that does not hold this network."""
+        network = foreign("efficientnet_lite_pytorch", "EfficientNet")
+        built = network.from_name("efficientnet-lite0")
+        try:
+            state = torch.load(self._file, map_location="cpu", weights_only=True)
+            built.load_state_dict(state)
+        except Exception as error:  # of many classes, by what is damaged
+            raise InputError(
+                f"{self._file}: holds no EfficientNet-lite0 ({type(error).__name__}); fetch it "
+                f"anew with: {EFFICIENTNET.get}"
+            ) from None
+        return built.eval().requires_grad_(False)

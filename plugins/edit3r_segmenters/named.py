@@ -1,0 +1,126 @@
+"""What a word names on an image, by small detectors, and how surely.
+
+A word of COCO is looked up by NanoDet, any other word of ImageNet by its activation map. Their
+scores do not say whether the image shows the thing at all: the right word can score low, and a
+wrong one high. How sure an answer is was read off words of photos that show the thing and of
+photos that do not (docs/selecting.md).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import Detection, Marks, Proposal, as_proposal
+from edit3r.plugins.registry import build, default_registry
+from edit3r_segmenters.words import coco_classes, imagenet_classes
+
+DETECTORS = {"coco": "nanodet", "imagenet": "efficientnet-lite0"}
+"""The small detectors and the weights of each."""
+SHARE = 0.45  # of the best box's score that other things of its name must reach
+PART = 0.7  # share of a box inside a better one from which it is only a part of that
+MAX_THINGS = 8
+QUALITY = 0.2  # what a mask's own quality counts beside the activation that it holds
+# Logistic curves of the surety over the logarithm of a score: slope, and score of 1/2
+COCO_CURVE = (2.2, 0.42)
+IMAGENET_CURVE = (0.6, 0.06)
+
+Answer = Callable[[Float[Tensor, "3 height width"], Marks], Proposal]
+Box = tuple[float, float, float, float]
+Ask = Callable[..., tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Namer:
+    """Looks words up; `answer` gives the mask of a box, `ask` a network's masks of a click."""
+
+    answer: Answer
+    ask: Ask | None = None
+
+    def find(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...] | None:
+        """What the text names, best first; None for words that no usable detector knows."""
+        found = None
+        if coco_classes(text) and usable("coco"):
+            found = self._by_boxes(image, text)
+        if not found and imagenet_classes(text) and usable("imagenet"):
+            found = self._by_activation(image, text)
+        return found
+
+    def _by_boxes(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]:
+        detections = build("detector", "coco").detect(image, text)
+        height, width = image.shape[-2:]
+        found = []
+        for one in _distinct(detections)[:MAX_THINGS]:
+            x, y, across, down = one.box
+            box = (x / width, y / height, across / width, down / height)
+            proposal = self.answer(image, Marks(box=box))
+            surety = _surety(one.score, *COCO_CURVE)
+            found.append(replace(proposal, surety=surety))
+        return tuple(found)
+
+    def _by_activation(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...]:
+        _, probability, heat = build("detector", "imagenet").activation(image, text)
+        row, column = np.unravel_index(heat.argmax(), heat.shape)
+        place = ((column + 0.5) / heat.shape[1], (row + 0.5) / heat.shape[0])
+        surety = _surety(probability, *IMAGENET_CURVE)
+        if self.ask is None:
+            found = self.answer(image, Marks(positive=(place,)))
+            return (replace(found, surety=surety),)
+        logits, quality = self.ask(image, [(place, True)])
+        large = torch.nn.functional.interpolate(
+            torch.from_numpy(logits)[None], image.shape[-2:], mode="bilinear"
+        )[0]
+        scores = [
+            _held(heat, mask) + QUALITY * float(good)
+            for mask, good in zip((large > 0).numpy(), quality)
+        ]
+        best = large[int(np.argmax(scores))]
+        return (replace(as_proposal(best.sigmoid().to(image)), surety=surety),)
+
+
+def _distinct(detections: Sequence[Detection]) -> list[Detection]:
+    """Those that score well beside the best, without parts of what a better one holds."""
+    kept: list[Detection] = []
+    for one in detections:
+        likely = one.score >= SHARE * detections[0].score
+        if likely and all(_inside(one.box, other.box) < PART for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _inside(box: Box, other: Box) -> float:
+    """Share of a box that another one holds."""
+    (x, y, width, height), (left, top, across, down) = box, other
+    shared_width = min(x + width, left + across) - max(x, left)
+    shared_height = min(y + height, top + down) - max(y, top)
+    return max(0.0, shared_width) * max(0.0, shared_height) / (width * height)
+
+
+def usable(detector: str) -> bool:
+    """Whether a small detector and its weights are on this machine."""
+    return default_registry().ready("detector", detector, DETECTORS[detector])
+
+
+def knows(text: str) -> bool:
+    """Whether a small detector would know the words, were its weights here."""
+    return bool(coco_classes(text) or imagenet_classes(text))
+
+
+def _held(heat: np.ndarray, mask: np.ndarray) -> float:
+    """How much of the activation a mask holds, and how densely."""
+    if not mask.any():
+        return 0.0
+    return float(heat[mask].mean() * np.sqrt(heat[mask].sum() / heat.sum()))
+
+
+def _surety(score: float, slope: float, half: float) -> float:
+    return float(1 / (1 + (half / max(score, 1e-6)) ** slope))

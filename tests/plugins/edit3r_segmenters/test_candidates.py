@@ -1,0 +1,84 @@
+"""The choice among readings of clicks, with a network that answers with discs around a click."""
+
+import numpy as np
+import pytest
+import torch
+from edit3r_segmenters.candidates import Candidate, by_size
+
+import edit3r
+from edit3r.contract.interfaces import Marks
+
+CENTRE = (0.5, 0.5)
+RADII = (6.0, 12.0, 20.0)
+SIDE = 64
+
+
+class Discs:
+    """A network whose masks are discs around the first click, and a bar at one that is wrong."""
+
+    def ask(self, image, clicks, box=None):
+        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+        (x, y), _ = clicks[0]
+        away = np.hypot(columns - x * SIDE, rows - y * SIDE)
+        return np.stack([radius - away for radius in RADII]), np.array([0.9, 0.8, 0.7])
+
+
+@pytest.fixture(scope="module")
+def segmenter():
+    return edit3r.build("segmenter", "classical", learned=False)
+
+
+@pytest.fixture(scope="module")
+def image() -> torch.Tensor:
+    """A disc with a core of another colour."""
+    rows, columns = torch.meshgrid(
+        torch.arange(SIDE) + 0.5, torch.arange(SIDE) + 0.5, indexing="ij"
+    )
+    away = (rows - SIDE / 2).hypot(columns - SIDE / 2)
+    disc, core = (away < RADII[1]).float(), (away < RADII[0]).float()
+    return torch.stack((0.2 + 0.6 * disc, 0.2 + 0.5 * core, torch.full_like(disc, 0.3)))
+
+
+def area(found) -> float:
+    return float((found.soft_mask > 0.5).sum())
+
+
+def test_a_step_larger_is_larger_and_a_step_smaller_is_smaller(segmenter, image):
+    def answered(larger):
+        marks = Marks(positive=(CENTRE,), larger=larger)
+        return area(segmenter.answer(image, marks, Discs()))
+
+    areas = [answered(steps) for steps in (-9, 0, 9)]
+    assert areas == sorted(areas) and areas[0] < 0.6 * areas[2]
+    assert answered(1) >= answered(0) >= answered(-1)
+
+
+@pytest.mark.parametrize("network", [None, Discs()])
+def test_the_answer_agrees_with_all_clicks(segmenter, image, network):
+    marks = Marks(positive=(CENTRE, (0.62, 0.5)), negative=((0.9, 0.9), (0.5, 0.75)))
+    mask = segmenter.answer(image, marks, network).soft_mask > 0.5
+    places = [
+        (int(y * SIDE), int(x * SIDE)) for x, y in marks.positive + marks.negative
+    ]
+    assert [bool(mask[place]) for place in places] == [True, True, False, False]
+
+
+def test_a_click_on_what_is_wrong_takes_the_part_away_and_not_a_dot(segmenter, image):
+    grown = torch.zeros(SIDE, SIDE)
+    grown[16:48, 16:60] = 1
+    marks = Marks(negative=((0.86, 0.5),), prior=grown)
+    left = segmenter.answer(image, marks, Discs()).soft_mask > 0.5
+    assert (grown.bool() & ~left).sum() > 100
+    assert left[SIDE // 2, SIDE // 2]
+
+
+def test_candidates_that_look_the_same_are_one_step():
+    def square(side, score):
+        logits = np.full((32, 32), -1.0)
+        logits[:side, :side] = 1
+        return Candidate(logits, score)
+
+    best = square(16, 1.0)
+    ordered, place = by_size([best, square(17, 0.9), square(24, 0.5), square(8, 0.4)])
+    assert [int(one.mask.sum()) for one in ordered] == [64, 256, 576]
+    assert ordered[place] is best

