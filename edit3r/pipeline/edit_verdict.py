@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from edit3r.selection.select import SURE
+
 EditLabel = Literal["good", "doubtful"]
 
 MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
@@ -49,41 +51,48 @@ class EditVerdict:
 
     label: EditLabel
     reason: str  # what is doubtful, in one sentence; what was measured where nothing is
-    guessed: bool  # whether the thing was guessed, since nothing said which it is
+    # how surely words or a guess found the thing, in [0, 1]; 0: a guess; None: it was marked
+    surety: float | None
     measures: EditMeasures
 
     def __str__(self) -> str:
         return f"{self.label}, {self.reason}"
 
 
-def judge_edit(measures: EditMeasures, guessed: bool) -> EditVerdict:
+def judge_edit(measures: EditMeasures, surety: float | None = None) -> EditVerdict:
     """Judge an edit by its figures."""
-    doubts = list(_doubts(measures, guessed))
+    doubts = list(_doubts(measures, surety))
     label: EditLabel = "doubtful" if doubts else "good"
     reason = "; ".join(doubts) or _praise(measures)
-    return EditVerdict(label, reason, guessed, measures)
+    return EditVerdict(label, reason, surety, measures)
 
 
-def _doubts(found: EditMeasures, guessed: bool) -> Iterator[str]:
-    """What speaks against the edit."""
-    if max(found.shares) < MIN_SHARE:
-        yield "next to nothing was selected"
-    elif found.changed < MIN_CHANGED:
+def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
+    """What speaks against the edit: against what was selected, then against what was made."""
+    yield from _doubts_of_selection(found, surety)
+    if found.changed < MIN_CHANGED:
         yield f"only {found.changed:.0%} of what may change visibly changed"
-    if guessed:
-        yield "which thing is meant was guessed"
-    if found.outline is not None and found.outline < MIN_OUTLINE:
-        yield "the outline of what was selected leaves the edges in the photos"
-    elif found.open_outline is not None and found.open_outline > MAX_OPEN_OUTLINE:
-        yield "the outline of what was selected runs through one surface"
     if found.ghost is not None and found.ghost > MAX_GHOST:
         yield "the outline of what was removed still shows"
-    if found.agreement is not None and found.agreement < MIN_AGREEMENT:
-        yield "what was selected differs between the photos"
     if found.reached is not None and found.reached < MIN_REACHED:
         yield f"{1 - found.reached:.0%} of what changed does not look as asked"
     if found.shown is not None and found.shown < MIN_SHOWN:
         yield f"the 3D scene shows {max(0.0, found.shown):.0%} of the change"
+
+
+def _doubts_of_selection(found: EditMeasures, surety: float | None) -> Iterator[str]:
+    if max(found.shares) < MIN_SHARE:
+        yield "next to nothing was selected"
+    if surety == 0:
+        yield "which thing is meant was guessed"
+    elif surety is not None and surety < SURE:
+        yield f"the thing was found by its name with {surety:.0%} surety only"
+    if found.outline is not None and found.outline < MIN_OUTLINE:
+        yield "the outline of what was selected leaves the edges in the photos"
+    elif found.open_outline is not None and found.open_outline > MAX_OPEN_OUTLINE:
+        yield "the outline of what was selected runs through one surface"
+    if found.agreement is not None and found.agreement < MIN_AGREEMENT:
+        yield "what was selected differs between the photos"
 
 
 def _praise(measures: EditMeasures) -> str:

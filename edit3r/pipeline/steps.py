@@ -259,8 +259,7 @@ def _with_edit_verdict(scene: Scene, parts: Parts, views: Sequence[int]) -> Scen
         return scene
     wishes = [wish for task in parts.tasks for wish in task.wishes]
     measures = measure_edit(scene, wishes, views)
-    guessed = any("guess" in selected.how for selected in scene.selected)
-    verdict = judge_edit(measures, guessed)
+    verdict = judge_edit(measures, _surety(scene))
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
     return replace(scene, edit_verdict=verdict)
@@ -319,6 +318,14 @@ def _note_change(
     mean = float(change.abs().mean())
     if prompt and mean < MIN_VISIBLE_CHANGE:
         warn(f"the edit changed the photos very little (mean {255 * mean:.1f} of 255).")
+
+
+def _surety(scene: Scene) -> float | None:
+    """How surely the least sure thing was found, None where everything was marked; 0: a guess."""
+    sureties = [one.surety for one in scene.selected if one.surety is not None]
+    if any("guess" in one.how for one in scene.selected):
+        sureties.append(0.0)
+    return min(sureties, default=None)
 
 
 # ---- reconstruct ----
@@ -548,4 +555,4 @@ def _with_edit_judged_in_3d(scene: Scene, parts: Parts) -> Scene:
         return scene
     views = range(scene.start.count if parts.config.edit_views == "all" else 1)
     measures = measure_edit_in_3d(verdict.measures, scene, views)
-    return replace(scene, edit_verdict=judge_edit(measures, verdict.guessed))
+    return replace(scene, edit_verdict=judge_edit(measures, verdict.surety))

@@ -18,7 +18,7 @@ GOOD = EditMeasures(
 
 
 def test_an_edit_without_a_bad_figure_is_good():
-    verdict = judge_edit(GOOD, guessed=False)
+    verdict = judge_edit(GOOD)
     assert verdict.label == "good"
     assert "90% of what may change" in str(verdict) and "95% of it" in str(verdict)
 
@@ -36,14 +36,16 @@ def test_an_edit_without_a_bad_figure_is_good():
     ],
 )
 def test_one_bad_figure_is_enough_and_is_said(figure, value, sentence):
-    verdict = judge_edit(replace(GOOD, **{figure: value}), guessed=False)
+    verdict = judge_edit(replace(GOOD, **{figure: value}))
     assert verdict.label == "doubtful"
     assert sentence in verdict.reason
 
 
 def test_a_guess_is_doubtful():
-    assert "guessed" in judge_edit(GOOD, guessed=True).reason
+    assert "guessed" in judge_edit(GOOD, surety=0.0).reason
+    assert "30% surety" in judge_edit(GOOD, surety=0.3).reason
+    assert judge_edit(GOOD, surety=0.9).label == "good"
 
 
 def test_figures_that_are_not_known_say_nothing():
-    assert judge_edit(EditMeasures((0.1,), 0.9), guessed=False).label == "good"
+    assert judge_edit(EditMeasures((0.1,), 0.9)).label == "good"
