@@ -1,7 +1,7 @@
 """How alike do the editor's named looks change what two photos both show?
 
-    python benchmarks/looks.py                                  the packaged pair
-    python benchmarks/looks.py FOLDER:FIRST,SECOND ...          and photos of folders, by their number in order of name
+    python benchmarks/looks.py                             the packaged pair
+    python benchmarks/looks.py FOLDER:FIRST,SECOND ...     and photos of folders, by number
 
 A line a look, means over the pairs: how much the photos change (mean absolute difference, sRGB in
 [0, 1]), by how much the changes of the same spots differ between the two photos (the disagreement

@@ -1,4 +1,4 @@
-"""Colour spaces: sRGB to CIE Lab and back, without the time that a library takes to load."""
+"""Colour spaces: sRGB to CIE Lab, and to OKLab and back; a library takes longer to load."""
 
 import numpy as np
 import torch
@@ -11,6 +11,16 @@ _TO_XYZ = (
     (0.019334, 0.119193, 0.950227),
 )
 _WHITE = (0.95047, 1.0, 1.08883)  # D65
+_TO_CONES = (
+    (0.4122214708, 0.5363325363, 0.0514459929),
+    (0.2119034982, 0.6806995451, 0.1073969566),
+    (0.0883024619, 0.2817188376, 0.6299787005),
+)
+_TO_OKLAB = (
+    (0.2104542553, 0.7936177850, -0.0040720468),
+    (1.9779984951, -2.4285922050, 0.4505937099),
+    (0.0259040371, 0.7827717662, -0.8086757660),
+)
 
 
 def rgb_to_lab(
@@ -19,33 +29,56 @@ def rgb_to_lab(
     """CIE Lab under D65 of sRGB in [0, 1], without the quarter of a second that kornia takes to
     load.
     """
-    linear = torch.where(
-        images > 0.04045,
-        ((images + 0.055) / 1.055).clamp(min=0).pow(2.4),
-        images / 12.92,
-    )
-    xyz = torch.einsum("oi,...ihw->...ohw", images.new_tensor(_TO_XYZ), linear)
+    xyz = _mixed(_TO_XYZ, _linear(images))
     xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
-    x, y, z = torch.where(
-        xyz > 0.008856, xyz.clamp(min=0.008856).pow(1 / 3), 7.787 * xyz + 4 / 29
-    ).unbind(-3)
+    x, y, z = torch.where(xyz > 0.008856, xyz.pow(1 / 3), 7.787 * xyz + 4 / 29).unbind(
+        -3
+    )
     return torch.stack((116 * y - 16, 500 * (x - y), 200 * (y - z)), -3)
 
 
-def lab_to_rgb(
+def rgb_to_oklab(
+    images: Float[Tensor, "*batch 3 height width"],
+) -> Float[Tensor, "*batch 3 height width"]:
+    """OKLab (Ottosson 2020) of sRGB in [0, 1]: lightness in [0, 1], then a and b.
+
+    All three scale by one factor where light falls off, so that chroma over lightness stays.
+    """
+    cones = _mixed(_TO_CONES, _linear(images)).clamp(min=0)
+    return _mixed(_TO_OKLAB, cones.pow(1 / 3))
+
+
+def oklab_to_rgb(
     lab: Float[Tensor, "*batch 3 height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """The inverse of `rgb_to_lab`, clamped to [0, 1]."""
-    lightness, a, b = lab.unbind(-3)
-    y = (lightness + 16) / 116
-    bent = torch.stack((a / 500 + y, y, (y - b / 200).clamp(min=0)), -3)
-    xyz = torch.where(bent > 0.2068966, bent.pow(3), (bent - 4 / 29) / 7.787)
-    xyz = xyz * lab.new_tensor(_WHITE)[:, None, None]
-    linear = torch.einsum(
-        "oi,...ihw->...ohw", lab.new_tensor(np.linalg.inv(_TO_XYZ)), xyz
+    """The inverse of `rgb_to_oklab`, clamped to [0, 1]."""
+    cones = _mixed(np.linalg.inv(_TO_OKLAB), lab).pow(3)
+    return _encoded(_mixed(np.linalg.inv(_TO_CONES), cones))
+
+
+def _mixed(
+    matrix: tuple | np.ndarray, images: Float[Tensor, "*batch 3 height width"]
+) -> Float[Tensor, "*batch 3 height width"]:
+    return torch.einsum("oi,...ihw->...ohw", images.new_tensor(matrix), images)
+
+
+def _linear(
+    images: Float[Tensor, "*batch 3 height width"],
+) -> Float[Tensor, "*batch 3 height width"]:
+    """Light that sRGB in [0, 1] stands for."""
+    return torch.where(
+        images > 0.04045,
+        ((images + 0.055) / 1.055).pow(2.4),
+        images / 12.92,
     )
+
+
+def _encoded(
+    linear: Float[Tensor, "*batch 3 height width"],
+) -> Float[Tensor, "*batch 3 height width"]:
+    """sRGB in [0, 1] of light."""
     return torch.where(
         linear > 0.0031308,
-        1.055 * linear.clamp(min=0.0031308).pow(1 / 2.4) - 0.055,
+        1.055 * linear.pow(1 / 2.4) - 0.055,
         12.92 * linear,
     ).clamp(0, 1)

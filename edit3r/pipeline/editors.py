@@ -75,18 +75,24 @@ def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, .
 
 
 def _able(wish: Wish, registry: Registry) -> Iterator[Offer]:
-    """Editors that declare the wish's action and can be used here, those without weights first."""
+    """Editors that declare the wish's action and can be used here.
+
+    Those without weights come first, then those that declare the action before others.
+    """
     offers = [
         one for one in registry.offers("editor") if wish.action in one.component.actions
     ]
-    for offer in sorted(offers, key=lambda one: bool(one.component.weights)):
+    for offer in sorted(
+        offers,
+        key=lambda one: (
+            bool(one.component.weights),
+            one.component.actions.index(wish.action),
+        ),
+    ):
         component = offer.component
         ready = all(at_hand(weights) is not None for weights in component.weights)
-        if (
-            component.needs_network and not component.weights
-        ):  # a service: never unasked
-            ready = False
-        if ready and not registry.missing(offer):
+        service = component.needs_network and not component.weights  # never unasked
+        if ready and not service and not registry.missing(offer):
             yield offer
 
 

@@ -135,7 +135,7 @@ def select(scene: Scene, parts: Parts) -> Scene:
         scene, reconstructor = scene.to(parts.config.device), parts.reconstructor
         _require_enough(scene.start, reconstructor)
     with stage("select"):
-        scene = _with_regions(scene, parts)
+        scene = _widened(_with_regions(scene, parts), parts)
         return _as_many_as_fit(scene, reconstructor)
 
 
@@ -195,6 +195,21 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
         selected=found[0].selected,
         things=found[0].things,
     )
+
+
+def _widened(scene: Scene, parts: Parts) -> Scene:
+    """The scene with what editors have to change around the things, such as shadows."""
+    if scene.regions is None or scene.masks is None:
+        return scene
+    of_tasks = scene.regions.split([len(task.wishes) for task in parts.tasks])
+    regions = torch.cat(
+        [
+            task.editor.widened(own, scene.start.images)
+            for task, own in zip(parts.tasks, of_tasks)
+        ]
+    )
+    wide = torch.maximum(scene.masks, regions.amax(0))
+    return replace(scene, regions=regions, masks=wide)
 
 
 def _narrowed(

@@ -206,7 +206,8 @@ _BRONZE = ((0.24, 0.13, 0.07), (0.62, 0.38, 0.2), (0.98, 0.85, 0.68))
 LOOKS = {
     "night": Look("night midnight moonlight", "dark, pale and blue; lamps do not go on",
                   partial(graded, gamma=1.7, saturation=0.4, gain=_BLUE, lift=0.01)),
-    "sunset": Look("sunset dusk", "warm light", partial(graded, saturation=1.25, contrast=1.08, gain=_WARM)),
+    "sunset": Look("sunset dusk", "warm light",
+                   partial(graded, saturation=1.25, contrast=1.08, gain=_WARM)),
     "autumn": Look("autumn autumnal fall", "green turns orange and red; no leaf falls", autumn),
     "winter": Look("winter wintry frost frosty", "green turns to frost, the rest pale and cold; "
                                                  "no snow falls", winter),

@@ -4,6 +4,7 @@ What another photo sees is carried over by the matched geometry, which no editor
 can do; only what no photo sees is invented, from what surrounds it, by OpenCV's inpainting.
 """
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -34,6 +35,9 @@ NEAR = 0.1
 # confidence above which a depth was measured; filled-in depths bleed over the edges of what is
 # removed
 SURE = 0.5
+SHADOW = 0.75  # share of the light around below which a pixel is in shadow
+MAX_TINT = 0.15  # difference of the channels' shares within a shadow
+DARK = 0.1  # light below which no shadow is told from the ground
 
 
 class RetouchEditor(Editor, ChangesShape, EditsRegions):
@@ -45,10 +49,22 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
             description="measures poses and depth of the photos",
         )
         margin: int = Field(
-            2,
+            1,
             ge=0,
             le=20,
-            description="pixels around the mask that are not trusted as background",
+            description="pixels around what is removed that are not trusted as background",
+        )
+        rim: float = Field(
+            0.008,
+            ge=0,
+            le=0.1,
+            description="how much beyond the mask is removed too [longer sides]",
+        )
+        shadow: float = Field(
+            0.03,
+            ge=0,
+            le=0.3,
+            description="how far from the thing its shadow is removed too [longer sides]",
         )
         radius: float = Field(
             5,
@@ -66,11 +82,25 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
     def wish_of_nothing(self) -> Wish:
         return Wish("remove", Thing("marked"), text="remove what is marked")
 
+    def widened(
+        self,
+        regions: Float[Tensor, "wish batch view height width"],
+        images: Float[Tensor, "batch view 3 height width"],
+    ) -> Float[Tensor, "wish batch view height width"]:
+        """The things with their shadows, and with their rims, where colours are mixed."""
+        longer = max(images.shape[-2:])
+        wide = dilate((regions > 0).to(regions), math.ceil(self.settings.rim * longer))
+        reach = math.ceil(self.settings.shadow * longer)
+        photos = images.expand(len(wide), *images.shape).flatten(0, 2)
+        pairs = zip(wide.flatten(0, 2), photos)
+        shadows = torch.stack([_shadow(mask, photo, reach) for mask, photo in pairs])
+        return torch.maximum(wide, shadows.view_as(wide))
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.masks is None:
             raise PromptError(
-                "editor 'retouch' removes what is marked, and nothing is: click on it (--point X,Y), "
-                "or give --mask FILE for each photo."
+                "editor 'retouch' removes what is marked, and nothing is: click on it "
+                "(--point X,Y), or give --mask FILE for each photo."
             )
         geometry = self._geometry(views)
         scenes = [
@@ -120,6 +150,39 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
                 f"matched: {error}"
             )
             return None
+
+
+def _shadow(
+    mask: Float[Tensor, "height width"],
+    image: Float[Tensor, "3 height width"],
+    reach: int,
+) -> Float[Tensor, "height width"]:
+    """1 for pixels within `reach` that touch the mask's lower half and lie in its shadow.
+
+    Shadow is darker than what lies beyond, alike in all channels. Photos are taken to be upright.
+    """
+    if not mask.any():
+        return mask
+    near = dilate(mask[None], reach)[0] > 0
+    known = torch.where(near, torch.zeros_like(image), image.clamp(min=1e-3))
+    beyond = torch.stack(
+        [torch.from_numpy(_spanned(one.numpy())) for one in known.cpu()]
+    )
+    share = image / beyond.to(image).clamp(min=DARK)
+    grey = share.amax(0) - share.amin(0) < MAX_TINT
+    rows = mask.nonzero()[:, 0]
+    below = torch.arange(len(mask)).to(rows)[:, None] > rows.double().mean()
+    dark = (
+        near
+        & below
+        & grey
+        & (share.amax(0) < SHADOW)
+        & (beyond.amin(0).to(image) > DARK)
+    )
+    joined = ((mask > 0) | dark).cpu().numpy().astype(np.uint8)
+    _, labels = cv2.connectedComponents(joined)
+    touching = np.isin(labels, labels[mask.cpu().numpy() > 0])
+    return torch.from_numpy(touching & dark.cpu().numpy()).to(mask)
 
 
 def behind(

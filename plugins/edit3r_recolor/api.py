@@ -1,9 +1,11 @@
-"""What other plugins may import from this one: region-wise recolouring (section 3.2) and the sets
-it leaves.
+"""What other plugins may import from this one: region-wise recolouring (section 3.2) and its sets.
 
-- `recolored` changes every region of some views by one `RecolorParameters` each; `visible_parameters` draws them.
-- `draw_outline`, `with_outline` and `perturbed` give an edit the faults of a 2D editor (section 4.4).
-- `SceneRecipe`, `RECIPE` and `MASKS` are the description and the places of what `edit3r recolor` wrote.
+- `recolored` changes every region of some views by one `RecolorParameters` each;
+  `visible_parameters` draws them.
+- `draw_outline`, `with_outline` and `perturbed` give an edit the faults of a 2D editor (section
+  4.4).
+- `SceneRecipe`, `RECIPE` and `MASKS` are the description and the places of what `edit3r recolor`
+  wrote.
 """
 
 from edit3r_recolor.folder import MASKS, RECIPE, write_masks

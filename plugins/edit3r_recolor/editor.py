@@ -13,6 +13,7 @@ from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Wish
 from edit3r.errors import PromptError
+from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
     RecolorParameters,
     RecolorRanges,
@@ -20,6 +21,16 @@ from edit3r_recolor.recoloring import (
     sample_parameters,
 )
 from edit3r_recolor.steps import apply_change
+
+METALS = {
+    "gold": (0.86, 0.62, 0.16),
+    "silver": (0.70, 0.72, 0.75),
+    "bronze": (0.67, 0.42, 0.22),
+    "copper": (0.76, 0.45, 0.32),
+    "chrome": (0.66, 0.70, 0.75),
+    "steel": (0.60, 0.63, 0.67),
+}
+"""sRGB in [0, 1] of metals under plain light, between shade and highlight."""
 
 
 class RecolorEditor(Editor, EditsRegions):
@@ -29,20 +40,27 @@ class RecolorEditor(Editor, EditsRegions):
         strength: float = Field(
             1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo"
         )
+        tolerance: float = Field(
+            18,
+            gt=0,
+            le=90,
+            description="how far hues of a thing's one paint are apart [degrees]",
+        )
         ranges: RecolorRanges = Field(
             RecolorRanges(),
             description="how strongly a recolouring without a named colour is sampled",
         )
 
     def understands(self, wish: Wish) -> bool:
-        return wish.action == "paint"
+        stone = any(change.material == "marble" for change in wish.changes)
+        return wish.action == "paint" and not stone
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         wishes = request.read()
         for wish in wishes:
             if not self.understands(wish):
                 raise PromptError(
-                    f"editor 'recolor' changes colours only, not {wish.text!r}."
+                    f"editor 'recolor' changes colours only; it cannot do {wish.text!r}."
                 )
         generator = torch.Generator().manual_seed(request.seed)
         parameters = sample_parameters(generator, self.settings.ranges)
@@ -65,9 +83,19 @@ class RecolorEditor(Editor, EditsRegions):
         wish: Wish,
         parameters: RecolorParameters,
     ) -> Float[Tensor, "view 3 height width"]:
+        settings = self.settings
+        flood = wish.thing.scope == "whole" or "whole" in wish.thing.which
         changed = images
         for change in wish.changes:
-            changed = apply_change(changed, region, change, parameters)
-        return blend_regions(
-            images, changed[None], self.settings.strength * region[None]
-        )
+            if change.kind == "paint":
+                changed = paint(
+                    changed,
+                    region,
+                    METALS.get(change.material, change.colour.rgb),
+                    tolerance=settings.tolerance,
+                    flood=flood,
+                    metal=change.material in METALS,
+                )
+            else:
+                changed = apply_change(changed, change, parameters)
+        return blend_regions(images, changed[None], settings.strength * region[None])

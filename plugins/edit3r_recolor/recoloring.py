@@ -39,11 +39,8 @@ PCA_DIRECTIONS = (
 EPSILON = 1e-6  # added to the sum that overlapping masks are divided by
 
 FAULTS: tuple[Outline, ...] = ("grown", "shrunk", "leaking")
-REACH = (
-    1 / 64
-    # how far a faulty outline moves [longer sides of the image], at least a pixel; leakage twice as
-    # far
-)
+# how far a faulty outline moves [longer sides], at least a pixel; leakage twice as far
+REACH = 1 / 64
 LEAK = 0.5  # largest weight of the edit outside its object
 
 

@@ -37,6 +37,14 @@ class Editor(Configured, ABC):
         """
         return True
 
+    def widened(
+        self,
+        regions: Float[Tensor, "wish batch view height width"],
+        images: Float[Tensor, "batch view 3 height width"],
+    ) -> Float[Tensor, "wish batch view height width"]:
+        """What the editor has to change for things under `regions`, such as their shadows too."""
+        return regions
+
 
 class EditsRegions:
     """An editor that changes the regions of its wishes and nothing else.

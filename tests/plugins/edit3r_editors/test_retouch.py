@@ -11,6 +11,7 @@ from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
 from edit3r.contract.types import EditRequest, Views
 from edit3r.errors import InputError, MatchingError
 from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.geometry.maps import dilate
 from edit3r.reporting import Report, collecting
 
 SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
@@ -170,3 +171,38 @@ def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     assert _error(seen[0].images[0], truth, masks) < 0.02
     with pytest.raises(InputError, match="nothing says which object is meant"):
         edit3r.run(views, editor=editor, recon=Spy())
+
+
+def _ball_on_the_ground() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """An image of a red ball on grey ground with its shadow, the ball's mask, and the shadow's."""
+    row, column = torch.meshgrid(torch.arange(96), torch.arange(96), indexing="ij")
+    ball = (row - 40) ** 2 + (column - 48) ** 2 < 15**2
+    shadow = ((row - 55) / 4) ** 2 + ((column - 48) / 14) ** 2 < 1
+    light = torch.where(shadow, 0.35, 0.7) + 0.02 * torch.sin(0.9 * column)
+    image = light.expand(3, 96, 96).clone()
+    image[:, ball] = torch.tensor([0.8, 0.1, 0.1])[:, None]
+    return image, ball, shadow & ~ball
+
+
+def test_rim_and_shadow_of_the_thing_are_removed_with_it():
+    image, ball, shadow = _ball_on_the_ground()
+    tight = -dilate(-ball.float()[None], 1)
+    editor = RetouchEditor(RetouchEditor.Settings(shadow=0.1), _Known(None))
+    views = Views(image[None, None], torch.eye(3).expand(1, 1, 3, 3))
+    wide = editor.widened(tight[None, None], views.images)[0]
+    assert wide[0, 0][ball].all()
+    assert wide[0, 0][shadow].mean() > 0.95
+    assert wide[0, 0].sum() < 1.4 * (ball | shadow).sum()
+    removed = editor.edit(views, EditRequest("", 0, wide)).images[0, 0]
+    removed = torch.where(wide[0, 0] > 0, removed, image)
+    assert (removed - 0.7).abs().max() < 0.15
+
+
+def test_what_is_dark_by_its_own_colour_is_no_shadow():
+    image, ball, shadow = _ball_on_the_ground()
+    image[:, shadow] = torch.tensor([0.6, 0.3, 0.1])[:, None]
+    settings = RetouchEditor.Settings(rim=0, shadow=0.1)
+    wide = RetouchEditor(settings, _Known(None)).widened(
+        ball.float()[None, None, None], image[None, None]
+    )
+    assert not wide[0, 0, 0][shadow].any()

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from edit3r_model.matched_form import network_grid
 from edit3r_model.small_head import Decisions, EditFusionHead, assemble
-from edit3r_recolor.steps import paint
+from edit3r_recolor.paint import paint
 
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.types import Views

@@ -35,7 +35,7 @@ def halves() -> torch.Tensor:
 def test_pixels_outside_the_region_are_bit_equal():
     regions = torch.zeros(1, 1, 2, HEIGHT, WIDTH)
     regions[..., :5, :] = 1
-    images = edit("paint the bike red", regions)
+    images = edit("paint all of the bike red", regions)
     assert torch.equal(images[..., 5:, :], photos().images[..., 5:, :])
     assert ((images - photos().images).abs().amax(2) > 1e-4)[..., :5, :].all()
 
@@ -76,6 +76,17 @@ def test_scenes_of_a_batch_are_edited_one_by_one():
     both = edit("paint the bike red", views=photos(2))
     single = Views(photos(2).images[1:], photos(2).intrinsics[1:])
     assert torch.equal(both[1:], edit("paint the bike red", views=single))
+
+
+def test_only_the_sentence_that_wants_all_of_it_paints_neutral_parts():
+    images = torch.full((1, 2, 3, HEIGHT, WIDTH), 0.4)
+    images[..., :5, :] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    views = Views(images, torch.eye(3).expand(1, 2, 3, 3))
+    named = edit("paint the bike blue", views=views)
+    assert torch.equal(named[..., 5:, :], images[..., 5:, :])
+    assert ((named - images).abs().amax(2) > 0.1)[..., :5, :].all()
+    flooded = edit("paint all of the bike blue", views=views)
+    assert ((flooded - images).abs().amax(2) > 0.05).all()
 
 
 @pytest.mark.parametrize("prompt", ["", "remove the bike", "turn it into a castle"])

@@ -1,0 +1,193 @@
+"""Paint: a thing's own paint takes another colour; what is neutral on it stays, and so does light.
+
+In OKLab a shadow scales lightness and chroma alike, so that saturation, which is chroma over
+lightness, tells paint from rubber, chrome and glass in light and shade. The paint is measured once
+over all photos of a scene. Each pixel is then changed by its own colour alone: one surface gets one
+colour in every view.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.compute.colour import oklab_to_rgb, rgb_to_oklab
+from edit3r.reporting import say
+
+Images = Float[Tensor, "view 3 height width"]
+Masks = Float[Tensor, "view height width"]
+Pixels = Float[Tensor, "3 1 pixel"]  # OKLab
+Weights = Float[Tensor, "1 pixel"]
+Goal = Float[Tensor, "3 1 1"]  # OKLab of the asked colour
+
+NEUTRAL_CHROMA = 0.02  # a pixel below has no hue
+DARK = 0.2  # lightness below which saturation is mostly noise
+PART_PAINT, ALL_PAINT = 0.35, 0.5  # shares of the paint's saturation
+VIVID = 0.18  # saturation that no stone, fur, skin or leaf has
+FAINT = 0.05  # saturation below which a thing is grey or white
+MIN_SHARE = 0.05  # of the thing, for a colour on it to be its paint
+MIN_COLOUR = 0.4  # share of all chroma on the thing that its paint has
+MAX_BETWEEN = 0.2  # share of the paint that may be half neutral, where it is not vivid
+LIGHTNESS = (0.2, 0.86)  # of the blackest and the whitest paint: shading needs room
+MAX_SLOPE = 1.2  # of new lightness over old
+MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the other
+METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
+DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
+HUE_BINS = 72
+HUE_FALL = 0.5  # of the tolerance, over which membership falls to 0
+
+
+@dataclass(frozen=True)
+class Paint:
+    """The own colour of a thing."""
+
+    hue: float  # [radians]
+    saturation: float  # 0: no clear paint, so all of the thing is painted
+    lightness: float  # median
+    tolerance: float  # largest difference in hue that is wholly this paint [degrees]
+
+
+def paint(
+    images: Images,
+    region: Masks,
+    rgb: tuple[float, float, float],
+    tolerance: float = 18,
+    flood: bool = False,
+    metal: bool = False,
+) -> Images:
+    """Give the paint of the thing under `region` (in [0, 1]) the sRGB colour `rgb` in [0, 1].
+
+    Shading and highlights stay. A thing without a clear colour is painted whole, and any thing is
+    where `flood` is set. `tolerance` is how far hues of one paint are apart [degrees]. `metal`
+    gives it the contrast and the coloured highlights of polished metal.
+    """
+    inside = region > 0
+    if not inside.any():
+        return images
+    old = images.movedim(1, 0)[:, inside][:, None]
+    weights = region[inside][None]
+    lab = rgb_to_oklab(old)
+    goal = rgb_to_oklab(old.new_tensor(rgb)[:, None, None])
+    own = own_paint(lab, weights, tolerance, flood)
+    member = membership(lab, own)
+    if own.saturation:
+        share = float((weights * member).sum() / weights.sum())
+        say(
+            "paint",
+            f"{share:.0%} of the thing is its paint; 'all of it' paints the rest too",
+        )
+    touched = member[0] > 0
+    new = repainted(lab[..., touched], own, goal, metal)
+    weight = member[:, touched]
+    old[..., touched] = torch.lerp(old[..., touched], oklab_to_rgb(new), weight)
+    painted = images.clone()
+    painted.movedim(1, 0)[:, inside] = old[:, 0]
+    return painted
+
+
+def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> Paint:
+    """The commonest hue, weighted by chroma, with its saturation and lightness."""
+    all_of_it = Paint(0, 0, _median(lab, weights), tolerance)
+    if flood:
+        return all_of_it
+    chroma = _chroma(lab)
+    coloured = weights * (chroma - NEUTRAL_CHROMA).clamp(min=0)
+    found = replace(all_of_it, hue=_commonest_hue(lab, coloured, tolerance))
+    near_hue = _near_hue(lab, found)
+    near = weights * near_hue
+    saturation = chroma / lab[0].clamp(min=DARK)
+    powers = (near * saturation**3).sum() / (near * saturation**2).sum().clamp(min=1e-9)
+    found = replace(found, saturation=float(powers))
+    member = membership(lab, found)
+    painted = (weights * member).sum()
+    share = float(painted / weights.sum())
+    between = (weights * 4 * member * (1 - member)).sum() / painted.clamp(min=1e-9)
+    apart = found.saturation >= VIVID or float(between) <= MAX_BETWEEN
+    one_colour = (coloured * near_hue).sum() >= MIN_COLOUR * coloured.sum()
+    clear = share >= MIN_SHARE and found.saturation >= FAINT
+    if not (clear and apart and one_colour):
+        return all_of_it
+    return replace(found, lightness=_median(lab, weights * member))
+
+
+def membership(lab: Pixels, own: Paint) -> Weights:
+    """How much each pixel is of the paint, in [0, 1], by saturation and hue."""
+    if not own.saturation:
+        return torch.ones_like(lab[0])
+    share = _saturation(lab, own) / own.saturation
+    coloured = ((share - PART_PAINT) / (ALL_PAINT - PART_PAINT)).clamp(0, 1)
+    return coloured * _near_hue(lab, own)
+
+
+def repainted(lab: Pixels, own: Paint, goal: Goal, metal: bool = False) -> Pixels:
+    """The pixels as if all were painted: lightness moves to the goal's, chroma follows light.
+
+    Chroma falls with lightness in shade, and fades to white in highlights, on metal later: its
+    highlights have its colour.
+    """
+    end = min(max(float(goal[0]), LIGHTNESS[0]), LIGHTNESS[1])
+    lightness = _polished(lab, own, end) if metal else _moved(lab, own, end)
+    shade = (lightness / end).clamp(max=1)
+    shine = ((1 - lightness) / (1 - end)).clamp(0, 1)
+    chroma = shade * (shine.sqrt() if metal else shine)
+    if own.saturation and not metal:
+        chroma = chroma * (_saturation(lab, own) / own.saturation).clamp(max=1.1)
+    return torch.cat((lightness[None], chroma * goal[1:]))
+
+
+def _moved(lab: Pixels, own: Paint, end: float) -> Weights:
+    """Lightness by a line to either side of the paint's own, which becomes `end`."""
+    start = min(max(own.lightness, 0.05), 0.95)
+    up = min(MAX_SLOPE, (1 - end) / (1 - start))
+    down = min(MAX_SLOPE, end / start)
+    up, down = min(up, MAX_BEND * down), min(down, MAX_BEND * up)
+    beyond = lab[0] - start
+    return end + up * beyond.clamp(min=0) + down * beyond.clamp(max=0)
+
+
+def _polished(lab: Pixels, own: Paint, end: float) -> Weights:
+    """Lightness of polished metal: dark shades and bright highlights, monotone in the old one."""
+    beyond = METAL_CONTRAST * (lab[0] - own.lightness)
+    room = torch.where(beyond > 0, BRIGHTEST - end, end - DARKEST)
+    return end + room * torch.tanh(beyond / room)
+
+
+def _median(lab: Pixels, weights: Weights) -> float:
+    """The lightness that half of the pixels of much weight lie below."""
+    return float(lab[0][weights >= weights.max() / 2].median())
+
+
+def _commonest_hue(lab: Pixels, weights: Weights, tolerance: float) -> float:
+    """The mean hue about the highest place of the smoothed histogram of hues [radians]."""
+    bins = ((_hue(lab) / math.pi + 1) * HUE_BINS / 2).long() % HUE_BINS
+    counts = torch.bincount(
+        bins.flatten(), weights.flatten().double(), minlength=HUE_BINS
+    )
+    smooth = sum(counts.roll(shift) for shift in (-2, -1, 0, 1, 2))
+    peak = (int(smooth.argmax()) + 0.5) * 2 * math.pi / HUE_BINS - math.pi
+    near = weights * _near_hue(lab, Paint(peak, 0, 0, tolerance / 2))
+    return math.atan2(
+        float((near * _hue(lab).sin()).sum()), float((near * _hue(lab).cos()).sum())
+    )
+
+
+def _near_hue(lab: Pixels, own: Paint) -> Weights:
+    """1 up to the paint's tolerance, falling to 0 beyond."""
+    apart = (_hue(lab) - own.hue + math.pi).remainder(2 * math.pi) - math.pi
+    beyond = torch.rad2deg(apart).abs() / own.tolerance - 1
+    return (1 - beyond / HUE_FALL).clamp(0, 1)
+
+
+def _saturation(lab: Pixels, own: Paint) -> Weights:
+    """Chroma over lightness; a highlight adds white, so that the paint's lightness is the most."""
+    return _chroma(lab) / lab[0].clamp(DARK, max(DARK, own.lightness))
+
+
+def _chroma(lab: Pixels) -> Weights:
+    return torch.hypot(lab[1], lab[2])
+
+
+def _hue(lab: Pixels) -> Weights:
+    return torch.atan2(lab[2], lab[1])
