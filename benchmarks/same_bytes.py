@@ -19,9 +19,8 @@ THREADS = (1, 2, 4, 16)
 STAGES = """
 import hashlib, json, sys
 import torch
+import edit3r
 from edit3r.io.images import load_views, packaged_pair
-from edit3r.pipeline.steps import run
-from edit3r.pipeline.config import RunConfig
 from edit3r.selection.select import Selection
 
 def digest(*tensors):
@@ -31,7 +30,8 @@ def digest(*tensors):
 torch.set_num_threads(int(sys.argv[1]))
 photos, cameras = packaged_pair()
 views = load_views(photos, cameras=cameras, size=int(sys.argv[2]))
-result = run(views, RunConfig(prompt="paint it blue"), masks=Selection(positive=((0, 0.5, 0.55),)))
+marked = Selection(positive=((0, 0.5, 0.55),))
+result = edit3r.run(views, "paint it blue", masks=marked)
 gaussians = result.gaussians
 fields = ("means", "scales", "quats", "opacities", "harmonics")
 print(json.dumps({

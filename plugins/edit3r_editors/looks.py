@@ -20,6 +20,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.compute.layers import one_thread
 from edit3r.config import Settings
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.types import EditRequest, Views
@@ -255,6 +256,7 @@ class LooksEditor(Editor, EditsRegions):
             "look", Thing("whole"), look=self.settings.look, text=self.settings.look
         )
 
+    @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
         wishes = (self.wish_of_nothing(),) if self.settings.look else request.read()
         photos = views.images.flatten(0, 1)
