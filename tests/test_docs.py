@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from markdown.extensions.toc import slugify
 
 import edit3r
 from edit3r.contract import hookspecs
@@ -25,6 +26,7 @@ PAGES = {
     path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8")
     for path in sorted(DOCS.rglob("*.md"))
 }
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)]*))?\)")  # target, anchor
 BLOCK = re.compile(r'```python title="([^"]+)"\n(.*?)```', re.DOTALL)
 LOCAL_FILES = {  # page: file, and the components it offers
     "plugins/how-plugins-are-found.md": ("grey.py", [("editor", "grey")]),
@@ -167,15 +169,54 @@ def test_every_figure_in_a_sentence_stands_in_a_table_or_beside_its_command(page
 
 
 def test_links_between_pages_lead_somewhere():
-    for page, text in {**PAGES, **REFERENCE}.items():
-        for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", _without_code(text)):
-            if "://" not in target:
-                resolved = (DOCS / page).parent.joinpath(target).resolve()
-                known = resolved.exists() or (
-                    resolved.is_relative_to(DOCS)
-                    and resolved.relative_to(DOCS).as_posix() in REFERENCE
-                )
-                assert known, f"docs/{page} links to {target}, which is not there"
+    pages = {**PAGES, **REFERENCE}
+    for page, text in pages.items():
+        for target, anchor in LINK.findall(_without_code(text)):
+            if "://" in target:
+                continue
+            resolved = (DOCS / page).parent.joinpath(target).resolve()
+            if not target:
+                resolved = (DOCS / page).resolve()
+            name = str(resolved).removeprefix(f"{DOCS.resolve()}/")
+            assert resolved.exists() or name in pages, (
+                f"docs/{page} links to {target}, which is not there"
+            )
+            assert not anchor or anchor in _anchors(pages[name]), (
+                f"docs/{page} links to {name}#{anchor}, which has no such heading"
+            )
+
+
+def _anchors(text: str) -> set[str]:
+    """What mkdocs calls the headings of a page in its links."""
+    headings = re.findall(r"(?m)^#+ (.+)$", text)
+    return {slugify(re.sub(r"[`*]", "", heading), "-") for heading in headings}
+
+
+LONG_PAGES = {"architecture.md", "verdict.md"}
+"""The map of the code, and what a run's verdict means with its evidence."""
+
+MAX_WORDS = 900
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if "/" not in page and page not in LONG_PAGES]
+)
+def test_a_page_for_users_is_short(page):
+    """What was tried and measured stands in docs/notes; tables and code are not counted."""
+    text = re.sub(r"(?ms)^```.*?^```|<!--.*?-->|^ *\|.*?$", "", PAGES[page])
+    words = len(text.split())
+    assert words <= MAX_WORDS, f"docs/{page} has {words} words; move some to docs/notes"
+
+
+SHIPPED_BINARIES = {".jpg", ".png", ".svg", ".safetensors"}
+
+
+def test_the_notice_names_every_image_and_all_weights_in_the_repository():
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    for folder in ("docs", "edit3r", "edit3r_testing", "plugins", "examples"):
+        for file in (ROOT / folder).rglob("*"):
+            if file.suffix in SHIPPED_BINARIES:
+                assert file.name in notice, f"NOTICE does not name {file}"
 
 
 # ---- what is shown is true ----
