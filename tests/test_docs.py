@@ -121,7 +121,15 @@ def test_every_page_is_in_the_navigation_and_every_entry_exists():
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", "docs/model-card.md", "docs/network.md", "docs/training.md"]
+    "page",
+    [
+        "README.md",
+        "docs/model-card.md",
+        "docs/network.md",
+        "docs/training.md",
+        "docs/notes/network.md",
+        "docs/notes/training.md",
+    ],
 )
 def test_every_table_of_figures_names_the_command_that_makes_it(page):
     """`<!-- figures: COMMAND -->` stands before each table with decimals that are measured, not
