@@ -286,7 +286,7 @@ def claims_part(kind: str, _: str | None) -> str:
     return "\n" + "\n".join(rows) + "\n\n"
 
 
-# ---- the tables of docs/combinations.md ----
+# ---- the tables of docs/combinations.md and docs/notes/combinations.md ----
 
 
 def own_components(kind: str) -> list[Component]:
@@ -336,7 +336,7 @@ def tried(kind: str, component: Component) -> str:
         for row in found["rows"]
         if row.get(key, "").partition(" ")[0] == component.name and "error" not in row
     ]
-    said = ["real photos, below"] if shown else []
+    said = ["real photos"] if shown else []
     for weights in component.weights:
         real = shown and weights.name in found["weights_at_hand"]
         said.append(
@@ -437,7 +437,8 @@ def on_files(files, config):
 
 
 def main() -> None:
-    for path in (*sorted((DOCS / "plugins").glob("*.md")), DOCS / "combinations.md"):
+    tables = (DOCS / "combinations.md", DOCS / "notes" / "combinations.md")
+    for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
     if len(sys.argv) > 1:
