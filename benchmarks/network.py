@@ -1,7 +1,7 @@
 """Time, memory and error of the NoPoSplat network in every precision; regenerates the table in the
 docs.
 
-    python benchmarks/network.py --size full --threads 1 --write docs/network.md
+    python benchmarks/network.py --size full --threads 1 --write docs/notes/network.md
 
 Every mode runs in a fresh process, twice: alone, for its peak memory (loading included), and beside
 the plain eager float32 network, turn by turn, for its time. Times are the processor's, not the
@@ -238,8 +238,8 @@ def _table(rows: list[Row], args: argparse.Namespace) -> str:
         "weights, torch "
         f"{torch.__version__}, {_processor()}; best of {args.repeats}.",
         "",
-        f"<!-- figures: python benchmarks/network.py --size {args.size} --write docs/network.md "
-        "-->",
+        f"<!-- figures: python benchmarks/network.py --size {args.size} "
+        "--write docs/notes/network.md -->",
         "| mode | processor s | plain eager float32, same process, s | faster by | peak memory "
         "of the process | "
         "error of means / opacities / scales / harmonics |",

@@ -160,7 +160,10 @@ NOT_MEASURED = (
 """Decimals that nobody measured: settings and paths, licences, versions, limits."""
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/model-card.md", "docs/network.md"])
+@pytest.mark.parametrize(
+    "page",
+    ["README.md", "docs/model-card.md", "docs/network.md", "docs/notes/network.md"],
+)
 def test_every_figure_in_a_sentence_stands_in_a_table_or_beside_its_command(page):
     text = re.sub(
         r"```.*?```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL
