@@ -338,7 +338,9 @@ def test_options_shown_exist(page):
     )
     for command, help_text in shown:
         helps[command] = helps.get(command, "") + help_text
-    for block in re.findall(r"```(?:sh|bash)?\n(.*?)```", text, re.DOTALL):
+    for language, block in re.findall(r"(?ms)^```(\w*).*?\n(.*?)^```", text):
+        if language not in ("", "sh", "bash"):
+            continue
         for command, rest in re.findall(
             r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE
         ):
