@@ -1,7 +1,7 @@
 """How good a run came out, judged without any truth: does the scene show its own input views?
 
 A scene whose rendering of a photo differs much from that (edited) photo shows other viewpoints no
-better. The thresholds were calibrated on views that no scene had seen; see docs/verdict.md.
+better. The thresholds were calibrated on views that no scene had seen; see docs/notes/verdict.md.
 """
 
 from collections.abc import Sequence
