@@ -236,7 +236,7 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: _Clause) -> _Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    tokens, origin = _origin(tokens)
+    tokens, origin = _origin(_as_told(tokens))
     look = _look(tokens)
     if look is not None:
         clause.action = "look"
@@ -276,6 +276,17 @@ def _read_change(tokens: list[str], clause: _Clause) -> _Clause:
     if clause.unread:
         clause.action = "other"
     return clause
+
+
+def _as_told(tokens: list[str]) -> list[str]:
+    """Read the purple door of "I want a purple door" as "door purple"."""
+    paint = words.read_paint(tokens[1:]) if tokens[0] == "turned" else None
+    if paint is None:
+        return tokens
+    _, length = paint
+    thing = tokens[1 + length :]
+    plain = bool(_content(thing)) and not _changes(thing) and _look(thing) is None
+    return [*thing, *tokens[1 : 1 + length]] if plain else tokens
 
 
 def _only_names(tokens: list[str], clause: _Clause, origin: Colour | None) -> _Clause:

@@ -47,7 +47,7 @@ def read_thing(tokens: list[str]) -> Thing:
             "named",
             name,
             which=tuple(dict.fromkeys((*every, *which, *colours))),
-            of=" ".join(read_thing(of).name.split()) if of else "",
+            of=_named_whole(of),
             part=part,
         )
     pronoun = set(tokens) & (words.PRONOUNS | words.OBJECT)
@@ -56,6 +56,14 @@ def read_thing(tokens: list[str]) -> Thing:
     if set(tokens) & words.WHOLE or part is not None:
         return Thing("whole", part=part)
     return Thing("marked", "it" if pronoun else "", part=part)
+
+
+def _named_whole(tokens: list[str]) -> str:
+    """The words for what a thing is a part of, or is known by: "red jacket"."""
+    if not tokens:
+        return ""
+    whole = read_thing(tokens)
+    return " ".join((*whole.which, *whole.name.split()))
 
 
 def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:

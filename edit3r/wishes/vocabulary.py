@@ -152,6 +152,10 @@ def read_paint(words: list[str]) -> tuple[Change, int] | None:
     if found is None:
         return None
     colour, length = found
+    if words[length : length + 1] and words[length] in MATERIALS:  # "white marble"
+        name = f"{colour.name} {words[length]}"
+        material = MATERIALS[words[length]]
+        return Change("paint", Colour(name, colour.rgb), material=material), length + 1
     return Change("paint", colour), length
 
 
@@ -295,7 +299,7 @@ FILLERS = _words(
     "looks appear let have get set render tone tones hue i we you want would like should can "
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
-    "effect by using his her their there full spray dye tint coat coated give "
+    "effect finish by using his her their there full spray dye tint coat coated give "
     "then by made completely fully entirely "
     "totally wholly were was will replace swap"
 )
@@ -367,6 +371,14 @@ PHRASES = (
         r"\blike (?:it|they) (?:is|are|was|were)(?: all)? made (?:out )?of\b",
         " made of ",
     ),
+    (
+        r"\bas if (?:it|they) (?:is|are|was|were)(?: all)? "
+        r"(?:drawn|painted|sketched|done) (?:with|in|by)\b",
+        " like ",
+    ),
+    (r"\b(trash|garbage|rubbish|tin|soda|beer|oil|watering) can\b", r" \1can "),
+    (r"\bby half\b", " slightly "),
+    (r"\b(?:i|we)(?: would|'d)? (?:want|like|need) an? ", " turned "),
     (r"\bswitch\b", " change "),
     (r"\bnothing (?:but|except)\b", " "),
     (r"\b(?:that|which) (?:is|are)\b", " thatis "),

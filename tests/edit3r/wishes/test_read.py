@@ -32,6 +32,9 @@ PAINT = {
     "make the house a nice warm yellow": "house: yellow",
     "make the motorcycle not red but green": "motorcycle: green",
     "recolour": "it: random colours",
+    "I want a purple door": "door: purple",
+    "give the statue a bronze finish": "statue: bronze",
+    "turn the grey stone into white marble": "grey stone: white marble",
 }
 ADJUST = {
     "make it warmer": "whole: warmth +1",
@@ -42,6 +45,7 @@ ADJUST = {
     "increase the saturation of the wall": "wall: saturation +1",
     "less contrast": "whole: contrast -1",
     "raise the contrast a little": "whole: contrast +0.5",
+    "reduce the saturation by half": "whole: saturation -0.5",
     "a lot brighter": "whole: brightness +1.7",
     "make it more blue": "whole: more blue",
     "make the grass greener": "grass: more green",
@@ -110,6 +114,7 @@ NEGATION = {
 }
 LOOK = {
     "as a pencil sketch": "whole: pencil sketch",
+    "as if it were drawn with charcoal": "it: charcoal",
     "a pencil drawing of the street": "whole: pencil",
     "turn the whole scene into a cartoon": "whole: cartoon",
     "make it look like winter": "whole: winter",
@@ -127,6 +132,8 @@ REMOVE = {
     "make the lamp post disappear": "lamp post: remove",
     "cut the bear out": "bear: remove",
     "remove it": "it: remove",
+    "delete the trash can": "trashcan: remove",
+    "remove the person in the red jacket": "person (red jacket): remove",
 }
 READINGS = {
     **PAINT,
