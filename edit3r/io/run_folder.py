@@ -29,7 +29,9 @@ _PACKAGES = (
     "kornia",
     "scikit-image",
     "scipy",
+    "pycolmap",
     "numba",
+    "llvmlite",
 )
 _SECRET = re.compile(
     r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$",
@@ -150,7 +152,22 @@ def installed_versions() -> dict[str, str]:
             versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
+    commit = _source_commit()
+    if commit:
+        versions["commit"] = commit
     return versions
+
+
+def _source_commit() -> str:
+    """The commit of the checkout that edit3r runs from; "" for an installed package."""
+    git = Path(edit3r.__file__).parents[1] / ".git"
+    try:
+        head = (git / "HEAD").read_text(encoding="ascii").strip()
+        if not head.startswith("ref: "):
+            return head
+        return (git / head.removeprefix("ref: ")).read_text(encoding="ascii").strip()
+    except (OSError, UnicodeError):  # packed away, or no checkout at all
+        return ""
 
 
 def recorded(value: Any, name: str = "") -> Any:

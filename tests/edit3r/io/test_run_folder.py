@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 from pydantic import Field, SecretStr
 
+import edit3r
 from edit3r.config import Settings
 from edit3r.io.images import load_photos
 from edit3r.io.run_folder import (
@@ -111,3 +112,16 @@ def test_manifest_is_strict_json_in_a_stable_order(tmp_path, manifest):
 def test_versions_name_only_what_is_installed():
     versions = installed_versions()
     assert all(isinstance(version, str) and version for version in versions.values())
+
+
+@pytest.mark.parametrize("head", ["ref: refs/heads/main", "0123abcd"])
+def test_the_commit_of_a_checkout_is_told_and_an_installed_package_has_none(
+    head, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(edit3r, "__file__", str(tmp_path / "edit3r" / "__init__.py"))
+    assert "commit" not in installed_versions()
+    branch = tmp_path / ".git" / "refs" / "heads" / "main"
+    branch.parent.mkdir(parents=True)
+    branch.write_text("0123abcd\n")
+    (tmp_path / ".git" / "HEAD").write_text(f"{head}\n")
+    assert installed_versions()["commit"] == "0123abcd"
