@@ -48,6 +48,7 @@ def manifest(tmp_path):
             (1.0, None),
             (0.1, None),
         ),
+        edit_verdict=None,
         gaussians=131072,
         harmonics_degree=0,
         stages=[StageRecord("edit", 1.5, 1.25, 300.0)],
