@@ -224,3 +224,30 @@ def test_a_guess_is_pushed_behind_what_the_neighbour_measured(noise):
     assert (
         push_back(guess, nothing, own, picture, beside, other, nothing) == guess
     ).all()
+
+
+@pytest.mark.parametrize(("before", "stays"), [(1.9, True), (2.1, False), (4.0, False)])
+def test_a_guess_may_stand_two_planes_before_what_the_neighbour_measured(
+    noise, before, stays
+):
+    own, other = raw(0.1), raw(0.1)
+    guess = np.full(SIZE, 0.1 + before * other.step, np.float32)
+    sure, nothing = np.ones(SIZE, bool), np.zeros(SIZE, bool)
+    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
+    pushed = push_back(guess, nothing, own, picture, beside, other, sure)[:, 20:]
+    if stays:
+        assert (pushed == guess[:, 20:]).all()
+    else:
+        assert (pushed <= 0.1 + 2 * other.step + 1e-6).all()
+        assert (pushed > 0.1 + other.step - 1e-6).all()
+
+
+def test_a_guess_is_pushed_before_the_neighbour_s_camera(noise):
+    """The neighbour stands three units ahead, and the reference sees nothing of it."""
+    own, other = raw(0.1), raw(0.1)
+    ahead = Pose(np.eye(3), np.array([0, 0, -3.0]))
+    beside = Neighbour(CalibratedImage(noise, INTRINSICS), ahead)
+    guess, nothing = np.full(SIZE, 0.4, np.float32), np.zeros(SIZE, bool)
+    picture = CalibratedImage(noise, INTRINSICS)
+    pushed = push_back(guess, nothing, own, picture, beside, other, nothing)
+    assert (pushed < 1 / 3).all() and (pushed > 1 / 3 - 1.01 * own.step).all()

@@ -9,6 +9,8 @@ from edit3r_matching.relative_pose import (
     estimate_pose,
     refine,
     sampson_errors,
+    sharp_support,
+    support,
 )
 from edit3r_measure.scene_sources import rotation_degrees
 from scipy.optimize import least_squares
@@ -65,6 +67,33 @@ def test_sampson_error_is_the_distance_moved_off_the_epipolar_line(pose):
     errors = np.abs(sampson_errors(Matches(a, b, FOCAL, CHANCE), pose))
     # The error is shared between the two pictures: at most the shift, at least a good part of it.
     assert (errors <= 1e-4 * FOCAL * 1.001).all() and (errors > 0.3e-4 * FOCAL).all()
+
+
+def test_sampson_error_counts_both_images_alike(pose):
+    """The other way round, with the inverse pose, it is the same."""
+    world = points(200)
+    random = np.random.default_rng(1)
+    a, b = seen(world), seen(pose.apply(world))
+    b[:, :2] += 1e-3 * random.standard_normal((200, 2))
+    b = b * [3, 3, 1]  # a longer lens: its epipolar lines are steeper than those of A
+    errors = sampson_errors(Matches(a, b, FOCAL, CHANCE), pose)
+    back = sampson_errors(Matches(b, a, FOCAL, CHANCE), pose.inverse())
+    assert np.abs(errors).max() > 0
+    assert np.allclose(np.abs(errors), np.abs(back), rtol=1e-6, atol=1e-9)
+
+
+def test_points_behind_either_camera_do_not_count():
+    """B looks back at A from three units ahead; farther points are behind it."""
+    pose = Pose(np.diag([-1.0, 1, -1]), np.array([0.5, 0.2, 3]) / np.hypot(3, 0.5385))
+    length = np.hypot(3, 0.5385)
+    world = points(60) / length
+    world[:30, 2] = np.linspace(1, 2, 30) / length
+    moved = pose.apply(world)
+    between = (world[:, 2] > 0) & (moved[:, 2] > 0)
+    matches = Matches(seen(world), seen(moved), FOCAL, CHANCE)
+    _, inliers = support(matches, pose, threshold=1.0)
+    assert 0 < between.sum() < 60 and (inliers == between).all()
+    assert sharp_support(matches, pose, threshold=1.0) == pytest.approx(between.sum())
 
 
 def test_pose_survives_noise_and_wrong_matches(pose):

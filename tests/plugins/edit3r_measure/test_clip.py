@@ -93,6 +93,16 @@ def test_the_central_square_is_cut_without_stretching():
     assert torch.allclose(square, square[..., :1, :1].expand_as(square))
 
 
+def test_colours_are_normalised_as_clip_was_trained():
+    """As published with CLIP: openai/CLIP, clip/clip.py."""
+    mean = torch.tensor([0.48145466, 0.4578275, 0.40821073])
+    deviation = torch.tensor([0.26862954, 0.26130258, 0.27577711])
+    for colour in (0.0, 1.0):
+        given = central_square(torch.full((1, 3, 40, 56), colour), 32)
+        expected = (colour - mean) / deviation
+        assert torch.allclose(given.mean((0, 2, 3)), expected, atol=1e-5)
+
+
 def test_gradients_reach_the_pictures(similarity, images):
     images.requires_grad_()
     similarity(images, ["a red bike"]).sum().backward()

@@ -110,3 +110,24 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     bark = torch.full((3, 4, 4), 0.7)
     assert torch.equal(fused(bark), bark)
     assert torch.allclose(fused(hole), green, atol=1e-6)
+
+
+def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_edit():
+    """The reference is edited on its left alone; all of the choice is its colour, warped."""
+    photo = torch.full((3, 4, 24), 0.3)
+    edited = photo.clone()
+    edited[..., :12] += 0.4
+    maps = torch.zeros(1, 2, 12, 4, 24)
+    maps[:, 1, 9:] = 0.2  # the carried change of each channel, everywhere
+    choice = torch.zeros(1, 2, 3, 4, 24)
+    choice[:, 1, 2] = 1
+    none = torch.zeros(1, 2, 4, 24)
+    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
+    decisions = Decisions(none[:, :, None].expand_as(choice), same, maps, choice)
+    places = pixel_grid((4, 24), photo).expand(1, 2, -1, -1, -1)
+    matches = Correspondences(places, torch.ones_like(none), none)
+    source = torch.stack((photo, photo))[None]
+    views = EditedViews.of(torch.stack((edited, photo))[None], source, same, matches)
+    fused = fuse_colours(views, decisions, torch.ones_like(none))[0, 1]
+    assert torch.allclose(fused[..., :8], edited[..., :8], atol=1e-5)
+    assert torch.allclose(fused[..., 18:], photo[..., 18:] + 0.2, atol=1e-5)

@@ -272,6 +272,22 @@ def test_switching_fusion_off_shows_every_view_s_own_edit():
     assert torch.allclose(colours, edited.images[0], atol=1e-6)
 
 
+def test_centres_move_the_correction_of_depth_and_colours_do_not():
+    """Colours look at the corrected depth without a say in it."""
+    edited, source = contradicting(), views_of()
+    geometry = TrueGeometry().match(source)
+    strength = {}
+    for repair, name in ((1.0, "means"), (0.0, "harmonics")):
+        recon = reconstructor(head={"depth_repair": repair})
+        recon.network.train()
+        gaussians = recon.from_geometry(edited, source, geometry).gaussians
+        getattr(gaussians, name).square().sum().backward()
+        # The first third of the channels is depth's.
+        corrections = recon.network.head.corrections.weight.grad
+        strength[name] = float(corrections[: len(corrections) // 3].abs().max())
+    assert strength["means"] > 0 and strength["harmonics"] == 0
+
+
 def test_points_lie_at_the_matched_depth_in_the_matcher_s_unit(shipped):
     views, pixels = views_of(), SIZE[0] * SIZE[1]
     own = shipped(views, views).gaussians

@@ -103,6 +103,29 @@ def test_numba_gradients_agree_with_the_reference(numba, reference, degree):
         assert ((found[name] - gradient).abs() <= allowed).all(), name
 
 
+@pytest.mark.parametrize("x, y", [(2.4, 0.1), (-2.4, 0.1), (0.1, 2.0), (0.1, -2.0)])
+def test_gradients_of_a_gaussian_beyond_one_border_only(numba, reference, x, y):
+    """There one tangent of the Jacobian is clamped, and the other one still moves it."""
+    scene = one(means=[x, y, 2.0], scales=[0.9, 0.5, 0.7], quats=[0.9, 0.2, 0.3, 0.1])
+    assert_gradients_agree(numba, reference, scene)
+
+
+def test_no_gradient_passes_the_cap_of_alpha(numba, reference):
+    """In its middle alpha is held at the cap, whatever opacity and shape are."""
+    scene = one(opacities=1.0, scales=[0.4, 0.2, 0.3], quats=[0.9, 0.2, 0.3, 0.1])
+    assert_gradients_agree(numba, reference, scene)
+
+
+def assert_gradients_agree(numba, reference, scene) -> None:
+    background, views = torch.tensor([0.2, 0.5, 0.8]), cameras((33, 47))
+    exact = scene.to(torch.float64), views.to(torch.float64)
+    truth = gradients(reference, *exact, background)
+    found = gradients(numba, scene, views, background)
+    assert truth["means"].abs().max() > 0
+    for name, gradient in truth.items():
+        assert (found[name] - gradient).abs().max() <= 1e-3 * gradient.abs().max(), name
+
+
 def test_reference_gradients_agree_with_finite_differences(reference):
     scene, views = (
         cloud(3, degree=1, dtype=torch.float64),

@@ -2,7 +2,12 @@
 
 import pytest
 import torch
-from edit3r_refiners.importance import drop_unneeded_harmonics
+from edit3r_refiners.importance import (
+    PATH_REDUCTION,
+    PATH_WIDENING,
+    drop_unneeded_harmonics,
+    visible_weight,
+)
 from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
@@ -53,6 +58,20 @@ def test_bands_go_where_no_pixel_changes_by_a_step_of_eight_bits(
     assert fewer.degree == left
     before, after = (rasterizer.render(g, cameras).images for g in (coloured, fewer))
     assert float((before - after).abs().amax()) <= STEP
+
+
+def test_a_pixel_of_a_smaller_and_wider_image_counts_as_the_pixels_it_stands_for():
+    gaussians, cameras, _ = textured()
+
+    class OnePixelEach:
+        """Every Gaussian fills one pixel of whatever is looked at."""
+
+        def contributions(self, gaussians, cameras):
+            return torch.ones(1, gaussians.count)
+
+    weight = visible_weight(gaussians, cameras, OnePixelEach())
+    across = PATH_REDUCTION * PATH_WIDENING
+    assert torch.allclose(weight, torch.full_like(weight, across**2))
 
 
 def test_one_gaussian_that_shines_to_one_side_keeps_its_bands(rasterizer):

@@ -138,6 +138,15 @@ def test_a_step_in_depth_is_never_bridged_at_any_price():
     assert (group >= 0).float().mean() > 0.8
 
 
+def test_a_step_that_hardly_moves_between_the_views_may_be_bridged():
+    depths = torch.full((1, 8, 8), 2.0)
+    depths[:, :, 3:] = 4.0
+    cells = measured(torch.full((1, 3, 8, 8), 0.5), depths, parallax=0.5)
+    group = partition(cells, 1e6)
+    near = depths.flatten() == 2
+    assert set(group[near].tolist()) & set(group[~near & (group >= 0)].tolist())
+
+
 def test_a_slanted_plane_is_one_cell():
     rows, columns = torch.meshgrid(torch.arange(8.0), torch.arange(8.0), indexing="ij")
     cells = measured(

@@ -139,6 +139,19 @@ def test_a_step_averages_the_gradients_of_its_batches_and_takes_new_ones(
     )  # the weights began at 0
 
 
+def test_weights_decay_by_their_share_of_the_rate(tmp_path, monkeypatch):
+    """AdamW: each step takes off rate x decay of the weight, besides what the gradient does."""
+    ends = []
+    for decay in (0.0, 0.5):
+        recipe, rates, _ = _trained(
+            tmp_path, monkeypatch, steps=2, lr=0.1, weight_decay=decay
+        )
+        ends.append(recipe.network["new"].weight.item())
+    first, second = (rate[0] for rate in rates)
+    # The weight begins at 0, and Adam's first step is the rate itself.
+    assert ends[0] - ends[1] == pytest.approx(second * 0.5 * first, rel=1e-3)
+
+
 def test_pretrained_weights_learn_at_their_share_of_the_rate(tmp_path, monkeypatch):
     _, rates, _ = _trained(
         tmp_path, monkeypatch, steps=2, lr=0.01, pretrained=["old"], pretrained_rate=0.1

@@ -1,9 +1,11 @@
 import sys
+from types import SimpleNamespace
 
 import pytest
 import torch
 from edit3r_training.losses import (
     CenterLoss,
+    ClipLoss,
     GeometryLoss,
     MseLoss,
     PointsLoss,
@@ -49,6 +51,16 @@ def test_center_is_linear_far_from_the_reference():
     )
 
 
+@pytest.mark.parametrize(("beta", "value"), [(0.1, 0.45), (1.0, 0.125), (4.0, 1 / 32)])
+def test_beta_is_the_distance_at_which_the_square_of_centres_turns_linear(beta, value):
+    """Below beta d^2 / (2 beta), above it d - beta / 2; here d = 0.5."""
+    reference = _gaussians(torch.zeros(1, 4, 3), [0, 0, 1, 1])
+    moved = _gaussians(torch.full((1, 4, 3), 0.5), [0, 0, 1, 1])
+    loss = CenterLoss(CenterLoss.Settings(beta=beta))
+    inputs = LossInputs(gaussians=moved, reference=reference)
+    assert float(loss(inputs)) == pytest.approx(value)
+
+
 def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
     torch.manual_seed(0)
     reference = torch.rand(1, 100, 3) + 1
@@ -89,6 +101,15 @@ def test_geometry_divides_by_views_times_views_less_one():
     assert float(
         pairwise_chamfer(means, [torch.tensor([i]) for i in range(3)])
     ) == pytest.approx(2)
+
+
+def test_geometry_of_the_reference_itself_is_worth_nothing():
+    """Views do not show quite the same surface; that distance is taken off."""
+    loss = GeometryLoss(GeometryLoss.Settings(samples=8))
+    means = torch.tensor([[[0.0, 0, 0], [1, 1.5, 0], [0, 3, 0], [4, 0, 1]]])
+    truth = _gaussians(means, [0, 0, 1, 1])
+    assert float(loss(LossInputs(gaussians=truth))) > 1
+    assert float(loss(LossInputs(gaussians=truth, reference=truth))) == 0
 
 
 def test_geometry_has_the_same_gradient_with_and_without_a_reference():
@@ -143,6 +164,30 @@ def install_lpips(tmp_path, monkeypatch):
 
     yield install
     sys.modules.pop("lpips", None)
+
+
+def test_clip_is_given_images_normalised_as_it_was_trained(monkeypatch):
+    seen = []
+
+    class Clip:
+        config = SimpleNamespace(image_size=8)
+
+        def to(self, device):
+            return self
+
+        def __call__(self, pixel_values):
+            seen.append(pixel_values)
+            return SimpleNamespace(image_embeds=pixel_values.flatten(1))
+
+    monkeypatch.setattr("edit3r_training.losses._frozen_clip", lambda name: Clip())
+    black, white = torch.zeros(1, 1, 3, 8, 8), torch.ones(1, 1, 3, 8, 8)
+    ClipLoss(ClipLoss.Settings())(LossInputs(rendered=black, target=white))
+    # As published with CLIP: openai/CLIP, clip/clip.py.
+    mean = torch.tensor([0.48145466, 0.4578275, 0.40821073])
+    deviation = torch.tensor([0.26862954, 0.26130258, 0.27577711])
+    for given, colour in zip(seen, (0, 1)):
+        expected = (colour - mean) / deviation
+        assert torch.allclose(given.mean((0, 2, 3)), expected, atol=1e-5)
 
 
 def test_pictures_are_handed_over_in_the_range_lpips_expects_and_averaged(

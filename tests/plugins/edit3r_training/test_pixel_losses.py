@@ -1,10 +1,17 @@
+import math
 from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_training.pixel_losses import pixel_maps
+from edit3r_training.batches import TrainingBatch
+from edit3r_training.pixel_losses import (
+    PixelMaps,
+    colour_error,
+    depth_error,
+    pixel_maps,
+)
 
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import SettingsError
 from edit3r.geometry.harmonics import colour_to_dc
 
@@ -68,3 +75,38 @@ def test_depths_are_those_in_the_predicted_cameras_or_else_in_the_true_ones():
     )
     placed = pixel_maps(replace(answer, cameras=moved(3)), moved(10)).depths
     assert torch.equal(placed[:, 1], own[:, 1] + 3)
+
+
+def _batch(source: Views, truth: torch.Tensor, depths: torch.Tensor) -> TrainingBatch:
+    cameras = CAMERAS.select([0])
+    return TrainingBatch(
+        source=source,
+        edited=source,
+        truth=truth,
+        target=truth[:, :0],
+        context_cameras=CAMERAS,
+        target_cameras=cameras,
+        depths=depths,
+        geometry=None,
+    )
+
+
+@pytest.mark.parametrize(("off", "error"), [(0.02, 0.004), (0.3, 0.275)])
+def test_a_colour_error_is_squared_up_to_a_twentieth_and_linear_beyond(off, error):
+    """Below 0.05 d^2 / 0.1, above it d - 0.025; nothing was edited: twice the mean alone."""
+    images = torch.full((1, VIEWS, 3, HEIGHT, WIDTH), 0.5)
+    maps = PixelMaps(images + off, torch.ones(1, VIEWS, HEIGHT, WIDTH), images[:, :, 0])
+    source = Views(images, CAMERAS.intrinsics)
+    value = colour_error(maps, _batch(source, images, maps.depths))
+    assert float(value) == pytest.approx(2 * error, rel=1e-4)
+
+
+@pytest.mark.parametrize(("off", "error"), [(0.012, 0.0024), (0.3, 0.285)])
+def test_a_depth_error_is_squared_up_to_three_percent_and_linear_beyond(off, error):
+    """Of log depth: below 0.03 d^2 / 0.06, above it d - 0.015; an even error has no slope."""
+    images = torch.full((1, VIEWS, 3, HEIGHT, WIDTH), 0.5)
+    depths = torch.full((1, VIEWS, HEIGHT, WIDTH), 2.0)
+    maps = PixelMaps(images, depths * math.exp(off), images[:, :, 0])
+    source = Views(images, CAMERAS.intrinsics)
+    value = depth_error(maps, _batch(source, images, depths))
+    assert float(value) == pytest.approx(error, rel=1e-3)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from edit3r_measure.bench_item import evaluation_cameras
 from edit3r_measure.bench_manifest import ItemRecord, LoadedItem
 from edit3r_measure.bench_metrics import (
     BY_REGION,
@@ -153,6 +154,18 @@ def test_disagreement_of_the_2d_edits_stands_beside_what_is_left_of_it(item):
     found = measured(item, images, edited)
     assert found["consistency-2d"] == pytest.approx(0.06, abs=1e-4)
     assert found["consistency-warped"] == pytest.approx(0.02, abs=1e-4)
+
+
+def test_held_back_cameras_stand_in_the_unit_of_the_predicted_ones(item):
+    """The method placed the inputs half as far apart as they are."""
+    record = item.record.model_copy(update={"held_back": (1, 2)})
+    true = item.cameras
+    inputs = true.select(range(2))
+    predicted = replace(inputs, c2w=inputs.c2w.clone())
+    predicted.c2w[..., :3, 3] *= 0.5
+    found = evaluation_cameras(replace(item, record=record), predicted)
+    assert torch.equal(found.c2w[:, :2], predicted.c2w)
+    assert torch.allclose(found.c2w[:, 2:, :3, 3], 0.5 * true.c2w[:, 2:, :3, 3])
 
 
 def test_order_change_is_the_mean_difference_of_what_does_not_depend_on_it(item):
