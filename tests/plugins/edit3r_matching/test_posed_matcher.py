@@ -8,6 +8,7 @@ import torch
 import edit3r
 from edit3r.contract.interfaces import Matcher
 from edit3r.errors import MatchingError
+from edit3r_testing import Contract, MatcherContract, claims, contract_for
 from edit3r_testing.scenes import photograph
 
 
@@ -50,3 +51,23 @@ def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
     )  # turned about the optical axis
     with pytest.raises(MatchingError, match="known poses"):
         matcher.match(replace(views, c2w=away))
+
+
+class PosedContract(MatcherContract):
+    """Its photos come with their poses."""
+
+    component = "posed"
+
+    def scene(self, *args, **given):
+        scene = super().scene(*args, **given)
+        return replace(scene, views=replace(scene.views, c2w=scene.cameras.c2w))
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(MatcherContract)} - {*claims(Contract)})
+)
+@pytest.mark.parametrize(
+    "contract", [PosedContract, contract_for("matcher", "auto")], ids=["posed", "auto"]
+)
+def test_contract(contract, claim):
+    getattr(contract(), claim)()

@@ -9,6 +9,7 @@ from edit3r_measure.features import ClipSimilarity, central_square, direction_si
 import edit3r
 from edit3r.contract.interfaces import LossInputs
 from edit3r.errors import MissingDependencyError
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 transformers = pytest.importorskip("transformers")
 
@@ -130,6 +131,13 @@ def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
     assert 0 < value.item() <= 2
     step = rendered.detach() - 1e-2 * gradient / gradient.norm()
     assert loss(LossInputs(rendered=step, target=target)) < value
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["loss"])} - {*claims(Contract)})
+)
+def test_the_clip_loss_keeps_the_contract(folder, claim):
+    getattr(contract_for("loss", "clip", model=str(folder))(), claim)()
 
 
 class TwoAxes:

@@ -17,6 +17,7 @@ import edit3r
 from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.types import Gaussians
 from edit3r.errors import MissingDependencyError, SettingsError
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 
 def _gaussians(means: torch.Tensor, views: list[int]) -> Gaussians:
@@ -202,6 +203,14 @@ def test_pictures_are_handed_over_in_the_range_lpips_expects_and_averaged(
     assert (
         edit3r.build("loss", "lpips")(LossInputs(rendered=target, target=target)) == 0
     )
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["loss"])} - {*claims(Contract)})
+)
+def test_lpips_keeps_the_contract(install_lpips, claim):
+    install_lpips("")
+    getattr(contract_for("loss", "lpips")(), claim)()
 
 
 def test_a_backbone_that_cannot_be_downloaded_is_a_sentence(install_lpips):

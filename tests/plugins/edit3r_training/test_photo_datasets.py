@@ -22,6 +22,7 @@ from PIL import Image
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import invert_rigid, project, unproject
 from edit3r.reporting import Report, collecting
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 VIEWS = 5
 SCENE = ProceduralDataset(
@@ -341,3 +342,15 @@ def test_a_photo_without_its_editor_s_image_is_named(tmp_path):
     with collecting(report), pytest.raises(InputError):
         _transforms(tmp_path / "photos", edits=str(tmp_path / "edits"))[0]
     assert "no edited image" in report.warnings[0]
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["dataset"])} - {*claims(Contract)})
+)
+@pytest.mark.parametrize("name", ["transforms", "re10k"])
+def test_contract(tmp_path, name, claim):
+    _write_transforms(tmp_path / "a")
+    torch.save([_chunk_scene()], tmp_path / "0.torch")
+    own = {"angles": (4, 30)} if name == "transforms" else {"gap": (2, 3)}
+    given = {"root": str(tmp_path), "image_size": 64, "targets": 1, **own}
+    getattr(contract_for("dataset", name, **given)(), claim)()
