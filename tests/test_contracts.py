@@ -5,6 +5,7 @@ of them; it is named here with the reason, so that nothing is left out in silenc
 """
 
 from functools import cache
+from pathlib import Path
 
 import pytest
 
@@ -79,6 +80,37 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
 }
 """Only claims about the declaration are tried here; the others in the component's own tests."""
 
+PLUGIN_TESTS = Path(__file__).with_name("plugins")
+
+TRIED_IN: dict[tuple[str, ...], str] = {
+    ("command",): "edit3r_editors/test_command.py",
+    ("folder",): "edit3r_editors/test_folder.py",
+    (
+        "controlnet-depth",
+        "diffusers",
+        "flux-kontext",
+        "flux2-klein",
+        "instruct-pix2pix",
+        "longcat-image-edit",
+        "qwen-image-edit",
+    ): "edit3r_diffusers/test_contract.py",
+    ("gemini-image", "gpt-image"): "edit3r_remote/test_contract.py",
+    ("sam2", "sam3", "grounding-dino"): "edit3r_segmenters/test_contract.py",
+    (
+        "editsplat",
+        "gaussctrl",
+        "instruct-nerf2nerf",
+        "refit",
+    ): "edit3r_optimisers/test_methods.py",
+    ("auto", "posed"): "edit3r_matching/test_posed_matcher.py",
+    ("da3",): "edit3r_matching/test_depth_anything_3.py",
+    ("clip",): "edit3r_measure/test_clip.py",
+    ("lpips",): "edit3r_training/test_losses.py",
+    ("re10k", "transforms"): "edit3r_training/test_photo_datasets.py",
+    ("recolor",): "edit3r_training/test_recolor_trainer.py",
+}
+"""Where the whole contract of those is tried that are left out here."""
+
 
 @cache
 def bound(offer: Offer) -> type[Contract]:
@@ -100,13 +132,29 @@ def cases():
             )
 
 
+def is_left_out(offer: Offer) -> bool:
+    key = offer.kind, offer.component.name
+    return offer.component.needs_network or key in DECLARATION_ONLY
+
+
+def own_tests(offer: Offer) -> Path:
+    """The file of the component's own tests that tries the whole contract on it."""
+    name = offer.component.name
+    return PLUGIN_TESTS / TRIED_IN[next(key for key in TRIED_IN if name in key)]
+
+
 @pytest.mark.parametrize("offer, claim", cases())
 def test_contract(offer: Offer, claim: str):
     alone = "needs the network" if offer.component.needs_network else ""
     reason = DECLARATION_ONLY.get((offer.kind, offer.component.name), alone)
     if reason and claim not in claims(Contract):
-        pytest.skip(f"{reason}: tried by its own tests")
+        pytest.skip(f"{reason}: tried in {own_tests(offer).name}")
     getattr(bound(offer)(), claim)()
+
+
+def test_what_is_left_out_here_is_tried_by_its_own_plugin():
+    for offer in filter(is_left_out, default_registry().offers()):
+        assert "Contract" in own_tests(offer).read_text(), offer.qualified_name
 
 
 def test_every_plugin_of_the_installation_loads():

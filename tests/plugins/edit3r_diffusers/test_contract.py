@@ -19,6 +19,13 @@ def contracts(tiny):
         "flux-kontext": {"model": str(tiny.flux_kontext()), **cheap},
         "flux2-klein": {"model": str(tiny.flux2_klein()), **cheap, "resolution": 96},
         "controlnet-depth": {"model": str(tiny.stable_diffusion()), **depth, **cheap},
+        "qwen-image-edit": {"model": str(tiny.qwen_image_edit()), **cheap},
+        "longcat-image-edit": {"model": str(tiny.longcat_image_edit()), **cheap},
+        "diffusers": {
+            "model": str(tiny.instruct_pix2pix()),
+            "pipeline": "StableDiffusionInstructPix2PixPipeline",
+            **cheap,
+        },
     }
     bound = {
         name: contract_for("editor", name, **chosen)
@@ -34,7 +41,16 @@ def contracts(tiny):
     "claim", sorted({*claims(CONTRACTS["editor"])} - {*claims(Contract)})
 )
 @pytest.mark.parametrize(
-    "editor", ["instruct-pix2pix", "flux-kontext", "flux2-klein", "controlnet-depth"]
+    "editor",
+    [
+        "instruct-pix2pix",
+        "flux-kontext",
+        "flux2-klein",
+        "controlnet-depth",
+        "qwen-image-edit",
+        "longcat-image-edit",
+        "diffusers",
+    ],
 )
 def test_contract(contracts, editor, claim):
     getattr(contracts[editor](), claim)()

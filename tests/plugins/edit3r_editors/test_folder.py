@@ -8,6 +8,7 @@ from edit3r.errors import InputError, SettingsError
 from edit3r.io.images import save_image
 from edit3r.plugins.registry import build
 from edit3r.reporting import Report, collecting
+from edit3r_testing import Contract, EditorContract, claims
 
 VIEWS = Views(
     torch.rand(1, 2, 3, 6, 8), torch.eye(3).expand(1, 2, 3, 3), ("left", "right")
@@ -104,3 +105,30 @@ def test_a_folder_must_be_given_and_exist(path, error):
 def test_an_empty_folder_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no images"):
         edit(tmp_path)
+
+
+class FolderContract(EditorContract):
+    """The folder holds an image for each photo that is asked for."""
+
+    component = "folder"
+
+    def edit(self, views, masks=None):
+        for old in Path(self.settings["path"]).iterdir():
+            old.unlink()
+        for index, image in enumerate(views.images[0]):
+            name = views.names[index] if views.names else str(index)
+            save_image(1 - image, Path(self.settings["path"]) / f"{name}.png")
+        return super().edit(views, masks)
+
+    def test_any_number_of_views_and_scenes(self) -> None:
+        """Of views alone: a folder holds the images of one scene."""
+        for count in (1, 3, 5):
+            self.edit(self.views(count))
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(EditorContract)} - {*claims(Contract)})
+)
+def test_contract(tmp_path, claim):
+    contract = type("Bound", (FolderContract,), {"settings": {"path": str(tmp_path)}})
+    getattr(contract(), claim)()

@@ -97,6 +97,14 @@ def test_probabilities_are_kept_over_many_samples():
     assert len({p.permutation for p in drawn}) == 6
 
 
+def test_lighting_varies_most_along_the_first_direction():
+    """The rows are the directions, as ImageNet's colours have them: nearly grey comes first."""
+    offsets = np.array([sample(seed).lighting for seed in range(200)])
+    _, sizes, axes = np.linalg.svd(offsets, full_matrices=False)
+    assert abs(axes[0] @ np.array(PCA_DIRECTIONS[0])) > 0.999
+    assert sizes[0] > 5 * sizes[1]
+
+
 def test_lighting_directions_are_orthonormal():
     directions = torch.tensor(PCA_DIRECTIONS, dtype=torch.float64)
     assert torch.allclose(
