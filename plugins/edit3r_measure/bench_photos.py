@@ -237,6 +237,7 @@ class PhotoBuild:
         """Return in what this benchmark was not built as the paper says (its section 3.5)."""
         scenes = len(self.scenes)
         unmasked = sum(item.type in LOCAL and not item.masks for item in items)
+        unmasked_adds = sum(item.type == "Add" and not item.masks for item in items)
         unvetted = sum(edit.verdict != "keep" for edit in edits)
         blind = self.model is not None and not self.options.llm_photos
         by_hand = "detector" not in self.parts
@@ -247,6 +248,9 @@ class PhotoBuild:
             "the language model was shown no photo": blind,
             f"{unvetted} edits are kept by no person": unvetted > 0,
             f"{unmasked} local edits have no masks": unmasked > 0,
+            f"{unmasked_adds} edits that add something have no masks": unmasked_adds
+            > 0,
+            "scenes are drawn without a balance of indoor and outdoor": True,
         }
         return [sentence for sentence, holds in said.items() if holds]
 

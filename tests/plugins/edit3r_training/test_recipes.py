@@ -5,6 +5,7 @@ by setting.
 import importlib
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from edit3r_training.asymmetric_inputs import REGIMES
 from edit3r_training.job import TrainingConfig, prepare
 from edit3r_training.loop import parameter_groups
 from edit3r_training.processes import Processes
@@ -25,6 +27,7 @@ from edit3r.config import (
     find_config,
     make_settings,
     merge,
+    parse_assignments,
     read_yaml,
 )
 from edit3r.plugins.registry import build, default_registry
@@ -303,6 +306,61 @@ def test_a_full_recipe_trains_a_small_network(name, tmp_path):
         "backbone.intrinsics_embed",
         "head.attributes",
     }  # what MASt3R does not have
+
+
+ABLATION = re.compile(
+    r"^#   ([a-z0-9-]+): +(?:edit3r train training/edit3r-paper|\.\.\.)(.*)$", re.M
+)
+ABLATIONS = dict(ABLATION.findall(find_config("bench/training-ablation").read_text()))
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_the_documented_command_of_an_ablation_trains(name, tmp_path):
+    """As written in the benchmark's configuration, two steps at a small size."""
+    given = [word for word in shlex.split(ABLATIONS[name]) if word != "--set"]
+    values = merge(
+        read_yaml(find_config("training/edit3r-paper")), parse_assignments(given)
+    )
+    data = {"name": "procedural", "image_size": 32, "scenes": 2, "targets": 1}
+    data["textures"] = 8
+    network = {"weights": "random", **SMALL}
+    small = {
+        "trainer": {"steps": 2, "batch": 1, "accumulate": 1, "device": "cpu"},
+        "reconstructor": network,
+        "reference": network,
+        "rasterizer": "torch",
+    }
+    values = merge(values, small)
+    values |= {"train_data": data, "validation_data": data, "out": str(tmp_path)}
+    for needs_weights in ("clip", "lpips"):
+        del values["losses"][needs_weights]
+    trainer, job = prepare(values, default_registry())
+    shares = trainer.settings.regimes
+    drawn = {regime for regime in REGIMES if getattr(shares, regime) > 0}
+    expected = "viewwise" if name == "without-recolor" else "reference"
+    assert drawn == {expected}
+    assert (trainer.train(job) / "weights.safetensors").is_file()
+
+
+@pytest.mark.parametrize(
+    "name",
+    sorted(
+        file.stem for file in find_config("training/ablations/full").parent.glob("*")
+    ),
+)
+def test_a_small_ablation_trains(name, tmp_path):
+    chosen = _options(
+        *QUICK, *DATA, "train_data.image_size=32", "validation_data.image_size=32"
+    )
+    command = ["train", f"training/ablations/{name}", "--out", str(tmp_path / "out")]
+    assert main([*command, *chosen]) == 0
+
+
+def test_the_first_stage_is_regularised_as_published():
+    """NoPoSplat: dropout before the attributes' last layer, and no averaged weights."""
+    values = read_yaml(find_config("training/noposplat"))
+    assert values["reconstructor"]["head"]["dropout"] == 0.1
+    assert values["trainer"]["average"] == 0
 
 
 def test_half_precision_leaves_weights_and_losses_in_float32(tmp_path):
