@@ -42,7 +42,7 @@ def near_an_edit(
 @torch.no_grad()
 def edits_conflict(views: EditedViews, disagree: Maps) -> Maps:
     """Return where a view's Gaussians should give way to the reference's: 1, falling to 0; the
-    paper's figure 5.
+    paper's figure 4.
 
     That is where the edits `disagree`, the view or the reference is edited, and the reference shows
     the same surface, so that no hole is left: at its depth or in front of it, or behind it in the

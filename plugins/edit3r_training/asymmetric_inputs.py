@@ -1,7 +1,7 @@
 """Which views a training step edits, and what every view should then show: the paper's asymmetric
 inputs.
 
-The truth is always the reference view's edit applied to all views (section 3.3: "one recolored
+The truth is always the reference view's edit applied to all views (section 3.1: "one recolored
 image and another original image"). Other regimes give the other views an edit of their own, as
 editors do that disagree with themselves.
 """

@@ -242,7 +242,7 @@ class RecolorRecipe(Recipe):
     ) -> dict[str, Tensor]:
         """The job's losses of rendered views.
 
-        First-view drop (section 3.3): now and then without the reference's Gaussians, so that the
+        First-view drop (section 4.4): now and then without the reference's Gaussians, so that the
         others have to show the edit; the reference's own view cannot be asked for then.
         """
         chosen = self.settings

@@ -28,6 +28,15 @@ def test_settings_without_a_name_keep_the_default_component():
     }
 
 
+def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():
+    config = make_run_config({"gaussians": 5000}, {"max_gaussians": 100})
+    first = config.all_refiners()[0]
+    assert first.settings["gaussians"] == 5000
+    assert first.settings["max_gaussians"] == 100
+    whole = make_run_config({"gaussians": "all", "max_gaussians": 100})
+    assert whole.all_refiners()[0].settings["max_gaussians"] == 100
+
+
 @pytest.mark.parametrize(
     ("layer", "said"),
     [

@@ -361,7 +361,7 @@ def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
         "not found by a detector",
         "templates",
         "10 edits are kept by no person",
-        "2 edits that add something have no masks",
+        "4 edits that add something have no masks",
         "scenes are drawn without a balance of indoor and outdoor",
     ):
         assert f"not as the paper: {words}" in said.replace(

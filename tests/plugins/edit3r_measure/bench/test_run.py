@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from edit3r_measure import bench_run
-from edit3r_measure.bench_method import Method
+from edit3r_measure.bench_method import Method, read_methods
 from edit3r_measure.bench_options import RunOptions
 from edit3r_measure.bench_report import read_columns, summary_of
 from edit3r_measure.bench_run import (
@@ -27,8 +27,10 @@ from edit3r_measure.bench_run import (
 from edit3r_measure.report import alone_in
 
 import edit3r
+from edit3r.config import find_config, read_yaml
 from edit3r.errors import InputError
 from edit3r.io.images import packaged_pair
+from edit3r.io.weight_files import WEIGHTS, save_weights
 from edit3r.reporting import Report, StageRecord
 
 ROOT = Path(__file__).parents[4]
@@ -251,3 +253,41 @@ def test_no_stage_of_a_real_run_is_left_out_of_the_time_by_its_name():
     assert {"simplify", "refine"} <= names
     total = counted["editor"] + counted["scene"] + counted["rendering"]
     assert total == pytest.approx(sum(expected))
+
+
+# ---- the paper's table ----
+
+
+@pytest.fixture
+def tiny_checkpoint(tmp_path):
+    """Weights of the paper's network, tiny and random, that name their parts."""
+    sizes = {"width": 32, "depth": 1, "heads": 2}
+    decoder = {"decoder_width": 24, "decoder_depth": 4, "decoder_heads": 2}
+    head = {"feature_width": 8, "point_width": 8, "layer_widths": [4, 4, 8, 8]}
+    made = edit3r.build(
+        "reconstructor",
+        "noposplat",
+        backbone={"name": "asymmetric-vit", **sizes, **decoder},
+        head={"name": "dpt-gaussian", **head},
+        weights="random",
+    )
+    file = tmp_path / "tiny" / WEIGHTS
+    save_weights(file, made.network.state_dict(), made.weights_metadata())
+    return str(file)
+
+
+@pytest.mark.parametrize("label", ["edit3r", "noposplat"])
+def test_a_feed_forward_column_of_table_1_is_measured_as_the_network_gives_it(
+    label, tiny_checkpoint, manifest_file, tmp_path
+):
+    changes = {"editor": "oracle", "reconstructor": {"weights": tiny_checkpoint}}
+    content = read_yaml(find_config("bench/main"))
+    methods = {m.label: m for m in read_methods(content, {label: changes})}
+    options = RunOptions(no_effnet=True, edits=1)
+    run = BenchRun(manifest_file, methods[label], tmp_path / "out", options)
+    run_bench(run)
+    [row] = read_results(run.out).values()
+    assert not row.failure
+    # One Gaussian for each pixel of two inputs of 48 x 48.
+    assert row.facts["gaussians"] == 2 * 48 * 48
+    assert methods[label].run == {"gaussians": "all", "refine": 0}
