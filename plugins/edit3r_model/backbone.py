@@ -45,8 +45,8 @@ class AsymmetricViT(Backbone):
 
     Any number of views >= 2: view 0 uses the first decoder, all others the second, and each view
     reads the tokens that all other views had one layer before. A field-of-view token, made from the
-    normalised intrinsics, runs along with the patches of each view and is dropped at the end. Input
-    sides must be multiples of `patch_size`.
+    normalised intrinsics by one linear layer (the paper's phi), runs along with the patches of each
+    view and is dropped at the end. Input sides must be multiples of `patch_size`.
     """
 
     class Settings(Settings):

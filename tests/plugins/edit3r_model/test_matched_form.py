@@ -1,13 +1,19 @@
 """The matched form with the weights that ship: what it keeps, what it carries, what gives way."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import skimage.data
 import torch
 import torch.nn.functional as F
 from edit3r_model.matched_form import network_grid
-from edit3r_model.small_head import Decisions, EditFusionHead, assemble
+from edit3r_model.small_head import (
+    CONFLICT_OPACITY,
+    Decisions,
+    EditFusionHead,
+    assemble,
+)
 from edit3r_recolor.paint import paint
 
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
@@ -227,6 +233,12 @@ def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
     assert torch.equal(fallen[1][away], full[1][away])
     unedited = opacities_of(views_of())
     assert torch.equal(full[1][core], unedited[1][core])
+
+
+def test_what_is_set_by_hand_stands_in_the_model_card():
+    card = Path(__file__).parents[3] / "docs" / "model-card.md"
+    assert f"keeps {CONFLICT_OPACITY} of its opacity" in card.read_text()
+    assert EditFusionHead.Settings().conflict_opacity == CONFLICT_OPACITY
 
 
 def test_a_novel_view_of_contradicting_edits_shows_the_reference_s(shipped):
