@@ -49,6 +49,9 @@ ATTRIBUTES: dict[tuple[str, str], dict] = {
 """What its contract needs to know."""
 
 DECLARATION_ONLY: dict[tuple[str, str], str] = {
+    ("segmenter", "sam-onnx"): "needs weights of 45 MB",
+    ("detector", "coco"): "needs weights of 8 MB",
+    ("detector", "imagenet"): "needs weights of 19 MB",
     ("editor", "folder"): "needs an edited picture of each view",
     ("editor", "command"): "needs a program",
     ("editor", "instruct-pix2pix"): "needs weights of 4 GB",
@@ -95,7 +98,13 @@ TRIED_IN: dict[tuple[str, ...], str] = {
         "qwen-image-edit",
     ): "edit3r_diffusers/test_contract.py",
     ("gemini-image", "gpt-image"): "edit3r_remote/test_contract.py",
-    ("sam2", "sam3", "grounding-dino"): "edit3r_segmenters/test_contract.py",
+    (
+        "sam2",
+        "sam3",
+        "sam-onnx",
+        "grounding-dino",
+    ): "edit3r_segmenters/test_contract.py",
+    ("coco", "imagenet"): "edit3r_segmenters/test_words.py",
     (
         "editsplat",
         "gaussctrl",

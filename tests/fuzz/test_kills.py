@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from edit3r_app.jobs import Job, JobsFolder
+from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.runner import Runner
 from edit3r_app.uploads import receive
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
@@ -232,7 +232,7 @@ def test_an_app_killed_at_an_upload_or_a_new_job_starts_again_with_whole_ones(ki
         folder = JobsFolder(root)
         scene = folder.new_scene("bear")
         asyncio.run(receive(folder, scene, "p.jpg", len(photo), pieces()))
-        folder.new_job(Job("", scene, settings={"prompt": "paint it red"}))
+        folder.new_job(AppJob("", scene, settings={"prompt": "paint it red"}))
 
     seen = set()
     for root in kills(act, range(100)):

@@ -103,7 +103,7 @@ def test_a_sentence_is_said_as_it_was_read(looker, scene):
 
 def test_the_edit_of_a_quick_editor_is_there_before_the_run(looker, folder, scene):
     paint = stroke(looker, scene, "paint", 0.2, [(0.3, 0.5), (0.7, 0.5)])
-    draft = Draft([paint], form={"prompt": "paint it red"})
+    draft = Draft([paint], form={"prompt": "paint all of it red"})
     look = looker.look(scene, draft)
     assert look.is_quick
     looker._preview(look, "early")

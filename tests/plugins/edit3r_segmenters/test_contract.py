@@ -31,6 +31,19 @@ def sam3(sam3_folder):
 
 
 @pytest.fixture(scope="module")
+def sam_onnx(sam_onnx_folder):
+    return contract_for(
+        "segmenter",
+        "sam-onnx",
+        encoder=str(sam_onnx_folder / "encoder.onnx"),
+        decoder=str(sam_onnx_folder / "sam.onnx"),
+        image_size=64,
+        masks_output="logits",
+        quality_output="quality",
+    )
+
+
+@pytest.fixture(scope="module")
 def detector(dino_folder):
     return contract_for(
         "detector",
@@ -49,7 +62,7 @@ def own_claims(kind: str) -> list[str]:
 
 
 @pytest.mark.parametrize("claim", own_claims("segmenter"))
-@pytest.mark.parametrize("name", ["segmenter", "sam3"])
+@pytest.mark.parametrize("name", ["segmenter", "sam3", "sam_onnx"])
 def test_segmenter_contract(request, name, claim):
     getattr(request.getfixturevalue(name)(), claim)()
 

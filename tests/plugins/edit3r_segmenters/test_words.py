@@ -12,6 +12,7 @@ from edit3r_segmenters.tfjs import TfjsGraph
 import edit3r
 from edit3r.contract.interfaces import Detection, Detector
 from edit3r.errors import InputError, MissingDependencyError
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 IMAGE = torch.rand(3, 48, 96)
 
@@ -90,6 +91,29 @@ def test_a_box_lies_where_the_network_says_in_pixels_of_the_photo(nanodet):
     scale = np.array([96, 48, 96, 48]) / SIDE  # cell of 32, one stride to each side
     assert found.box == pytest.approx(tuple(np.array([0, 0, 48, 48]) * scale), abs=0.1)
     assert edit3r.build("detector", "coco").detect(IMAGE, "dog") == ()
+
+
+@pytest.fixture
+def efficientnet(tmp_path, monkeypatch):
+    """Random weights of the network, where they are looked for."""
+    network = pytest.importorskip("efficientnet_lite_pytorch").EfficientNet
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    file = tmp_path / "efficientnet-lite0" / "efficientnet-lite0-57934424.pth"
+    file.parent.mkdir()
+    torch.save(network.from_name("efficientnet-lite0").state_dict(), file)
+
+
+DETECTOR_CLAIMS = sorted({*claims(CONTRACTS["detector"])} - {*claims(Contract)})
+
+
+@pytest.mark.parametrize("claim", DETECTOR_CLAIMS)
+def test_coco_keeps_the_contract(nanodet, claim):
+    getattr(contract_for("detector", "coco")(), claim)()
+
+
+@pytest.mark.parametrize("claim", DETECTOR_CLAIMS)
+def test_imagenet_keeps_the_contract(efficientnet, claim):
+    getattr(contract_for("detector", "imagenet", size=64)(), claim)()
 
 
 @pytest.mark.parametrize(
