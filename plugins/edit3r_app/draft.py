@@ -1,6 +1,6 @@
 """What was marked and typed on one state of a scene, kept in a file.
 
-Marks are a list in the order of making, so that the last can be undone.
+Marks and steps are a list in the order of making, so that the last can be undone.
 """
 
 import json
@@ -19,6 +19,7 @@ from torch import Tensor
 from edit3r.contract.types import Views
 from edit3r.errors import InputError
 from edit3r.io.atomic import atomic_write
+from edit3r.pipeline.config import MAX_GROWTH, MAX_STEPS
 from edit3r.selection.select import Box, Selection
 from edit3r.wishes.things import read_thing
 from edit3r_app.jobs import JobsFolder
@@ -42,26 +43,65 @@ class Mark:
     )
 
 
+@dataclass(frozen=True)
+class Step:
+    """One step from what the marks or the sentence select to another reading of it."""
+
+    kind: Literal["larger", "grow", "invert"]  # settings of a run
+    # 1 for a larger reading, -1 for a smaller one; of grow its pixels; of invert nothing
+    value: Annotated[float, Field(ge=-MAX_GROWTH, le=MAX_GROWTH)] = 0.0
+
+
 @dataclass
 class Draft:
     """Marks and form of one state of a scene."""
 
-    marks: list[Mark] = field(default_factory=list)
+    marks: list[Mark | Step] = field(default_factory=list)
     words: str = ""  # name the thing where nothing is marked
     guess: bool = False  # take what stands out most where words are not known
     # what was typed: the sentence, names of components, settings
     form: dict[str, Any] = field(default_factory=dict)
     # of a set of photos: marks by the name that the user gave them
-    named: dict[str, list[Mark]] = field(default_factory=dict)
+    named: dict[str, list[Mark | Step]] = field(default_factory=dict)
 
     @property
     def selects(self) -> bool:
         """Whether it says what is meant, and not only what is not."""
         kinds = {mark.kind for mark in self.marks}
-        return bool(self.words or kinds - {"remove", "erase"})
+        return bool(self.words or kinds & {"add", "box", "paint"})
+
+    @property
+    def outline(self) -> dict[str, Any]:
+        """What the steps come to: the settings larger, grow and invert of a run."""
+        larger = sum(int(value) for value in self._steps("larger"))
+        return {
+            "larger": min(max(larger, -MAX_STEPS), MAX_STEPS),
+            "grow": ([0.0] + self._steps("grow"))[-1],
+            "invert": len(self._steps("invert")) % 2 == 1,
+        }
+
+    def _steps(self, kind: str) -> list[float]:
+        return [step.value for step in self.marks if step.kind == kind]
+
+    def take(self, mark: Mark | Step) -> None:
+        """Add a mark or a step; a further number of pixels replaces the one just given."""
+        if mark.kind == "grow" and self.marks and self.marks[-1].kind == "grow":
+            self.marks.pop()
+        self.marks.append(mark)
+
+    def take_back(self) -> None:
+        """Forget the last mark or step; the words where there is none."""
+        if self.marks:
+            self.marks.pop()
+        else:
+            self.words = ""
+            self.guess = False
 
     def selection(self, views: Views) -> Selection:
-        """The marks on these views; those on photos that a run left out are passed over."""
+        """The marks on these views; those on photos that a run left out are passed over.
+
+        Of the steps it has the reading alone: outlines are moved and inverted by the run.
+        """
 
         def of(kind: str) -> Iterator[tuple[int, Mark]]:
             for mark in self.marks:
@@ -78,6 +118,7 @@ class Draft:
             words=thing.name,
             which=thing.which,
             guess=self.guess,
+            larger=self.outline["larger"],
         )
 
     def as_json(self) -> str:
@@ -97,7 +138,7 @@ def read_draft(folder: JobsFolder, state: str) -> Draft:
 
 def write_draft(folder: JobsFolder, state: str, draft: Draft) -> None:
     """Keep a draft; raises InputError for more marks than anybody makes."""
-    places = sum(len(mark.places) for mark in draft.marks)
+    places = sum(len(mark.places) for mark in draft.marks if isinstance(mark, Mark))
     if len(draft.marks) > MAX_MARKS or places > MAX_PLACES:
         raise InputError(
             f"more than {MAX_MARKS} marks, or longer strokes than are kept; clear them, and begin "

@@ -11,7 +11,7 @@ from edit3r.plugins.registry import Registry
 from edit3r_app.draft import Draft
 
 CHOSEN = ("editor", "reconstructor")
-NOT_IN_FORM = (*CHOSEN, "prompt", "quality", "size", "guess")
+NOT_IN_FORM = (*CHOSEN, *Draft().outline, "prompt", "quality", "size", "guess")
 """Settings of a run that have a place of their own, or that masks were made for."""
 RUNS_PROGRAMS = "command"
 """An editor that starts a program of the user's choice: not for a page that others may reach."""
@@ -66,6 +66,7 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
     settings["guess"] = draft.guess
+    settings |= {key: value for key, value in draft.outline.items() if value}
     if form.get("quality"):
         settings["quality"] = form["quality"]
     for kind in CHOSEN:

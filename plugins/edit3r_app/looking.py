@@ -43,7 +43,7 @@ DIMMED = 0.55
 """Brightness of what is not selected."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DraftAnswer:
     """What a draft means for the photos of a set, or for the edited ones of a run."""
 
@@ -104,6 +104,14 @@ class Looker:
         with self._working:
             opened = self._opened(state, tuple(self.folder.photos(state)))
             return self._looks(opened, draft.as_json())
+
+    def changes(self, state: str, before: Draft, after: Draft) -> bool:
+        """Whether two drafts select different things."""
+        old = self.look(state, before).masks
+        new = self.look(state, after).masks
+        if old is None or new is None:
+            return old is not new
+        return not torch.equal(old, new)
 
     def image(self, state: str, draft: Draft, name: str) -> bytes:
         """JPEG of one photo; what is selected is outlined, and the rest is darker."""
@@ -201,15 +209,22 @@ def _with_marks(
     geometry = None
     with suppress(NotYet):
         geometry = opened.geometry.result(GEOMETRY_PATIENCE)
+    images = look.views.images[0]
     found = select_masks(
-        look.views.images[0],
+        images,
         draft.selection(look.views),
         parts.segmenter,
         geometry=geometry,
         intrinsics=look.views.intrinsics,
     )
-    masks = found.masks[:, 0]
-    return replace(look, marked=masks, masks=masks)
+    marked = found.masks[:, 0]
+    outline = Selection(
+        masks=dict(enumerate(marked)),
+        grow=parts.config.grow,
+        inverted=parts.config.invert,
+    )
+    masks = select_masks(images, outline, parts.segmenter).masks[:, 0]
+    return replace(look, marked=marked, masks=masks)
 
 
 @contextmanager

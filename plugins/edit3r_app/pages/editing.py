@@ -10,8 +10,9 @@ from nicegui import run, ui
 from pydantic import ValidationError
 
 from edit3r.errors import Edit3rError, InputError
+from edit3r.pipeline.config import MAX_GROWTH
 from edit3r_app import uploads
-from edit3r_app.draft import MARK, Draft, read_draft
+from edit3r_app.draft import MARK, Draft, Mark, Step, read_draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import AppJob
 from edit3r_app.pages.parts import Event, Tab, address, card, html, img, quiet
@@ -20,6 +21,8 @@ from edit3r_app.pages.start import chooser_of_files, told_of_uploads
 
 MODES = ["add", "remove", "box", "paint", "erase"]
 SAY = "say what to change, such as: paint it golden."
+READINGS = {"larger": 1, "smaller": -1}
+"""Steps to another reading of what is selected."""
 
 
 class Editing:
@@ -38,6 +41,7 @@ class Editing:
             SettingsForm(self.tab).build()
         ui.on("edit3r_mark", self._mark)
         ui.on("edit3r_undo", self._undo)
+        ui.on("edit3r_step", lambda event: self._step(event.args))
 
     async def follow(self) -> None:
         """Answer what this tab or another changed."""
@@ -98,6 +102,19 @@ class Editing:
             self.brush.props("aria-label='brush'").classes("e3-brush")
             ui.button("Undo", on_click=self._undo).props("flat")
             ui.button("Clear", on_click=partial(self._select, [])).props("flat")
+        with ui.row().classes("items-center"):
+            for name in READINGS:
+                ui.button(name, on_click=partial(self._step, name)).props("outline")
+            invert = partial(self._take, Step("invert"))
+            ui.button("invert", on_click=invert).props("outline")
+            self.grow = ui.number(
+                "grow by pixels",
+                value=self.tab.draft.outline["grow"],
+                min=-MAX_GROWTH,
+                max=MAX_GROWTH,
+                on_change=self._grow,
+            )
+            self.grow.props("dense outlined debounce=400").classes("e3-grow")
 
     def _take_up(self) -> None:
         """Mark in another way from now on; the page's script reads it from the grid."""
@@ -143,10 +160,32 @@ class Editing:
             mark = MARK.validate_python(event.args)
         except ValidationError:
             return
-        await self._change(lambda draft: draft.marks.append(mark))
+        await self._take(mark)
+
+    async def _take(self, mark: Mark | Step) -> None:
+        await self._change(lambda draft: draft.take(mark))
 
     async def _undo(self) -> None:
-        await self._change(lambda draft: draft.marks and draft.marks.pop())
+        await self._change(Draft.take_back)
+
+    async def _step(self, name: str) -> None:
+        """Take the next larger or smaller reading; one that shows nothing new is taken back."""
+        if name not in READINGS:
+            return
+        tab = self.tab
+        before = tab.draft
+        await self._take(Step("larger", READINGS[name]))
+        after = tab.draft
+        if await run.io_bound(tab.looker.changes, tab.state, before, after):
+            return
+        if after == tab.draft:  # meanwhile nothing else was said
+            await self._undo()
+        raise InputError(f"there is no {name} reading of what is selected.")
+
+    async def _grow(self, event: Event) -> None:
+        pixels = min(max(event.value or 0.0, -MAX_GROWTH), MAX_GROWTH)
+        if pixels != self.tab.draft.outline["grow"]:
+            await self._take(Step("grow", pixels))
 
     async def _find(self, words: str) -> None:
         if not words:
@@ -178,6 +217,7 @@ class Editing:
         """Show what is selected, and say how the sentence is read."""
         tab = self.tab
         self.answered = draft = tab.draft
+        self.grow.value = draft.outline["grow"]
         self.grid._props["data-marks"] = draft.as_json()
         self.grid.update()
         version = zlib.crc32(draft.as_json().encode())

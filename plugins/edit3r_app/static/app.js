@@ -144,6 +144,8 @@ addEventListener("keydown", (event) => {
   if ((event.ctrlKey || event.metaKey) && event.key == "z") {
     event.preventDefault();
     emitEvent("edit3r_undo");
+  } else if (["+", "-"].includes(event.key) && !event.ctrlKey && !event.metaKey) {
+    emitEvent("edit3r_step", event.key == "+" ? "larger" : "smaller");
   }
 });
 

@@ -17,6 +17,7 @@ import urllib.request
 import zipfile
 
 import pytest
+from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
 from edit3r.io.images import packaged_pair
@@ -257,6 +258,42 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     page.locator(".e3-slider img").first.wait_for()
     go(page, server.address)
     page.get_by_text("2 photos, 1 edits").wait_for()
+    assert tab.problems == []
+
+
+def test_steps_by_buttons_and_keys_are_taken_back(server, tab):
+    page = tab()
+    go(page, server.address)
+    upload(page, packaged_pair()[0])
+    page.wait_for_url("**/s/**", wait_until="domcontentloaded")
+    scene = page.url.rpartition("/")[2]
+
+    def kinds(expected):
+        for _ in range(300):
+            found = [one.kind for one in read_draft(folder, scene).marks]
+            if found == expected:
+                return
+            time.sleep(0.1)
+        raise AssertionError(f"{found} instead of {expected}")
+
+    folder = JobsFolder(server.folder)
+    click_photo(page)
+    page.keyboard.press("-")
+    kinds(["add", "larger"])
+    page.get_by_role("button", name="invert").click()
+    kinds(["add", "larger", "invert"])
+    page.get_by_label("grow by pixels").fill("4")
+    kinds(["add", "larger", "invert", "grow"])
+    page.locator(".e3-name").first.click(force=True)  # out of the field
+    page.keyboard.press("Control+z")
+    kinds(["add", "larger", "invert"])
+    page.wait_for_function("document.querySelector('.e3-grow input').value == '0'")
+    for _ in range(3):
+        page.keyboard.press("Control+z")
+    kinds([])
+    page.keyboard.press("+")  # of nothing
+    page.get_by_text("there is no larger reading").wait_for()
+    kinds([])
     assert tab.problems == []
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_app.draft import Draft, Mark, read_draft, write_draft
+from edit3r_app.draft import Draft, Mark, Step, read_draft, write_draft
 from edit3r_app.jobs import JobsFolder
 
 from edit3r.contract.types import Views
@@ -20,6 +20,8 @@ def test_a_draft_survives_a_restart(folder):
             Mark("add", "a", [(0.5, 0.5)]),
             Mark("box", "b", [(0.1, 0.1), (0.3, 0.3)]),
             Mark("erase", "b", [(0.2, 0.3), (0.4, 0.3)], 0.04),
+            Step("larger", 1),
+            Step("invert"),
         ],
         words="sky",
         guess=True,
@@ -87,3 +89,22 @@ def test_marks_stay_with_their_photo_and_pass_over_one_that_is_gone():
     rows = selection.added[0][:, 30].nonzero()[:, 0]
     assert rows.float().mean() == 20  # where the stroke is
     assert 5 <= len(rows) <= 8  # 2 x 0.05 of 60 pixels
+
+
+def test_steps_add_up_and_are_taken_back_one_by_one():
+    draft = Draft(words="sky")
+    for step in (Step("larger", 1), Step("larger", -1), Step("larger", -1)):
+        draft.take(step)
+    draft.take(Step("invert"))
+    draft.take(Step("grow", 1))
+    draft.take(Step("grow", 12))  # typed on: one step
+    assert draft.outline == {"larger": -1, "grow": 12, "invert": True}
+    draft.take_back()
+    assert draft.outline == {"larger": -1, "grow": 0, "invert": True}
+    draft.take_back()
+    draft.take_back()
+    assert draft.outline == {"larger": 0, "grow": 0, "invert": False}
+    draft.take_back()
+    draft.take_back()
+    draft.take_back()
+    assert draft == Draft()

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from edit3r_app.draft import Draft
+from edit3r_app.draft import Draft, Step
 from edit3r_app.forms import (
     CHOSEN,
     NOT_IN_FORM,
@@ -15,7 +15,7 @@ from edit3r_app.forms import (
 
 from edit3r.config import is_user_only
 from edit3r.errors import SettingsError
-from edit3r.pipeline.config import RunConfig
+from edit3r.pipeline.config import RunConfig, make_run_config
 from edit3r.plugins.registry import default_registry
 
 REGISTRY = default_registry()
@@ -95,3 +95,9 @@ def test_what_cannot_be_run_is_refused_before_it_is_queued(form, sentence):
 def test_a_sentence_may_say_any_word():
     draft = Draft(form={"prompt": "command"})
     assert run_settings(draft, REGISTRY)["prompt"] == "command"
+
+
+def test_steps_are_settings_of_the_run():
+    draft = Draft([Step("larger", -1), Step("grow", 2.5), Step("invert")])
+    config = make_run_config(run_settings(draft, REGISTRY))
+    assert (config.larger, config.grow, config.invert) == (-1, 2.5, True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from edit3r_app import uploads
-from edit3r_app.draft import Draft, Mark
+from edit3r_app.draft import Draft, Mark, Step
 from edit3r_app.jobs import PREVIEW, JobsFolder
 from edit3r_app.looking import Looker
 from PIL import Image
@@ -113,3 +113,31 @@ def test_the_edit_of_a_quick_editor_is_there_before_the_run(looker, folder, scen
     red, green, _ = edited.float().mean(0)
     plain_red, plain_green, _ = look.views.images[0, 0].mean((1, 2)) * 255
     assert red - green > plain_red - plain_green + 10
+
+
+def test_steps_change_what_is_selected_on_every_photo(looker, scene):
+    mark = click(looker, scene)
+    plain = looker.look(scene, Draft([mark]))
+    areas = plain.masks.sum((1, 2))
+    readings = [Draft([mark, *[Step("larger", way)] * 9]) for way in (-1, 1)]
+    smaller, larger = (looker.look(scene, one).masks.sum((1, 2)) for one in readings)
+    assert (smaller <= areas).all() and (areas <= larger).all()
+    assert (smaller < larger).all()
+    most = Draft([*readings[1].marks, Step("larger", 1)])
+    assert not looker.changes(scene, readings[1], most)
+    assert looker.changes(scene, *readings)
+
+    grown = looker.look(scene, Draft([mark, Step("grow", 3)]))
+    assert (grown.masks.sum((1, 2)) > areas).all()
+    assert torch.equal(grown.marked, plain.marked)  # the run moves the outline
+
+
+def test_the_run_selects_what_is_shown(looker, scene):
+    steps = [Step("grow", 3), Step("invert")]
+    draft = Draft([click(looker, scene), *steps])
+    shown = looker.look(scene, draft).masks
+    draft.form["prompt"] = "paint it red"
+    look = looker.look(scene, draft)
+    assert look.problem == ""
+    assert look.job.config.invert
+    assert torch.allclose(look.masks, shown, atol=1e-6)
