@@ -4,13 +4,15 @@ Found in the warm process of the server, by the steps that `edit3r run` takes.
 """
 
 import io
+import json
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -23,13 +25,16 @@ from edit3r.config import PartChoice
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Views
 from edit3r.errors import Edit3rError, InputError
+from edit3r.io.atomic import atomic_write
 from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.io.outline import outlined
 from edit3r.pipeline.config import RunConfig, make_run_config
 from edit3r.pipeline.earlier import CACHE, read_views_of_run
+from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts
 from edit3r.pipeline.run import preview
+from edit3r.pipeline.scene import Scene
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import Report, collecting
 from edit3r.selection.select import Selection, geometry_of, select_masks
@@ -57,6 +62,7 @@ class DraftAnswer:
     problem: str = ""  # why it cannot be carried out
     asks: bool = False  # a click, or a guess, would help
     told: tuple[str, ...] = ()  # choices and warnings
+    surety: float | None = None  # of what words found, in [0, 1]; None: it was marked
     job: RunJob | None = (
         None  # the run that it asks for; None where something is missing
     )
@@ -99,6 +105,7 @@ class Looker:
         self._background = ThreadPoolExecutor(2)
         self._opened = lru_cache(maxsize=4)(self._open)
         self._looks = lru_cache(maxsize=64)(self._look)
+        self._edits = lru_cache(maxsize=4)(self._edit)
 
     def look(self, state: str, draft: Draft) -> DraftAnswer:
         with self._working:
@@ -127,17 +134,29 @@ class Looker:
         Image.fromarray(to_bytes(image)).save(content, "JPEG", quality=88)
         return content.getvalue()
 
+    def edit_verdict(self, look: DraftAnswer) -> EditVerdict | None:
+        """What is to be said of the 2D edit; None of slow editors, and where there is no edit."""
+        if look.job is None or not look.is_quick:
+            return None
+        with self._working:
+            return self._edits(look).edit_verdict
+
+    def _edit(self, look: DraftAnswer) -> Scene:
+        return preview(look.job, self.registry)
+
     def begin_preview(self, look: DraftAnswer, job: str) -> None:
         """Write beside a job, in the background, what is selected and the 2D edit."""
         self._background.submit(self._preview, look, job)
 
     def _preview(self, look: DraftAnswer, job: str) -> None:
         views = look.views
-        if look.is_quick:  # of slower editors the edit is seen with the result
-            with suppress(Edit3rError), self._working:
-                views = preview(look.job, self.registry).edited
         folder = self.folder.beside(job) / PREVIEW
         folder.mkdir()
+        if look.is_quick:  # of slower editors the edit is seen with the result
+            with suppress(Edit3rError), self._working:
+                scene = self._edits(look)
+                views = scene.edited
+                _keep_verdict(scene.edit_verdict, folder)
         for view, name in enumerate(views.names):
             image = views.images[0, view]
             if look.masks is not None:
@@ -193,13 +212,23 @@ class Looker:
             marked = Selection(masks=dict(enumerate(look.marked)))
         job = RunJob(parts.config, look.views, masks=marked, cache=cache)
         scene = preview(job, self.registry, edits=False)
+        sureties = [one.surety for one in scene.selected if one.surety is not None]
         used = [task.editor.offer.component for task in parts.tasks]
         return replace(
             look,
             masks=None if scene.masks is None else scene.masks[0],
             job=job,
+            surety=min(sureties, default=look.surety),
             is_quick=not any(one.weights or one.needs_network for one in used),
         )
+
+
+def _keep_verdict(verdict: EditVerdict | None, folder: Path) -> None:
+    """Write the verdict on a preview as run.json will hold that on the whole run."""
+    if verdict is not None:
+        content = json.dumps({"edit_verdict": asdict(verdict)})
+        with atomic_write(folder / "run.json") as partial:
+            partial.write_text(content, encoding="utf-8")
 
 
 def _with_marks(
@@ -224,7 +253,7 @@ def _with_marks(
         inverted=parts.config.invert,
     )
     masks = select_masks(images, outline, parts.segmenter).masks[:, 0]
-    return replace(look, marked=marked, masks=masks)
+    return replace(look, marked=marked, masks=masks, surety=found.surety)
 
 
 @contextmanager

@@ -15,7 +15,17 @@ from edit3r_app import uploads
 from edit3r_app.draft import MARK, Draft, Mark, Step, read_draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import AppJob
-from edit3r_app.pages.parts import Event, Tab, address, card, html, img, quiet
+from edit3r_app.looking import DraftAnswer
+from edit3r_app.pages.parts import (
+    Event,
+    Tab,
+    address,
+    card,
+    html,
+    img,
+    quiet,
+    verdict,
+)
 from edit3r_app.pages.settings import SettingsForm
 from edit3r_app.pages.start import chooser_of_files, told_of_uploads
 
@@ -59,6 +69,7 @@ class Editing:
             said.on("keydown.enter", lambda: self._go(said.value))
             self.go = ui.button("Go", on_click=lambda: self._go(said.value))
         self.understood = quiet("")
+        self.judged = ui.column()
 
     async def _say(self, sentence: str) -> None:
         await self._change(lambda draft: draft.form.update(prompt=sentence))
@@ -230,6 +241,19 @@ class Editing:
             told = f"understood: {look.understood}" if look.understood else ""
             self.understood.set_text(told)
             self._tell(look.problem, look.told, look.asks and not draft.guess)
+            await self._judge(look, draft)
+
+    async def _judge(self, look: DraftAnswer, draft: Draft) -> None:
+        """Say how sure the words are and, of a quick editor, what its 2D edit is worth."""
+        judged = await run.io_bound(self.tab.looker.edit_verdict, look)
+        if draft != self.answered:
+            return
+        self.judged.clear()
+        with self.judged:
+            if look.surety is not None:
+                quiet(f"found by its name, {look.surety:.0%} sure")
+            if judged is not None:
+                verdict(f"edit: {judged.label}", judged.reason)
 
     def _tell(self, problem: str, told: tuple = (), asks: bool = False) -> None:
         self.told.clear()

@@ -11,7 +11,7 @@ from nicegui import ui
 
 from edit3r.errors import Edit3rError
 from edit3r_app.draft import Draft, read_draft, write_draft
-from edit3r_app.jobs import AppJob, JobsFolder, manifest_of
+from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
 
@@ -19,6 +19,7 @@ COLOURS = {
     "good": "positive",
     "fair": "primary",
     "poor": "warning",
+    "doubtful": "warning",
     "failed": "negative",
 }
 """Of verdicts, in the page library's words."""
@@ -114,13 +115,24 @@ def quiet(text: str, warning: bool = False) -> ui.label:
     return ui.label(in_app(text)).classes("e3-warning" if warning else "e3-quiet")
 
 
+def verdict(label: str, reason: str) -> None:
+    with ui.row().classes("items-center no-wrap"):
+        badge(label)
+        ui.label(reason)
+
+
 def badge(label: str) -> None:
     ui.badge(label, color=COLOURS.get(label.rpartition(" ")[2], "grey"))
 
 
 def judgements(tab: Tab, run: str) -> Iterator[tuple[str, str]]:
-    """Label and reason of a run's verdicts on its scene and on its edit."""
-    manifest = manifest_of(tab.folder.root / run)
+    """Label and reason of a run's verdicts on its scene and on its edit; of one that is not
+    finished the verdict on its preview.
+    """
+    folder = tab.folder
+    manifest = manifest_of(folder.root / run) or manifest_of(
+        folder.private / run / PREVIEW
+    )
     for on, key in (("scene", "verdict"), ("edit", "edit_verdict")):
         verdict = manifest.get(key)
         if isinstance(verdict, dict):

@@ -9,7 +9,15 @@ from nicegui import run, ui
 
 from edit3r.errors import InputError
 from edit3r_app.downloads import DOWNLOADS, prepared
-from edit3r_app.pages.parts import Tab, badge, card, html, img, judgements, viewer
+from edit3r_app.pages.parts import (
+    Tab,
+    card,
+    html,
+    img,
+    judgements,
+    verdict,
+    viewer,
+)
 
 CUT = "(event) => event.target.parentElement.style.setProperty('--cut', event.target.value + '%')"
 
@@ -39,9 +47,7 @@ def compare(tab: Tab, *runs: str) -> None:
 
 def verdicts(tab: Tab, name: str) -> None:
     for label, reason in judgements(tab, name):
-        with ui.row().classes("items-center no-wrap"):
-            badge(label)
-            ui.label(reason)
+        verdict(label, reason)
 
 
 def _photos(tab: Tab) -> None:

@@ -6,7 +6,16 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from edit3r_app.jobs import PREVIEW
-from edit3r_app.pages.parts import Tab, address, card, html, img, quiet
+from edit3r_app.pages.parts import (
+    Tab,
+    address,
+    card,
+    html,
+    img,
+    judgements,
+    quiet,
+    verdict,
+)
 from edit3r_app.progress import read_progress, time_left
 
 
@@ -63,6 +72,8 @@ class Waiting:
     @ui.refreshable_method
     def preview(self) -> None:
         self.shown = self._images()
+        for label, reason in judgements(self.tab, self.tab.state):
+            verdict(label, reason)
         with html("div", "e3-photos"):
             for name in self.shown:
                 with html("div", "e3-photo"):

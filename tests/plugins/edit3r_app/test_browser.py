@@ -209,8 +209,11 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
         )
 
     # the edit, through a server that is killed and started again meanwhile
+    page.get_by_label("what to change").fill("paint it blue")
+    page.get_by_text("edit: ").wait_for()  # the verdict on it, before Go
     ask(page, "paint it blue")
     page.locator("img.e3-preview").first.wait_for()  # the 2D edit, before the run
+    page.get_by_text("edit: ").wait_for()
     page.get_by_text("Cancel").wait_for()
     for _ in range(300):
         if any(job.pid for job in JobsFolder(server.folder).jobs()):
@@ -277,14 +280,15 @@ def test_steps_by_buttons_and_keys_are_taken_back(server, tab):
         raise AssertionError(f"{found} instead of {expected}")
 
     folder = JobsFolder(server.folder)
-    click_photo(page)
+    page.locator('img.e3-mark[src*="marked"]').first.wait_for()
+    click_photo(page, x=0.6, y=0.7)  # there are smaller things than the one meant
     page.keyboard.press("-")
     kinds(["add", "larger"])
     page.get_by_role("button", name="invert").click()
     kinds(["add", "larger", "invert"])
     page.get_by_label("grow by pixels").fill("4")
     kinds(["add", "larger", "invert", "grow"])
-    page.locator(".e3-name").first.click(force=True)  # out of the field
+    page.get_by_label("grow by pixels").blur()
     page.keyboard.press("Control+z")
     kinds(["add", "larger", "invert"])
     page.wait_for_function("document.querySelector('.e3-grow input').value == '0'")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from edit3r_app import uploads
 from edit3r_app.draft import Draft, Mark, Step
-from edit3r_app.jobs import PREVIEW, JobsFolder
+from edit3r_app.jobs import PREVIEW, JobsFolder, manifest_of
 from edit3r_app.looking import Looker
 from PIL import Image
 
@@ -106,7 +106,11 @@ def test_the_edit_of_a_quick_editor_is_there_before_the_run(looker, folder, scen
     draft = Draft([paint], form={"prompt": "paint all of it red"})
     look = looker.look(scene, draft)
     assert look.is_quick
+    judged = looker.edit_verdict(look)  # before Go
+    assert judged.label in ("good", "doubtful")
     looker._preview(look, "early")
+    kept = manifest_of(folder.beside("early") / PREVIEW)["edit_verdict"]
+    assert (kept["label"], kept["reason"]) == (judged.label, judged.reason)
     images = folder.images("early", PREVIEW)
     assert list(images) == list(look.views.names)
     edited = torch.tensor(list(Image.open(images[look.views.names[0]]).getdata()))
@@ -141,3 +145,12 @@ def test_the_run_selects_what_is_shown(looker, scene):
     assert look.problem == ""
     assert look.job.config.invert
     assert torch.allclose(look.masks, shown, atol=1e-6)
+
+
+def test_words_tell_their_surety_and_marks_have_none(looker, scene):
+    form = {"prompt": "paint the motorcycle red"}
+    named = looker.look(scene, Draft(words="sky", guess=True))
+    assert 0 < named.surety <= 1
+    marked = looker.look(scene, Draft([click(looker, scene)], form=form))
+    assert marked.surety is None
+    assert looker.edit_verdict(looker.look(scene, Draft())) is None
