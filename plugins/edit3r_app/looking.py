@@ -84,6 +84,10 @@ class KeepingRegistry(Registry):
             self._built[key] = super().build_choice(kind, choice, parts)
         return self._built[key]
 
+    def forget(self) -> None:
+        """Build everything anew from now on."""
+        self._built.clear()
+
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
@@ -111,6 +115,13 @@ class Looker:
         with self._working:
             opened = self._opened(state, tuple(self.folder.photos(state)))
             return self._looks(opened, draft.as_json())
+
+    def renew(self) -> None:
+        """Answer anew from now on: other weights are on this machine."""
+        with self._working:
+            self.registry.forget()
+            self._looks.cache_clear()
+            self._edits.cache_clear()
 
     def changes(self, state: str, before: Draft, after: Draft) -> bool:
         """Whether two drafts select different things."""

