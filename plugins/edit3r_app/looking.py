@@ -25,7 +25,7 @@ from edit3r.config import PartChoice
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Views
 from edit3r.errors import Edit3rError, InputError
-from edit3r.io.atomic import atomic_write
+from edit3r.io.atomic import atomic_folder, atomic_write
 from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.io.outline import outlined
 from edit3r.pipeline.config import RunConfig, make_run_config
@@ -181,12 +181,25 @@ class Looker:
             cache = Cache(path / CACHE)
             photos, views = read_views_of_run(path)
         else:
-            cache = Cache()
+            cache = Cache(self._answers(state))
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
         geometry = self._background.submit(self._geometry, photos, cache)
+        if not self.folder.is_run(state):
+            geometry.add_done_callback(lambda _: self._keep_answers(state, cache))
         return _Opened(views, cache, geometry)
+
+    def _answers(self, state: str) -> Path:
+        """Where what was read from a set of photos is kept; changed by nothing but this."""
+        return self.folder.beside(state) / CACHE
+
+    def _keep_answers(self, state: str, cache: Cache) -> None:
+        """Keep what was read from a set of photos for the next start of the server."""
+        with self._working:
+            if cache.computed:
+                with atomic_folder(self._answers(state), overwrite=True) as partial:
+                    cache.save(partial)
 
     def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
         """Poses and depths by the matcher of the default reconstructor."""

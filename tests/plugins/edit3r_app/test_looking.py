@@ -1,6 +1,7 @@
 """What a draft means: masks on every photo, the sentence as it is read, the 2D edit at once."""
 
 import io
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from PIL import Image
 from edit3r.errors import InputError
 from edit3r.io.images import packaged_pair
 from edit3r.pipeline.config import RunConfig
+from edit3r.pipeline.earlier import CACHE
 from edit3r.plugins.registry import default_registry
 from edit3r.reporting import Report, collecting
 
@@ -86,6 +88,20 @@ def test_geometry_is_kept_in_the_cache(looker, scene):
     with collecting(Report()):
         again = looker._geometry(opened.views, opened.cache)
     assert torch.equal(first.depths, again.depths)
+
+
+def test_geometry_survives_a_restart(looker, folder, scene):
+    first = looker._opened(scene, tuple(folder.photos(scene)))
+    shown = first.geometry.result()
+    for _ in range(100):
+        if any((folder.beside(scene) / CACHE).glob("match-*")):
+            break
+        time.sleep(0.1)
+    again = Looker(folder, default_registry(), SIZE)
+    opened = again._opened(scene, tuple(folder.photos(scene)))
+    assert torch.equal(opened.geometry.result().depths, shown.depths)
+    assert "match" in opened.cache.reused
+    assert "match" not in opened.cache.computed
 
 
 def test_words_that_nobody_knows_are_asked_back(looker, scene):
