@@ -76,7 +76,7 @@ class Draft:
         larger = sum(int(value) for value in self._steps("larger"))
         return {
             "larger": min(max(larger, -MAX_STEPS), MAX_STEPS),
-            "grow": ([0.0] + self._steps("grow"))[-1],
+            "grow": [0.0, *self._steps("grow")][-1],
             "invert": len(self._steps("invert")) % 2 == 1,
         }
 

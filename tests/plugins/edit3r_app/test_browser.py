@@ -63,7 +63,10 @@ class Server:
             if not name.startswith(("PYTEST", "NICEGUI"))
         }
         self.process = subprocess.Popen(
-            call, cwd=self.folder.parent, stdout=subprocess.DEVNULL, env=plain | self.environment
+            call,
+            cwd=self.folder.parent,
+            stdout=subprocess.DEVNULL,
+            env=plain | self.environment,
         )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         for _ in range(3000):
