@@ -1,7 +1,6 @@
 """One scene in one tab: its photos, an edit that is being made, or a finished one."""
 
 from collections.abc import Sequence
-from functools import partial
 
 from nicegui import ui
 
@@ -71,11 +70,12 @@ class ScenePage:
                 quiet(job.sentence, warning=True)
 
     def _node(self, text: str, name: str, depth: int, labels: Sequence[str]) -> None:
-        there = partial(ui.navigate.to, address(self.tab.scene, name))
-        with ui.button(on_click=there).classes("e3-node") as button:
+        # A link works before the page is connected; a handler would lose that click.
+        with ui.button().classes("e3-node") as button:
             ui.label(text).classes("ellipsis")
             for label in labels:
                 badge(label)
+        button.props["href"] = address(self.tab.scene, name)
         button.style(f"margin-left: {min(depth, 8) * 12}px")
         if name != self.tab.state:
             button.props("flat")

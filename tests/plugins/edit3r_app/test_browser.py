@@ -26,7 +26,7 @@ playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright, see this file's docstring"
 )
 pytest.importorskip("nicegui", reason='needs the app: pip install "edit3r[app]"')
-PATIENCE = 400_000  # [ms]
+PATIENCE = 120_000  # [ms]
 SOFTWARE_GL = [
     "--no-sandbox",
     "--use-gl=angle",
