@@ -21,6 +21,7 @@ __all__ = [
     "partner_views",
     "seen_by",
     "seen_by_others",
+    "shared_surface",
     "stands_before_others",
     "warp",
 ]
@@ -120,13 +121,13 @@ def contradicted(
         torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
     )
     for view, other in permutations(range(points.shape[1]), 2):
-        seen, z = _seen_there(
+        _, seen, z = _seen_there(
             points[:, view],
             surfaces[:, other],
             intrinsics[:, other],
             geometry.c2w[:, other],
         )
-        close, _ = _seen_there(
+        _, close, _ = _seen_there(
             points[:, view],
             nearest[:, other],
             intrinsics[:, other],
@@ -151,11 +152,28 @@ def stands_before_others(
     """
     hides = torch.zeros(points.shape[:4], dtype=torch.bool, device=points.device)
     for view, other in permutations(range(points.shape[1]), 2):
-        seen, z = _seen_there(
+        _, seen, z = _seen_there(
             points[:, view], surfaces[:, other], intrinsics[:, other], c2w[:, other]
         )
         hides[:, view] |= (z > 0) & (z < seen)
     return hides
+
+
+def shared_surface(
+    depths: Float[Tensor, "2 height width"],
+    intrinsics: Float[Tensor, "2 3 3"],
+    c2w: Float[Tensor, "2 4 4"],
+    tolerance: float,
+) -> tuple[Float[Tensor, "height width 2"], Bool[Tensor, "height width"]]:
+    """Where the pixels of the first view lie in the second; whether both show one surface.
+
+    `depths` are camera z (0: none); `tolerance` is the relative difference in depth within which
+    it is one surface.
+    """
+    points = unproject(depths[:1], intrinsics[:1], c2w[:1])
+    coordinates, seen, z = _seen_there(points, depths[1:], intrinsics[1:], c2w[1:])
+    near = (z / seen.clamp(min=1e-9) - 1).abs() < tolerance
+    return coordinates[0], ((z > 0) & (seen > 0) & near)[0]
 
 
 def _seen_there(
@@ -163,14 +181,12 @@ def _seen_there(
     surface: Float[Tensor, "batch height width"],
     intrinsics: Float[Tensor, "batch 3 3"],
     c2w: Float[Tensor, "batch 4 4"],
-) -> tuple[Float[Tensor, "batch rows columns"], Float[Tensor, "batch rows columns"]]:
-    """Camera z of the surface that a view shows where world points lie in it (0: none), and of the
-    points.
-    """
+) -> tuple[Tensor, Float[Tensor, "batch rows columns"], Tensor]:
+    """Where world points lie in a view, the camera z it shows there (0: none), and theirs."""
     coordinates, z = project(points.flatten(1, 2), intrinsics, c2w)
     grid = coordinates.unflatten(1, points.shape[1:3])
     seen = warp(surface[:, None], grid, mode="nearest", padding="zeros")[:, 0]
-    return seen, z.view_as(seen)
+    return grid, seen, z.view_as(seen)
 
 
 def seen_by_others(

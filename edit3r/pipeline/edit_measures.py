@@ -15,8 +15,7 @@ from edit3r.compute.changes import change_uptake
 from edit3r.compute.colour import rgb_to_lab
 from edit3r.contract.types import Cameras
 from edit3r.contract.wishes import Change, Wish
-from edit3r.geometry.cameras import project, unproject
-from edit3r.geometry.warping import warp
+from edit3r.geometry.warping import shared_surface, warp
 from edit3r.pipeline.edit_verdict import EditMeasures
 from edit3r.pipeline.scene import Scene
 
@@ -201,16 +200,10 @@ def _overlap(
     masks: Masks, depths: Masks, cameras: Cameras, first: int, second: int
 ) -> float | None:
     """Overlap of the first view's mask with the second's, where the second sees the surface."""
-    points = unproject(
-        depths[first], cameras.intrinsics[0, first], cameras.c2w[0, first]
+    pair = [first, second]
+    grid, same = shared_surface(
+        depths[pair], cameras.intrinsics[0, pair], cameras.c2w[0, pair], SAME_SURFACE
     )
-    places, z = project(
-        points.flatten(0, 1), cameras.intrinsics[0, second], cameras.c2w[0, second]
-    )
-    grid = places.view(*points.shape[:2], 2)
-    z = z.view(points.shape[:2])
-    seen = warp(depths[second, None], grid, mode="nearest", padding="zeros")[0]
-    same = (z > 0) & (seen > 0) & ((z / seen.clamp(min=1e-9) - 1).abs() < SAME_SURFACE)
     other = warp(masks[second, None], grid, padding="zeros")[0]
     own = masks[first] * same
     other = other * same
@@ -248,15 +241,17 @@ def _reached(
     checked.
     """
     shares = []
+    colours_before = rgb_to_lab(before).movedim(1, -1)
+    colours_after = rgb_to_lab(after).movedim(1, -1)
     for number, wish in enumerate(wishes):
         place = visibly
         if regions is not None:
             place = visibly & (regions[number] > 0.5)
         if not place.any():
             continue
-        old = rgb_to_lab(before).movedim(1, -1)[place]
-        new = rgb_to_lab(after).movedim(1, -1)[place]
-        shares += list(_shares(wish.changes, old, new))
+        shares += list(
+            _shares(wish.changes, colours_before[place], colours_after[place])
+        )
     return min(shares, default=None)
 
 

@@ -25,8 +25,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.types import Views
 from edit3r.errors import InputError, MatchingError
-from edit3r.geometry.cameras import project, unproject
-from edit3r.geometry.warping import warp
+from edit3r.geometry.warping import shared_surface, warp
 from edit3r.pipeline.checks import component_name
 from edit3r.reporting import note, say, warn
 from edit3r.selection.which import pick
@@ -392,17 +391,13 @@ class _Work:
             or not geometry.registered[0, [source, view]].all()
         ):
             return None
-        points = unproject(
-            geometry.depths[0, view], self.intrinsics[0, view], geometry.c2w[0, view]
+        pair = [view, source]
+        grid, same = shared_surface(
+            geometry.depths[0, pair],
+            self.intrinsics[0, pair],
+            geometry.c2w[0, pair],
+            SAME_SURFACE,
         )
-        places, z = project(
-            points.flatten(0, 1), self.intrinsics[0, source], geometry.c2w[0, source]
-        )
-        grid, z = places.view(*points.shape[:2], 2), z.view(points.shape[:2])
-        seen = warp(
-            geometry.depths[0, source, None], grid, mode="nearest", padding="zeros"
-        )[0]
-        same = (z > 0) & ((z / seen.clamp(min=1e-9) - 1).abs() < SAME_SURFACE)
         moved = warp(self.masks[source][None], grid, padding="zeros")[0] * same
         least = max(
             MIN_SHARE * float((self.masks[source] > 0.5).sum()),
