@@ -37,13 +37,13 @@ PYTHON_MODULES = (
     "edit3r.contract.interfaces",
     "edit3r.contract.component",
     "edit3r.config",
-    "edit3r.pipeline.steps",
     "edit3r.plugins.registry",
     "edit3r.reporting",
     "edit3r.errors",
     "edit3r.geometry.cameras",
     "edit3r.geometry.rotations",
     "edit3r.geometry.harmonics",
+    "edit3r.geometry.maps",
     "edit3r_testing",
 )
 """Modules a plugin author or a script may import from."""

@@ -26,7 +26,7 @@ CORE = "edit3r"
 MAX_TOKENS = {"edit3r": 98_000, "edit3r_testing": 13_200, "plugins": 226_000}
 MAX_IMPORTS_BETWEEN_PLUGINS = 12
 MAX_PARAMETERS = 8
-MAX_FILES_OF_A_RUN = 126  # 15 of them plugins that say what they offer
+MAX_FILES_OF_A_RUN = 132  # 15 of them plugins that say what they offer
 
 MANY_PARAMETERS = {
     "edit3r.api.run",  # the settings of a run stand in its signature
@@ -251,13 +251,10 @@ STEPS = "edit3r.pipeline.steps"
 
 def test_nothing_but_the_loop_assembles_a_run():
     """Every door (command line, Python, batch, app) builds a RunJob and calls `run`."""
-    helpers = {"composite"}
     wrong = [
         str(arrow)
         for arrow in arrows()
-        if arrow.target == STEPS
-        and arrow.name not in helpers
-        and arrow.source.name != "edit3r.pipeline.run"
+        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.pipeline.run"
     ]
     assert not wrong, "\n".join(wrong)
 

@@ -1,4 +1,4 @@
-"""Maps of pixels: dilation, resizing, and upsampling along an image's edges."""
+"""Maps of pixels: dilation, blending by masks, resizing, and upsampling along an image's edges."""
 
 import numpy as np
 import torch
@@ -9,7 +9,14 @@ from torch import Tensor
 from edit3r.compute.compiling import compiled
 from edit3r.compute.layers import bilinear
 
-__all__ = ["dilate", "dilate_softly", "guided_upsample", "resize", "upsample_depth"]
+__all__ = [
+    "composite",
+    "dilate",
+    "dilate_softly",
+    "guided_upsample",
+    "resize",
+    "upsample_depth",
+]
 
 MARGIN = 0.01  # of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask
 SAME_COLOUR = 0.1  # colour distance [sRGB] at which a small pixel's weight falls to 1/e
@@ -45,6 +52,17 @@ def dilate_softly(
         wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False
     )[:, 0]
     return torch.maximum(masks, soft)
+
+
+def composite(
+    original: Float[Tensor, "batch view 3 height width"],
+    edited: Float[Tensor, "batch view 3 height width"],
+    masks: Float[Tensor, "batch view height width"],
+) -> Float[Tensor, "batch view 3 height width"]:
+    """Blend by mask; bit-equal to `original` where the mask is 0 and to `edited` where it is 1."""
+    weight = masks[:, :, None]
+    blended = original + weight * (edited - original)
+    return torch.where(weight <= 0, original, torch.where(weight >= 1, edited, blended))
 
 
 def resize(

@@ -67,10 +67,8 @@ def find_correspondences(
     partners = partner_views(views)
     points = unproject(depths, intrinsics, c2w).reshape(batch, views, height * width, 3)
     coordinates, z = project(points, intrinsics[:, partners], c2w[:, partners])
-    coordinates, z = (
-        coordinates.reshape(batch, views, height, width, 2),
-        z.reshape(batch, views, height, width),
-    )
+    coordinates = coordinates.unflatten(2, (height, width))
+    z = z.view_as(depths)
     inside = ((z > 1e-6) & (coordinates > 0).all(-1) & (coordinates < 1).all(-1)).to(
         depths.dtype
     )

@@ -6,12 +6,15 @@ from itertools import groupby
 
 from edit3r.config import PartChoice
 from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.types import EditRequest
 from edit3r.contract.wishes import Wish
 from edit3r.errors import PromptError
 from edit3r.pipeline.checks import component_name
+from edit3r.pipeline.scene import Scene
 from edit3r.plugins.load import Offer
 from edit3r.plugins.registry import Registry
 from edit3r.plugins.weights import at_hand
+from edit3r.reporting import say
 from edit3r.wishes.read import ABILITIES, read, spelling_hint
 
 
@@ -22,6 +25,16 @@ class EditorTask:
     editor: Editor
     prompt: str  # the sentence, or the part of it that is this editor's
     wishes: tuple[Wish, ...] = ()  # () where the sentence could not be read
+
+
+def request_of(task: EditorTask, scene: Scene, seed: int, wishes: range) -> EditRequest:
+    """What one editor is asked; its wishes are those at `wishes` of the whole sentence."""
+    regions = None
+    if scene.regions is not None:
+        regions = scene.regions[wishes.start : wishes.stop]
+    if task.wishes:
+        say("edit.understood", "; ".join(map(str, task.wishes)))
+    return EditRequest(task.prompt, seed, scene.masks, task.wishes, regions)
 
 
 def tasks_for_editor(

@@ -15,7 +15,12 @@ from edit3r.pipeline.job import RunJob
 from edit3r.pipeline.parts import Parts, with_known_poses
 from edit3r.pipeline.quality import note_quality
 from edit3r.pipeline.scene import Scene
-from edit3r.pipeline.steps import edit, judge, read, reconstruct, refine, select
+from edit3r.pipeline.steps.edit import edit
+from edit3r.pipeline.steps.judge import judge
+from edit3r.pipeline.steps.read import read
+from edit3r.pipeline.steps.reconstruct import reconstruct
+from edit3r.pipeline.steps.refine import refine
+from edit3r.pipeline.steps.select import select
 from edit3r.pipeline.verdict import Verdict
 from edit3r.plugins.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting

@@ -374,11 +374,9 @@ class _Work:
                 self.images[way], self.masks[source][None]
             )
         tracks, place = self.tracks[source, step], abs(view - source)
-        return (
-            tracks.logits[place, 0]
-            if bool(tracks.present[place, 0])
-            else tracks.logits[place, 0].clamp(max=-1e-3)
-        )
+        logits = tracks.logits[place, 0]
+        there = bool(tracks.present[place, 0])
+        return logits if there else logits.clamp(max=-1e-3)
 
     def _by_geometry(self, source: int, view: int) -> Tensor | None:
         """The mask of `source` as seen from `view`; None where geometry cannot tell, or does not

@@ -18,10 +18,10 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import Cameras, EditRequest
 from edit3r.errors import InputError
 from edit3r.geometry.cameras import scale_poses
+from edit3r.geometry.maps import composite
 from edit3r.geometry.paths import between_and_around
 from edit3r.io.sheet import draw_sheet
 from edit3r.pipeline.rendering import render_each
-from edit3r.pipeline.steps import composite
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import Report
 from edit3r_measure.bench_manifest import Images, LoadedItem, Maps

@@ -19,6 +19,7 @@ from edit3r.contract.interfaces import (
     StartsFromImages,
 )
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.geometry.maps import composite
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.pipeline.checks import (
     check_edit,
@@ -26,7 +27,6 @@ from edit3r.pipeline.checks import (
     component_name,
     errors_named_after,
 )
-from edit3r.pipeline.steps import composite
 from edit3r.reporting import note, warn
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 

@@ -12,10 +12,11 @@ from edit3r.contract.interfaces import Editor, EditsViews, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
+from edit3r.geometry.maps import composite
 from edit3r.pipeline.config import DEFAULTS, make_run_config
 from edit3r.pipeline.job import JobInputs, job_from
 from edit3r.pipeline.run import preview
-from edit3r.pipeline.steps import _as_fused, composite
+from edit3r.pipeline.steps.refine import _as_fused
 from edit3r.reporting import Report
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -310,7 +311,7 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
 ):
     followed = []
     monkeypatch.setattr(
-        "edit3r.pipeline.steps._refined",
+        "edit3r.pipeline.steps.refine._refined",
         lambda refiner, gaussians, scene, parts: (
             followed.append(_as_fused(scene)) or gaussians
         ),
@@ -327,7 +328,7 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
 def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
     followed = []
     monkeypatch.setattr(
-        "edit3r.pipeline.steps._refined",
+        "edit3r.pipeline.steps.refine._refined",
         lambda refiner, gaussians, scene, parts: (
             followed.append(_as_fused(scene)) or gaussians
         ),
