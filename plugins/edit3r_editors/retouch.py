@@ -35,6 +35,10 @@ NEAR = 0.1
 # confidence above which a depth was measured; filled-in depths bleed over the edges of what is
 # removed
 SURE = 0.5
+# of what another photo shows beside a hole: largest mean error, as a share of the contrast there
+MAX_ERROR_BESIDE = 0.3
+NOISE = 0.01  # error that photos of one surface have anyway
+BESIDE = 0.06  # how far from a hole its surroundings reach [longer sides]
 SHADOW = 0.75  # share of the light around below which a pixel is in shadow
 MAX_TINT = 0.15  # difference of the channels' shares within a shadow
 DARK = 0.1  # light below which no shadow is told from the ground
@@ -240,6 +244,9 @@ def behind(
             for o in others
         )
         pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
+        right = _right_beside(images[view], holes[view], pixels, shown)
+        shown &= right
+        agrees &= right
         # What one of several photos alone shows, against its own depth, is more often wrong than
         # what is inpainted.
         trusted = agrees.any(0) | (shown.sum(0) >= min(2, len(others)))
@@ -279,6 +286,27 @@ def _lent(
         & (z < (1 + NEAR) * measured)
     )
     return warp(image, grid), shown, shown & ((z / surface - 1).abs() < NEAR)
+
+
+def _right_beside(
+    image: Float[Tensor, "3 height width"],
+    hole: Bool[Tensor, "height width"],
+    pixels: Float[Tensor, "lender 3 height width"],
+    shown: Bool[Tensor, "lender height width"],
+) -> Bool[Tensor, "lender 1 1"]:
+    """Whether what the lenders show beside the hole is what the photo itself shows there.
+
+    Where it is not, poses or depths are wrong, and what they show in the hole is wrong too.
+    """
+    reach = math.ceil(BESIDE * max(hole.shape))
+    near = dilate(hole[None].to(image), reach)[0] > dilate(hole[None].to(image), 1)[0]
+    right = []
+    for lent, where in zip(pixels, shown & near):
+        own = image[:, where]
+        error = (own - lent[:, where]).abs().mean()
+        contrast = (own - own.mean(1, keepdim=True)).abs().mean()
+        right.append(bool(error <= MAX_ERROR_BESIDE * contrast + NOISE))
+    return torch.tensor(right, device=hole.device)[:, None, None]
 
 
 def _carried(

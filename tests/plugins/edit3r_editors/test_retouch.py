@@ -122,6 +122,15 @@ def test_what_one_of_three_photos_shows_against_its_own_depth_is_not_believed():
     assert right > 0.8 and wrong < 0.2
 
 
+def test_a_photo_that_shows_something_else_beside_the_hole_lends_nothing():
+    """A wrong pose is noticed there: what it would carry into the hole is wrong as well."""
+    views, _, masks, geometry = _scene()
+    wrong = geometry.c2w.clone()
+    wrong[0, 1, 0, 3] += 0.2
+    _, report = _retouched(replace(geometry, c2w=wrong), views, masks)
+    assert report.notes["retouch.seen_by_other_photos"] == [0.0, 0.0]
+
+
 def test_the_surface_behind_a_hole_continues_the_plane_around_it():
     y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
     plane = 0.2 + 0.004 * x + 0.002 * y
