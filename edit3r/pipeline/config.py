@@ -145,6 +145,11 @@ class RunConfig(Settings):
         "--refine follows, "
         "which brings the detail of the photos themselves; 1: at the photos' own",
     )
+    light: Literal["one", "own"] = Field(
+        "one",
+        description="one: photos of other exposure or white balance are brought to the light of "
+        "the first; own: each is taken as it is",
+    )
     quality: Literal["fast", "balanced", "best"] | None = Field(
         None,
         description="measured preset that lies under all other settings (see docs/tradeoff.md)",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.geometry.light import Light
 from edit3r.io.images import Photo
 from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.verdict import Verdict
@@ -50,6 +51,8 @@ class Scene:
         default_factory=dict
     )
     edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
+    # how the photos' colours become the first one's; None: they are taken as they are
+    light: Light | None = None
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
     reconstruction: Reconstruction = NOT_YET  # of the edited views
@@ -72,6 +75,12 @@ class Scene:
         """Whether some pixels must stay as they are."""
         return self.masks is not None and not bool((self.masks > 0).all())
 
+    def in_one_light(self, views: Views) -> Views:
+        """Photos of this scene, edited or not, as they would look in the first one's light."""
+        if self.light is None:
+            return views
+        return replace(views, images=self.light.to_reference(views.images))
+
     def select(self, indices: list[int]) -> "Scene":
         """The same with the views at `indices` only; nothing has been reconstructed yet."""
         records = tuple(self.records[i] for i in indices) if self.records else ()
@@ -84,6 +93,7 @@ class Scene:
             regions=None if self.regions is None else self.regions[:, :, indices],
             things={name: masks[indices] for name, masks in self.things.items()},
             edited=None if self.edited is None else self.edited.select(indices),
+            light=None if self.light is None else self.light.select(indices),
         )
 
     def to(self, device: torch.device | str) -> "Scene":

@@ -103,8 +103,9 @@ def open_viewer(result: "RunResult") -> Path:
 
 def _look(result: "RunResult") -> dict[str, Any]:
     """Texts and second look of the viewer's page."""
+    photos, edited = map(result.scene.in_one_light, (result.photos, result.edited))
     before = colours_before(
-        result.gaussians, result.cameras, result.photos, result.edited, result.rendered
+        result.gaussians, result.cameras, photos, edited, result.rendered
     )
     return {
         "title": result.config.prompt or "edit3r scene",

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import torch
 
+from edit3r.contract.types import Rendering
 from edit3r.pipeline.edit_measures import measure_edit_in_3d
 from edit3r.pipeline.edit_verdict import judge_edit
 from edit3r.pipeline.parts import Parts
@@ -18,18 +19,27 @@ def judge(scene: Scene, parts: Parts) -> Scene:
     """The refined scene from its input views, and the verdict."""
     text, reconstruction = "render input views", scene.reconstruction
     with stage("check"):
-        first = render_each(
-            parts.rasterizer,
-            reconstruction.gaussians,
-            known_cameras(reconstruction),
-            text,
+        first, rendered = (
+            _in_own_light(
+                render_each(parts.rasterizer, gaussians, cameras, text), scene
+            )
+            for gaussians, cameras in (
+                (reconstruction.gaussians, known_cameras(reconstruction)),
+                (scene.gaussians, scene.cameras),
+            )
         )
-        rendered = render_each(parts.rasterizer, scene.gaussians, scene.cameras, text)
         verdict = judged(
             scene.edited, first, rendered, scene.placed, reconstruction.measured
         )
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)
+
+
+def _in_own_light(rendering: Rendering, scene: Scene) -> Rendering:
+    """The scene from the photos' places, in the light in which each photo was taken."""
+    if scene.light is None:
+        return rendering
+    return replace(rendering, images=scene.light.to_own(rendering.images))
 
 
 def _with_edit_judged_in_3d(scene: Scene, parts: Parts) -> Scene:

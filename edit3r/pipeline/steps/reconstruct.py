@@ -10,6 +10,8 @@ from torch import Tensor
 from edit3r.cache import recall
 from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstructor
 from edit3r.contract.types import Reconstruction, Views
+from edit3r.errors import MatchingError
+from edit3r.geometry.light import estimate_light
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.pipeline.checks import (
     check_reconstruction,
@@ -19,13 +21,14 @@ from edit3r.pipeline.checks import (
 from edit3r.pipeline.editors import request_of
 from edit3r.pipeline.parts import Parts
 from edit3r.pipeline.scene import Scene, known_cameras
-from edit3r.reporting import note, stage
+from edit3r.reporting import note, say, stage
 
 
 @torch.no_grad()
 def reconstruct(scene: Scene, parts: Parts) -> Scene:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
     with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
+        scene = _with_light(scene, parts)
         reconstruction = _reconstructed(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         before = _before(scene, parts)
@@ -46,10 +49,30 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
     )
 
 
+def _with_light(scene: Scene, parts: Parts) -> Scene:
+    """The scene with the photos' light, where a matcher can tell what they share."""
+    if parts.config.light == "own" or parts.matcher is None or scene.photos.count < 2:
+        return scene
+    try:
+        geometry = parts.matcher.match(scene.photos)
+    except MatchingError:  # told by the reconstructor, if it needs what was not found
+        return scene
+    light = estimate_light(scene.photos, geometry)
+    if light is not None:
+        for name, value in (("gain", light.gain), ("offset", light.offset)):
+            note(f"light.{name}", value[0, ..., 0, 0].tolist())
+        say(
+            "light",
+            f"the photos differ by up to {255 * light.change:.0f} of 255; the scene has the light "
+            "of the first (--light own: each its own)",
+        )
+    return replace(scene, light=light)
+
+
 def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
-    recon, edited = parts.reconstructor, scene.edited
-    source = edited if parts.changes_shape else scene.photos
+    recon, edited = parts.reconstructor, scene.in_one_light(scene.edited)
+    source = edited if parts.changes_shape else scene.in_one_light(scene.photos)
     if not isinstance(recon, EditsViews):
         return _checked(
             recon, edited, lambda: recon(edited, source, _grid(parts, edited))
@@ -138,7 +161,7 @@ def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
         return None
     if scene.before is not None:  # an earlier run's
         return scene.before
-    recon, photos = parts.reconstructor, scene.photos
+    recon, photos = parts.reconstructor, scene.in_one_light(scene.photos)
     if isinstance(
         recon, EditsViews
     ):  # it has no answer for photos that are not to be edited

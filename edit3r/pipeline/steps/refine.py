@@ -65,7 +65,8 @@ def _as_fused(scene: Scene) -> Views:
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """
-    edited, fusion = scene.edited, scene.reconstruction.fusion
+    edited = scene.in_one_light(scene.edited)
+    fusion = scene.reconstruction.fusion
     if fusion is None:
         return edited
     change = bilinear(fusion.flatten(0, 1), edited.image_size).view_as(edited.images)

@@ -8,16 +8,23 @@ import pytest
 import torch
 
 from edit3r.api import run
-from edit3r.contract.interfaces import Editor, EditsViews, Reconstructor
+from edit3r.contract.interfaces import (
+    Editor,
+    EditsViews,
+    MatchedGeometry,
+    Reconstructor,
+)
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.geometry.maps import composite
 from edit3r.pipeline.config import DEFAULTS, make_run_config
 from edit3r.pipeline.job import JobInputs, job_from
+from edit3r.pipeline.rendering import render_each
 from edit3r.pipeline.run import preview
 from edit3r.pipeline.steps.refine import _as_fused
 from edit3r.reporting import Report
+from edit3r_testing import photograph
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
 
@@ -382,3 +389,48 @@ def test_an_editor_that_leaves_the_program_is_named(views):
         PluginError, match=r"editor 'Answer' ended the program \(sys.exit\(0\)\)"
     ):
         run(views, "x", editor=Answer(lambda v: sys.exit(0)), recon=Flat())
+
+
+class Matched(Flat):
+    """Keeps the views that it was given; its matcher knows the true geometry."""
+
+    def __init__(self, scene):
+        super().__init__()
+        self.parts = {"matcher": self}
+        self.scene = scene
+        self.given = []
+
+    def match(self, views):
+        depths = self.scene.depths
+        placed = torch.ones(depths.shape[:2], dtype=torch.bool)
+        sure = torch.ones_like(depths)
+        return MatchedGeometry(self.scene.cameras.c2w, depths, sure, placed)
+
+    def __call__(self, views, source=None, grid=None):
+        self.given.append((views, source))
+        return super().__call__(views)
+
+
+def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own():
+    scene = photograph(2, (48, 64))
+    images = scene.views.images.clone()
+    images[:, 1] = 0.6 * images[:, 1] + 0.03
+    views = replace(scene.views, images=images)
+    results = {}
+    for light in ("one", "own"):
+        recon = Matched(scene)
+        result = run(views, editor="none", recon=recon, light=light, **PLAIN)
+        results[light] = (recon.given[0], result)
+    (edited, source), one = results["one"]
+    for given in (edited, source):
+        assert (given.images - scene.views.images).abs().mean() < 0.01
+    (edited, _), own = results["own"]
+    assert torch.equal(edited.images, images)
+    assert torch.equal(one.edited.images, images) and torch.equal(
+        one.photos.images, images
+    )
+    drawn = render_each(
+        one.rasterizer, one.gaussians, one.scene.cameras, "again"
+    ).images
+    assert torch.equal(one.rendered.images, one.scene.light.to_own(drawn))
+    assert own.scene.light is None
