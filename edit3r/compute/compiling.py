@@ -13,7 +13,7 @@ import yaml
 
 from edit3r.reporting import warn
 
-__all__ = ["compiled", "numba"]
+__all__ = ["compiled", "is_kept", "numba"]
 
 
 def _import_numba() -> ModuleType:
@@ -60,6 +60,12 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
     return decorate
 
 
+def is_kept(function: Any) -> bool:
+    """Whether the function's machine code lies in the cache, or no cache could take it."""
+    cache = function._cache
+    return isinstance(cache, _NoCache) or cache.holds_code()
+
+
 class _ForgivingCache(numba.core.caching.FunctionCache):
     """numba's cache, in which a file that cannot be read or written is as good as none.
 
@@ -73,6 +79,13 @@ class _ForgivingCache(numba.core.caching.FunctionCache):
             raise RuntimeError(
                 "the folder for compiled code depends on the current one"
             )
+
+    def holds_code(self) -> bool:
+        """Whether there is code of the function's present source."""
+        try:
+            return bool(self._cache_file._load_index())
+        except Exception:  # a damaged pickle raises anything
+            return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
+
 from edit3r.cache import Cache, using
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
@@ -169,6 +171,8 @@ def _take(
     note_quality(job.config)
     scene = read(job, registry)
     parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
+    if reconstruct in steps:
+        parts.rasterizer.prepare(torch.device(job.config.device).type)
     for step in steps:
         scene = step(scene, parts)
     return scene, parts

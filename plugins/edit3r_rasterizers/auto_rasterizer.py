@@ -34,6 +34,10 @@ class AutoRasterizer(Rasterizer):
         self.settings = settings
         self._built: dict[str, Rasterizer] = {}
 
+    def prepare(self, device: str) -> None:
+        rasterizer, chosen = self._on(device)
+        rasterizer.prepare(chosen)
+
     def render(
         self,
         gaussians: Gaussians,
@@ -42,7 +46,7 @@ class AutoRasterizer(Rasterizer):
     ) -> Rendering:
         """Render on the best device at hand; the result is on the Gaussians' own."""
         given = () if background is None else (background,)
-        rasterizer, device = self._for(gaussians)
+        rasterizer, device = self._on(gaussians.means.device.type)
         if device == gaussians.means.device.type:
             return rasterizer.render(gaussians, cameras, *given)
         moved = (one.to(device) for one in (gaussians, cameras, *given))
@@ -54,16 +58,15 @@ class AutoRasterizer(Rasterizer):
         cameras: Cameras,
         weights: Float[Tensor, "camera height width"] | None = None,
     ) -> Float[Tensor, "batch gaussian"]:
-        rasterizer, device = self._for(gaussians)
+        rasterizer, device = self._on(gaussians.means.device.type)
         weights = None if weights is None else weights.to(device)
         found = rasterizer.contributions(
             gaussians.to(device), cameras.to(device), weights
         )
         return found.to(gaussians.means.device)
 
-    def _for(self, gaussians: Gaussians) -> tuple[Rasterizer, str]:
-        """The rasterizer for these Gaussians, and the type of device that it renders on."""
-        device = gaussians.means.device.type
+    def _on(self, device: str) -> tuple[Rasterizer, str]:
+        """The rasterizer for Gaussians on a type of device, and the type that it renders on."""
         offer, reason = choose(default_registry(), device)
         name = offer.qualified_name
         reporting.note("rasterizer.picked", offer.component.name)

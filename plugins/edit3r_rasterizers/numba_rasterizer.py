@@ -1,7 +1,10 @@
 """The CPU rasterizer: kernels compiled by numba, with a hand-derived backward pass."""
 
+import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from subprocess import DEVNULL
 
 import numpy as np
 import torch
@@ -9,9 +12,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.compute.compiling import is_kept
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.errors import InputError
+from edit3r.io.children import PYTHON
+from edit3r.reporting import say
 from edit3r_rasterizers.compositing import (
     BACKWARD_SCRATCH,
     FORWARD_SCRATCH,
@@ -40,6 +46,8 @@ from edit3r_rasterizers.settings import (
 )
 from edit3r_rasterizers.tile_lists import TileGrid, TileLists, list_tiles
 
+MAX_WAIT = 120  # for kernels that another process compiles [s]
+
 
 class NumbaSettings(RasterizerSettings):
     """The shared settings, and the number of threads."""
@@ -61,6 +69,10 @@ class NumbaRasterizer(Rasterizer):
 
     Settings = NumbaSettings
 
+    def prepare(self, device: str) -> None:
+        """Compile the kernels in another process, once after an install."""
+        _compiling_ahead.start()
+
     def render(
         self,
         gaussians: Gaussians,
@@ -81,6 +93,7 @@ class NumbaRasterizer(Rasterizer):
             raise InputError(
                 "rasterizer 'numba' has no gradient for cameras; detach them, or use 'torch'."
             )
+        _compiling_ahead.wait()
         single = gaussians.to(torch.float32)
         backgrounds = resolve_background(
             background, self.settings.background, single, cameras
@@ -94,6 +107,31 @@ class NumbaRasterizer(Rasterizer):
         )
         outputs = _Rasterize.apply(self.settings, cameras, *fields, backgrounds)
         return Rendering(*outputs).to(gaussians.means.dtype)
+
+
+class _CompilingAhead:
+    """A process that compiles the kernels into numba's cache while the run's other steps work."""
+
+    process: subprocess.Popen | None = None
+
+    def start(self) -> None:
+        if self.process is not None or is_kept(differentiate_tiles):
+            return
+        say("compiling", "the rasterizer, once after an install, beside the other steps")
+        command = [*PYTHON, "-m", "edit3r_rasterizers.compile_ahead"]
+        self.process = subprocess.Popen(
+            command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL
+        )
+
+    def wait(self) -> None:
+        """Wait for the process; what it did not compile is compiled here."""
+        if self.process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(MAX_WAIT)
+            self.process = None
+
+
+_compiling_ahead = _CompilingAhead()
 
 
 def _check_device(gaussians: Gaussians) -> None:

@@ -19,6 +19,13 @@ class Rasterizer(Configured, ABC):
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
         """Images, alphas and expected depths of every camera of every scene."""
 
+    def prepare(self, device: str) -> None:
+        """Begin in the background what would delay the first image, such as compiling.
+
+        A run calls it before the photos are edited, with the type of device that the Gaussians
+        will be on, such as 'cpu'. This default does nothing.
+        """
+
     def contributions(
         self,
         gaussians: Gaussians,

@@ -1,11 +1,15 @@
+import os
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_rasterizers import kernels
+from edit3r_rasterizers import compile_ahead, kernels
 from edit3r_rasterizers.compositing import shade_tiles
 from edit3r_rasterizers.kernels import even_bounds, run_slices
+from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer, NumbaSettings
 from edit3r_rasterizers.settings import RasterizerSettings
 from raster_scenes import cameras, cloud, gradients
 
@@ -183,3 +187,52 @@ def test_a_kernel_is_named_after_all_sources_so_that_no_stale_one_is_run():
         shade_tiles.py_func.__qualname__
         == f"shade_tiles_{kernels._digest_of_sources()}"
     )
+
+
+COLD = """
+from numba.core import event
+compiled = []
+
+class Listener(event.Listener):
+    def on_start(self, started):
+        compiled.append(started.data["dispatcher"].py_func.__name__)
+
+    def on_end(self, ended):
+        pass
+
+event.register("numba:compile", Listener())
+import sys
+from edit3r_rasterizers import compile_ahead
+from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer, NumbaSettings
+
+if sys.argv[1] == "prepared":
+    NumbaRasterizer(NumbaSettings()).prepare("cpu")
+compile_ahead.main()
+print(len(compiled))
+"""
+
+
+def test_kernels_are_compiled_beside_a_first_run_and_no_more_after_it(tmp_path):
+    """All kernels that an image and its gradient need come from the other process."""
+
+    def compiled_here(argument: str, cache: str) -> int:
+        done = subprocess.run(
+            [sys.executable, "-c", COLD, argument],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return int(done.stdout)
+
+    assert compiled_here("prepared", "one") == 0
+    assert compiled_here("alone", "one") == 0
+    assert compiled_here("alone", "two") > 5
+
+
+def test_kept_kernels_start_no_process(monkeypatch):
+    started = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(a))
+    compile_ahead.main()
+    NumbaRasterizer(NumbaSettings()).prepare("cpu")
+    assert not started
