@@ -139,6 +139,12 @@ def devices() -> Iterator[Finding]:
         )
     if torch.backends.mps.is_available():
         yield Finding("mps: Apple GPU")
+    elif gpus == 0 and torch.version.cuda:
+        yield Finding(
+            f"torch {torch.__version__} is built for CUDA, and no GPU is here: 3 GB for nothing; "
+            "`uv pip install --torch-backend=auto torch` chooses by the machine",
+            None,
+        )
     elif gpus == 0:
         yield Finding("no GPU; what does not need one runs on the CPU", None)
 

@@ -83,6 +83,14 @@ def test_the_memory_that_is_free_is_told_where_the_system_tells(monkeypatch):
     assert "memory" not in next(iter(doctor.devices())).text
 
 
+def test_a_cuda_build_without_a_gpu_is_named_with_the_way_out(monkeypatch):
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    monkeypatch.setattr("torch.backends.mps.is_available", lambda: False)
+    for built_for, told in (("12.8", "--torch-backend=auto"), (None, "no GPU;")):
+        monkeypatch.setattr("torch.version.cuda", built_for)
+        assert told in list(doctor.devices())[-1].text
+
+
 def test_failed_plugins_clashes_and_broken_components_are_wrong_a_missing_extra_is_not():
     here = registry(
         offer("rasterizer", "nan"),
