@@ -100,7 +100,8 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     marks = (inputs.mask, inputs.point, inputs.not_point, inputs.box, inputs.thing)
     marked = any(marks)
     subject = DEFAULTS["subject"]
-    if not marked and config.editor is None and subject in config.prompt.lower():
+    usual = config.editor is None or config.editor.name == DEFAULTS["editor"]
+    if usual and not marked and subject in config.prompt.lower():
         note("selection.mask", f"the packaged pair brings masks of its {subject}")
         folder = Path(cameras).parent
         found["mask"] = tuple(
