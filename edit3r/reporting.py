@@ -133,7 +133,7 @@ def progress(text: str, done: int, total: int) -> None:
 def available_memory() -> int | None:
     """Memory that programs may still take [bytes]; None where the system does not tell."""
     table = Path("/proc/meminfo")
-    lines = table.read_text().splitlines() if table.is_file() else []
+    lines = table.read_text(encoding="ascii").splitlines() if table.is_file() else []
     return next(
         (
             int(line.split()[1]) * 1024
@@ -150,7 +150,7 @@ def peak_memory_mb() -> float:
     if (
         status.is_file()
     ):  # Linux's getrusage counts what the parent process had when it started this one
-        for line in status.read_text().splitlines():
+        for line in status.read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
     try:

@@ -25,6 +25,9 @@ def killed_at():
     Returns False where it ended by itself, with fewer changes.
     """
 
+    if not hasattr(os, "fork"):
+        pytest.skip("needs fork, which Windows does not have")
+
     def run(step, folder, act):
         child = os.fork()
         if child:

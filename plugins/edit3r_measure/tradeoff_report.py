@@ -41,7 +41,8 @@ def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
     versions = installed_versions()
     table = Path("/proc/cpuinfo")
     found = re.search(
-        r"model name\s*: (.+)", table.read_text() if table.is_file() else ""
+        r"model name\s*: (.+)",
+        table.read_text(encoding="utf-8") if table.is_file() else "",
     )
     machine = {
         "processor": found[1] if found else platform.processor(),

@@ -2,7 +2,6 @@
 
 import math
 import os
-import signal
 
 import pytest
 
@@ -55,7 +54,7 @@ def test_processes_give_the_same_rows(path, tmp_path):
 
 def dies_of_two(job):
     if job["value"] == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(9)
     return {**job, "process": os.getpid()}
 
 

@@ -341,6 +341,8 @@ def test_a_wheel_that_is_not_what_was_declared_gives_nothing(
 @pytest.fixture
 def npm(tmp_path, monkeypatch):
     """A stand-in for the client npm that knows one package, and writes down how it was called."""
+    if sys.platform == "win32":
+        pytest.skip("the stand-in is a script with a first line that Windows ignores")
     packed = tmp_path / "small-thing-1.0.tgz"
     (tmp_path / "weights.bin").write_bytes(BIG)
     with tarfile.open(packed, "w:gz") as archive:

@@ -3,7 +3,6 @@ no half result.
 """
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -141,7 +140,7 @@ def test_a_server_that_was_killed_finds_its_child_still_running(folder):
         stdout=subprocess.PIPE,
     ) as server:
         assert server.stdout.readline() == b"begun\n"
-        server.send_signal(signal.SIGKILL)
+        server.kill()
     again = runner_of(folder, WRONG)  # were it started again, it would fail
     again.step()
     assert states(folder) == ["running"]

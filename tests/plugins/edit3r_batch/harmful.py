@@ -3,7 +3,6 @@ asked.
 """
 
 import os
-import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +31,7 @@ class HarmfulEditor(Editor):
             with Path(log).open("a") as file:
                 file.write(f"{request.seed} {os.getpid()} {self.built}\n")
         if request.prompt == "die":
-            os.kill(os.getpid(), signal.SIGKILL)
+            os._exit(9)
         if request.prompt == "fail":
             raise RunError("the model | is\nnot in the mood.")
         if request.prompt == "crash":

@@ -4,7 +4,6 @@ was interrupted.
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -234,7 +233,7 @@ def test_a_killed_batch_goes_on_with_no_job_lost_or_done_twice(place):
     while sum(path.name == "run.json" for path in place.glob("out/job-*/*")) < 3:
         assert child.poll() is None
         time.sleep(0.02)
-    child.send_signal(signal.SIGKILL)
+    child.kill()
     child.wait()
     workers = {
         int(line.split()[1]) for line in (place / "log").read_text().splitlines()

@@ -183,6 +183,7 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
     assert join_tracks(matches, keypoints) == []
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM on Windows")
 @pytest.mark.parametrize(
     "where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"]
 )

@@ -3,7 +3,6 @@ loop.
 """
 
 import json
-import os
 import random
 import signal
 from dataclasses import replace
@@ -54,7 +53,7 @@ def test_resuming_takes_out_what_will_be_done_again(tmp_path):
 def test_a_signal_is_noted_and_does_not_interrupt(number):
     with StopRequest() as stop:
         assert not stop.asked
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
         assert stop.asked
 
 
@@ -71,9 +70,9 @@ def test_a_second_interrupt_stops_at_once():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with StopRequest() as stop, pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             assert stop.asked
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             signal.sigtimedwait([], 1)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -214,7 +213,7 @@ class _Interrupted(_Line):
     def _interrupt(self, where: str, now: bool) -> None:
         if now and self.where == where:
             self.where = ""
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             signal.sigtimedwait([], 1)
 
 

@@ -1,5 +1,4 @@
 import json
-import os
 import signal
 import threading
 from contextlib import nullcontext
@@ -137,7 +136,7 @@ class _StopAt:
     def __getitem__(self, index: int):
         self.asked += 1
         if self.asked == self.at:
-            os.kill(os.getpid(), self.number)
+            signal.raise_signal(self.number)
         return self.data[index]
 
 

@@ -5,7 +5,6 @@ run.
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -125,7 +124,7 @@ def test_killed_and_resumed_gives_the_same_report(straight, run, cards):
     try:
         wait_for(lambda: process.poll() is not None or lines(run.out) >= 2)
     finally:
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
     run_bench(run)
     assert report_of(run) == straight
