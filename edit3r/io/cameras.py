@@ -1,4 +1,4 @@
-"""Camera files: our `cameras.json`, and nerfstudio's `transforms.json` (read only).
+"""Camera files: our `cameras.json`, and nerfstudio's `transforms.json`.
 
 `cameras.json` is a list of `{file, width, height, K, c2w}`: `file` relative to the list's folder,
 `K` 3x3 in pixels of the upright image with the centre of its top-left pixel at (0.5, 0.5), `c2w`
@@ -32,6 +32,7 @@ __all__ = [
     "read_cameras",
     "read_scene_cameras",
     "write_cameras",
+    "write_transforms",
 ]
 
 CAMERA_FILES = ("cameras.json", "transforms.json")
@@ -158,6 +159,21 @@ def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
         lines.append(json.dumps(entry, allow_nan=False))
     with atomic_write(path) as partial:
         partial.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
+
+
+def write_transforms(path: str | Path, cameras: Cameras, files: Sequence[str]) -> None:
+    """Write the cameras of one scene (batch 1) as nerfstudio's `transforms.json`."""
+    height, width = cameras.image_size
+    pixels = to_pixels(cameras.intrinsics[0].double(), cameras.image_size).tolist()
+    poses = (cameras.c2w[0].double() @ torch.from_numpy(_OPENGL_TO_OPENCV)).tolist()
+    frames = []
+    for file, ((fx, _, cx), (_, fy, cy), _), pose in zip(files, pixels, poses):
+        frame = {"file_path": file, "w": width, "h": height}
+        frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
+        frames.append(frame)
+    content = {"camera_model": "PINHOLE", "frames": frames}
+    with atomic_write(path) as partial:
+        partial.write_text(json.dumps(content, indent=1, allow_nan=False), "utf-8")
 
 
 def _rounded(matrix: np.ndarray | None) -> list[list[float]] | None:

@@ -23,6 +23,8 @@ FORMATS = {
     "ply": ".ply",
 }
 """Formats that a scene is exported in, and the suffix of each one's files."""
+CAMERA_FORMATS = {"colmap": "-colmap", "nerfstudio": "-nerfstudio"}
+"""Formats that a run's cameras are exported in, and the end of each one's folder."""
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 MAX_STEPS = 9  # from one reading of what was meant to the next
 MAX_GROWTH = 200.0  # of an outline [pixels]

@@ -1,4 +1,4 @@
-"""`edit3r export`: a scene in the formats of other programs, and theirs as PLY."""
+"""`edit3r export`: a scene, or a run's cameras, in the formats of other programs; theirs as PLY."""
 
 import argparse
 from pathlib import Path
@@ -10,8 +10,9 @@ class ExportCommand(Command):
     """Write a scene in a format of other programs; a file of such a format can be read as well."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        from edit3r.pipeline.config import FORMATS
+        from edit3r.pipeline.config import CAMERA_FORMATS, FORMATS
 
+        forms = [*FORMATS, *CAMERA_FORMATS]
         add = parser.add_argument
         add(
             "scene",
@@ -23,14 +24,15 @@ class ExportCommand(Command):
             "--to",
             required=True,
             nargs="+",
-            choices=FORMATS,
+            choices=forms,
             metavar="FORMAT",
-            help=", ".join(FORMATS),
+            help=", ".join(forms),
         )
         add(
             "--out",
-            metavar="FILE",
-            help="the file to write, for one format; default: beside the scene",
+            metavar="PATH",
+            help="the file, or for cameras the folder, to write, for one format; default: beside "
+            "the scene",
         )
         add("--overwrite", action="store_true", help="replace files that are there")
         add("--quiet", action="store_true", help="print errors only")
@@ -40,26 +42,25 @@ class ExportCommand(Command):
         from edit3r.errors import InputError
         from edit3r.io.atomic import check_new_file
         from edit3r.io.export import FORMATS, export_scene, load_scene
+        from edit3r.io.posed_photos import CAMERA_FORMATS, export_cameras
         from edit3r.reporting import Report, collecting
 
         scene: Path = args.scene
         if args.out and len(args.to) > 1:
             raise InputError(
-                "--out names one file; give one format with it, or leave --out away."
+                "--out names one place; give one format with it, or leave --out away."
             )
         base = (
             scene.name.removesuffix(".ply").removesuffix(".compressed")
             if scene.suffix == ".ply"
             else scene.stem
         )
-        made = [
-            (
-                form,
-                Path(args.out) if args.out else scene.with_name(base + FORMATS[form]),
-            )
+        ends = {**FORMATS, **CAMERA_FORMATS}
+        made = {
+            form: Path(args.out or scene.with_name(base + ends[form]))
             for form in args.to
-        ]
-        for _, path in made:
+        }
+        for path in made.values():
             check_new_file(path, args.overwrite, source=scene)
         with (
             StageConsole(quiet=args.quiet) as console,
@@ -67,10 +68,16 @@ class ExportCommand(Command):
         ):
             with report.stage("read scene"):
                 gaussians = load_scene(scene)
-            for form, path in made:
+            for form, path in made.items():
                 with report.stage(f"write {form}"):
-                    export_scene(path, gaussians, form)
+                    if form in FORMATS:
+                        export_scene(path, gaussians, form)
+                    else:
+                        export_cameras(
+                            path, scene.parent, gaussians, form, args.overwrite
+                        )
         if not args.quiet:
-            for _, path in made:
-                print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+            for path in made.values():
+                size = sum(file.stat().st_size for file in (path, *path.rglob("*")))
+                print(f"wrote {path} ({size / 1e6:.1f} MB)")
         return 0
