@@ -1,0 +1,37 @@
+"""`edit3r mcp`: tools for assistants, over standard input and output."""
+
+import argparse
+from pathlib import Path
+
+from edit3r.contract.command import Command
+from edit3r.errors import InputError
+
+
+class McpCommand(Command):
+    """Serve the Model Context Protocol, until the assistant's program closes the connection."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "--folder",
+            required=True,
+            metavar="DIR",
+            help="all that the tools write goes here; relative names of photos begin here",
+        )
+        parser.add_argument(
+            "--config",
+            metavar="FILE",
+            help="YAML file of settings for every edit, or the name of a shipped one",
+        )
+
+    def main(self, args: argparse.Namespace) -> int:
+        from edit3r_mcp.tools import server
+
+        folder = Path(args.folder).resolve()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"--folder {folder}: cannot be made ({error.strerror})."
+            ) from None
+        server(folder, args.config).run("stdio")
+        return 0

@@ -1,0 +1,150 @@
+"""The tools of the server. Each is one command of edit3r in a process of its own, which ends where
+the assistant cancels the call, and writes whole folders or nothing.
+"""
+
+import io
+import json
+from itertools import count
+from pathlib import Path
+from subprocess import DEVNULL
+
+import anyio
+from mcp.server.mcpserver import Image, MCPServer
+from mcp.server.mcpserver.exceptions import ToolError
+from PIL import Image as Pillow
+from pydantic import BaseModel, Field
+
+from edit3r.io.children import PYTHON
+from edit3r.pipeline.config import CAMERA_FORMATS, FORMATS
+
+MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
+INSTRUCTIONS = (
+    "Edits 3D scenes from two or more photos of one place. Show what a click or words select with "
+    "`select`, then call `edit` with the same marks; tell the user the verdicts, and say so where "
+    "one is not 'good'."
+)
+PLACE = "on the first photo, or `N:...` on photo N; in shares of its sides or pixels"
+
+
+class MarkArguments(BaseModel):
+    """What is meant on the photos."""
+
+    thing: str = Field("", description="in words, such as 'the left cup'")
+    points: list[str] = Field([], description=f"`X,Y` on the thing, {PLACE}")
+    not_points: list[str] = Field([], description=f"`X,Y` beside the thing, {PLACE}")
+    boxes: list[str] = Field([], description=f"`X,Y,WIDTH,HEIGHT` around it, {PLACE}")
+    guess: bool = Field(False, description="take what was found unsurely")
+
+    def flags(self) -> list[str]:
+        flags = [f"--thing={self.thing}"] if self.thing else []
+        flags += [f"--point={place}" for place in self.points]
+        flags += [f"--not-point={place}" for place in self.not_points]
+        flags += [f"--box={place}" for place in self.boxes]
+        return [*flags, "--guess"] if self.guess else flags
+
+
+class Tools:
+    """What an assistant can do in `folder`; `config` lies under every edit."""
+
+    def __init__(self, folder: Path, config: str | None = None) -> None:
+        self.folder = folder
+        self.config = config
+        self._one_at_a_time = anyio.Lock()
+
+    async def select(self, photos: list[str], marks: MarkArguments) -> list:
+        """Show what is selected on every photo: all that is not selected is dark. Nothing is
+        edited.
+        """
+        said, out = await self._make(
+            "selection", "mask", *self._photos(photos), *marks.flags()
+        )
+        return [said, _sent(out / "preview.png")]
+
+    async def edit(
+        self,
+        prompt: str,
+        photos: list[str] | None = None,
+        marks: MarkArguments | None = None,
+        earlier: str = "",
+    ) -> list:
+        """Edit photos of one scene as a sentence says ("paint the bike red"), and make it 3D.
+
+        Give two or more photos, or as `earlier` the name of a run that is edited again. What
+        changes is the thing that the sentence names, or the marks. It takes seconds to minutes.
+        """
+        given = [f"--from={self._found(earlier)}"] if earlier else []
+        given += self._photos(photos or [])
+        if not given:
+            raise ToolError("Give photos, or the name of an earlier run.")
+        given += marks.flags() if marks else []
+        given += [f"--config={self.config}"] if self.config else []
+        _, out = await self._make("edit", "run", *given, f"--prompt={prompt}")
+        return self.look(out.name)
+
+    def look(self, run: str) -> list:
+        """Show the photos, the 2D edits and the 3D scene of a run, with the verdicts."""
+        folder = self._found(run)
+        about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        lines = [f"run: {run} (walk through it in {folder / 'viewer.html'})"]
+        for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+            verdict = about.get(key)
+            if verdict:
+                lines.append(f"{what}: {verdict['label']}, {verdict['reason']}")
+        return ["\n".join(lines), _sent(folder / "before_after.png")]
+
+    async def export(self, run: str, form: str) -> str:
+        """Write the scene of a run for other programs, as spz, sog, splat, compressed-ply, glb or
+        ply; or its cameras, as colmap or nerfstudio.
+        """
+        folder = self._found(run)
+        ends = {**FORMATS, **CAMERA_FORMATS}
+        out = self.folder / (run + ends.get(form, ""))
+        return await self._command(
+            "export", str(folder), f"--to={form}", f"--out={out}", "--overwrite"
+        )
+
+    def _photos(self, photos: list[str]) -> list[str]:
+        return [str(self.folder / photo) for photo in photos]
+
+    def _found(self, run: str) -> Path:
+        """The folder of a run, which lies in the server's folder and nowhere else."""
+        runs = sorted(file.parent.name for file in self.folder.glob("*/run.json"))
+        if run not in runs:
+            raise ToolError(
+                f"{run!r} is no run; there are: {', '.join(runs) or 'none'}."
+            )
+        return self.folder / run
+
+    async def _make(self, kind: str, *command: str) -> tuple[str, Path]:
+        """Run a command that makes a folder `kind-N`: (what it printed, the folder)."""
+        async with self._one_at_a_time:
+            names = (self.folder / f"{kind}-{number}" for number in count(1))
+            out = next(path for path in names if not path.exists())
+            return await self._command(*command, f"--out={out}"), out
+
+    async def _command(self, *words: str) -> str:
+        """What a command of edit3r prints. Raises ToolError with its own sentence."""
+        command = [*PYTHON, "-m", "edit3r", *words]
+        done = await anyio.run_process(command, stdin=DEVNULL, check=False)
+        if done.returncode:
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
+            raise ToolError(lines[-1] if lines else f"edit3r ended: {done.returncode}.")
+        return done.stdout.decode(errors="replace").strip()
+
+
+def server(folder: Path, config: str | None = None) -> MCPServer:
+    """The server whose tools write to `folder` only."""
+    tools = Tools(folder, config)
+    made = MCPServer("edit3r", instructions=INSTRUCTIONS)
+    for tool in (tools.select, tools.edit, tools.look, tools.export):
+        made.tool(structured_output=False)(tool)
+    return made
+
+
+def _sent(path: Path) -> Image:
+    """An image in the size and form in which assistants take it."""
+    content = io.BytesIO()
+    with Pillow.open(path) as image:
+        image.thumbnail((MAX_SIDE, MAX_SIDE))
+        image.convert("RGB").save(content, "JPEG", quality=90)
+    return Image(data=content.getvalue(), format="jpeg")

@@ -1,0 +1,133 @@
+"""The tools as an assistant calls them: through the protocol, with the official client."""
+
+import base64
+import io
+import os
+import sys
+
+import anyio
+import pytest
+from PIL import Image
+
+from edit3r.cli.main import main
+from edit3r.io.images import packaged_pair
+
+pytest.importorskip("mcp", reason='needs the server: pip install "edit3r[mcp]"')
+from edit3r_mcp.tools import server
+from mcp import Client, StdioServerParameters
+
+QUICK = """
+size: 64
+gaussians: all
+refine: 0
+frames: 2
+outputs: [scene, images, sheet]
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    place = tmp_path_factory.mktemp("place")
+    (place / "quick.yaml").write_text(QUICK)
+    (place / "work").mkdir()
+    for name, photo in zip("ab", packaged_pair()[0]):
+        Image.open(photo).resize((96, 64)).save(place / "work" / f"{name}.png")
+    return place
+
+
+@pytest.fixture(scope="module")
+def call(place):
+    """Call one tool: (its text, its image or None, whether it is an error)."""
+
+    async def asked(name, arguments):
+        made = server(place / "work", str(place / "quick.yaml"))
+        async with Client(made) as client:
+            return await client.call_tool(name, arguments)
+
+    def call(name, **arguments):
+        answer = anyio.run(asked, name, arguments)
+        image = None
+        for content in answer.content[1:]:
+            image = Image.open(io.BytesIO(base64.b64decode(content.data)))
+        return answer.content[0].text, image, answer.is_error
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def edited(call):
+    """The answer of the one edit that all tests share."""
+    return call("edit", prompt="make it warmer", photos=["a.png", "b.png"])
+
+
+def test_a_selection_is_shown_on_every_photo(call, place):
+    marks = {"points": ["0.5,0.5"]}
+    text, image, failed = call("select", photos=["a.png", "b.png"], marks=marks)
+    assert not failed and "a: marked" in text
+    with Image.open(place / "work" / "selection-1" / "preview.png") as preview:
+        assert image.size == preview.size and image.width == 2 * 96
+
+
+def test_an_edit_answers_with_its_verdicts_and_its_sheet(edited, place):
+    text, image, failed = edited
+    assert not failed
+    assert [line.partition(":")[0] for line in text.splitlines()] == [
+        "run",
+        "scene",
+        "edit",
+    ]
+    assert image.format == "JPEG" and min(image.size) > 64
+    assert (place / "work" / "edit-1" / "scene.ply").is_file()
+
+
+def test_a_run_is_looked_at_again_and_edited_again(call, edited, place):
+    assert call("look", run="edit-1")[0] == edited[0]
+    text, _, failed = call("edit", prompt="make it colder", earlier="edit-1")
+    assert not failed and text.startswith("run: edit-2")
+
+
+@pytest.mark.parametrize(("form", "made"), [("ply", ".ply"), ("colmap", "-colmap")])
+def test_a_run_is_exported_beside_it(call, edited, place, form, made):
+    text, _, failed = call("export", run="edit-1", form=form)
+    out = place / "work" / f"edit-1{made}"
+    assert not failed and out.exists() and str(out) in text
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "told"),
+    [
+        ("edit", {"prompt": "x", "photos": ["c.png"]}, "no such file or folder"),
+        ("edit", {"prompt": "make it warmer"}, "Give photos, or the name"),
+        ("look", {"run": "../place"}, "is no run; there are: edit-1"),
+        ("edit", {"prompt": "x", "earlier": "/etc"}, "'/etc' is no run"),
+        ("export", {"run": "edit-1", "form": "exe"}, "invalid choice: 'exe'"),
+        ("select", {"photos": ["a.png"], "marks": {"points": ["9"]}}, "expected X,Y"),
+    ],
+)
+def test_an_error_is_one_sentence(call, edited, name, arguments, told):
+    text, image, failed = call(name, **arguments)
+    assert failed and told in text and image is None and "\n" not in text
+
+
+def test_nothing_is_written_outside_of_the_folder(edited, place):
+    assert sorted(path.name for path in place.iterdir()) == ["quick.yaml", "work"]
+
+
+def test_the_command_serves_over_standard_input_and_output(place):
+    program = ["-m", "edit3r", "mcp", "--folder", str(place / "new" / "work")]
+
+    async def listed():
+        command = StdioServerParameters(
+            command=sys.executable, args=program, env=dict(os.environ)
+        )
+        async with Client(command) as client:
+            return [tool.name for tool in (await client.list_tools()).tools]
+
+    assert anyio.run(listed) == ["select", "edit", "look", "export"]
+    (place / "new" / "work").rmdir()
+    (place / "new").rmdir()
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(place, capsys):
+    assert main(["mcp", "--folder", str(place / "quick.yaml")]) == 2
+    assert "cannot be made" in capsys.readouterr().err
