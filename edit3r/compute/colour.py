@@ -29,7 +29,7 @@ def rgb_to_lab(
     """CIE Lab under D65 of sRGB in [0, 1], without the quarter of a second that kornia takes to
     load.
     """
-    xyz = _mixed(_TO_XYZ, _linear(images))
+    xyz = _mixed(_TO_XYZ, srgb_to_linear(images))
     xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
     x, y, z = torch.where(xyz > 0.008856, xyz.pow(1 / 3), 7.787 * xyz + 4 / 29).unbind(
         -3
@@ -44,7 +44,7 @@ def rgb_to_oklab(
 
     All three scale by one factor where light falls off, so that chroma over lightness stays.
     """
-    cones = _mixed(_TO_CONES, _linear(images)).clamp(min=0)
+    cones = _mixed(_TO_CONES, srgb_to_linear(images)).clamp(min=0)
     return _mixed(_TO_OKLAB, cones.pow(1 / 3))
 
 
@@ -62,9 +62,7 @@ def _mixed(
     return torch.einsum("oi,...ihw->...ohw", images.new_tensor(matrix), images)
 
 
-def _linear(
-    images: Float[Tensor, "*batch 3 height width"],
-) -> Float[Tensor, "*batch 3 height width"]:
+def srgb_to_linear(images: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Light that sRGB in [0, 1] stands for."""
     return torch.where(
         images > 0.04045,

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from edit3r.compute.colour import srgb_to_linear
 from edit3r.contract.types import Gaussians
 from edit3r.errors import InputError, MissingDependencyError, RunError
-from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.geometry.harmonics import basis, dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
 from edit3r.io.children import PYTHON
@@ -31,7 +32,8 @@ LONGEST = (
 _CONVERT = """
 import sys, gaussforge
 data = open(sys.argv[1], "rb").read()
-answer = gaussforge.GaussForge().convert(data, *sys.argv[3:])
+version = int(sys.argv[5])
+answer = gaussforge.GaussForge().convert(data, *sys.argv[3:5], spz_version=version)
 if "error" in answer:
     sys.exit(answer["error"])
 open(sys.argv[2], "wb").write(answer["data"])
@@ -55,7 +57,10 @@ def export_scene(path: str | Path, gaussians: Gaussians, form: str) -> None:
         with tempfile.TemporaryDirectory() as scratch:
             plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
             save_ply(plain, _for_gaussforge(gaussians, form), degree=VIEWER_DEGREE)
-            _convert(plain, made, "ply", form.replace("-", "."))
+            if form == "spz4":
+                _convert(plain, made, "ply", "spz", spz_version=4)
+            else:
+                _convert(plain, made, "ply", form.replace("-", "."))
             partial.write_bytes(made.read_bytes())
 
 
@@ -101,9 +106,17 @@ def _for_gaussforge(gaussians: Gaussians, form: str) -> Gaussians:
     return replace(gaussians, harmonics=torch.cat((kept[:, :, :1], by_colour), 2))
 
 
-def _convert(source: Path, target: Path, *forms: str) -> None:
+def _convert(source: Path, target: Path, *forms: str, spz_version: int = 3) -> None:
     """Let gaussforge turn a file of one format into another."""
-    command = [*PYTHON, "-c", _CONVERT, str(source), str(target), *forms]
+    command = [
+        *PYTHON,
+        "-c",
+        _CONVERT,
+        str(source),
+        str(target),
+        *forms,
+        str(spz_version),
+    ]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=LONGEST
@@ -125,28 +138,33 @@ def _glb(gaussians: Gaussians) -> bytes:
     """Binary glTF 2.0 with the extension KHR_gaussian_splatting; programs without it show coloured
     points.
 
-    The node turns the frame of view 0 (y down, z forward) to that of glTF (y up, z backward).
+    All is turned from the frame of view 0 (y down, z forward) to that of glTF (y up, z backward),
+    and no node has a rotation, since programs need not apply one to harmonics.
     """
     columns = gaussians.to("cpu")
-    harmonics = columns.harmonics[0, :, : (VIEWER_DEGREE + 1) ** 2].numpy()
-    plain = dc_to_colour(columns.harmonics[0, :, 0]).clamp(0, 1).numpy()
+    turn = torch.tensor([1.0, -1.0, -1.0])
+    w, x, y, z = normalise_quats(columns.quats[0]).unbind(-1)
+    harmonics = columns.harmonics[0, :, : (VIEWER_DEGREE + 1) ** 2]
+    plain = dc_to_colour(harmonics[:, 0]).clamp(0, 1)
+    opacities = columns.opacities[0].clamp(0, 1)
+    # Each basis function of a turned direction is the same or its negative.
+    anywhere = torch.nn.functional.normalize(torch.tensor([0.2, 0.5, 0.8]), dim=0)
+    degree = round(harmonics.shape[1] ** 0.5) - 1
+    signs = basis(anywhere * turn, degree).sign() * basis(anywhere, degree).sign()
+    harmonics = harmonics * signs[:, None]
     own = "KHR_gaussian_splatting"
     attributes = {
-        "POSITION": columns.means[0].numpy(),
-        "COLOR_0": np.column_stack(
-            (plain**2.2, columns.opacities[0].numpy())
-        ),  # linear, as glTF wants it
-        f"{own}:ROTATION": normalise_quats(columns.quats[0])
-        .roll(-1, -1)
-        .numpy(),  # xyzw
-        f"{own}:SCALE": columns.scales[0].clamp(min=SMALLEST_SCALE).numpy(),
-        f"{own}:OPACITY": columns.opacities[0].clamp(0, 1).numpy(),
+        "POSITION": columns.means[0] * turn,
+        # linear, as glTF wants it
+        "COLOR_0": torch.column_stack((srgb_to_linear(plain), opacities)),
+        f"{own}:ROTATION": torch.stack((w, -z, y, -x), -1),  # half a turn first; xyzw
+        f"{own}:SCALE": columns.scales[0].clamp(min=SMALLEST_SCALE),
+        f"{own}:OPACITY": opacities,
     }
     for index in range(harmonics.shape[1]):
         degree = int(index**0.5)
-        attributes[f"{own}:SH_DEGREE_{degree}_COEF_{index - degree**2}"] = harmonics[
-            :, index
-        ]
+        name = f"{own}:SH_DEGREE_{degree}_COEF_{index - degree**2}"
+        attributes[name] = harmonics[:, index]
     parts = [
         np.ascontiguousarray(values, dtype="<f4") for values in attributes.values()
     ]
@@ -170,20 +188,14 @@ def _glb(gaussians: Gaussians) -> bytes:
         own: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
     }
     tree = {
-        **{
-            "asset": {"version": "2.0", "generator": "edit3r"},
-            "extensionsUsed": [own],
-            "scene": 0,
-        },
-        **{
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0, "rotation": [1, 0, 0, 0]}],
-        },
-        **{
-            "meshes": [{"primitives": [primitive]}],
-            "accessors": accessors,
-            "buffers": [{"byteLength": starts[-1]}],
-        },
+        "asset": {"version": "2.0", "generator": "edit3r"},
+        "extensionsUsed": [own],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "buffers": [{"byteLength": starts[-1]}],
         "bufferViews": [
             {"buffer": 0, "byteOffset": at, "byteLength": p.nbytes}
             for at, p in zip(starts, parts)

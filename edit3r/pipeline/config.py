@@ -16,6 +16,7 @@ DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
 FORMATS = {
     "spz": ".spz",
+    "spz4": ".v4.spz",
     "sog": ".sog",
     "splat": ".splat",
     "compressed-ply": ".compressed.ply",

@@ -93,8 +93,8 @@ class Tools:
         return ["\n".join(lines), _sent(folder / "before_after.png")]
 
     async def export(self, run: str, form: str) -> str:
-        """Write the scene of a run for other programs, as spz, sog, splat, compressed-ply, glb or
-        ply; or its cameras, as colmap or nerfstudio.
+        """Write the scene of a run for other programs, as spz, spz4, sog, splat, compressed-ply,
+        glb or ply; or its cameras, as colmap or nerfstudio.
         """
         folder = self._found(run)
         ends = {**FORMATS, **CAMERA_FORMATS}

@@ -2,14 +2,20 @@
 scene.
 """
 
+import gzip
+import json
+import shutil
 import struct
+import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.types import Gaussians
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError, MissingDependencyError
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.io import export
@@ -49,7 +55,9 @@ def axes(gaussians):
     return turned @ turned.transpose(1, 2)
 
 
-@pytest.mark.parametrize("form", ["spz", "sog", "splat", "compressed-ply", "ply"])
+@pytest.mark.parametrize(
+    "form", ["spz", "spz4", "sog", "splat", "compressed-ply", "ply"]
+)
 def test_what_is_written_is_read_again_as_the_same_scene(tmp_path, form):
     made = scene()
     export_scene(tmp_path / f"s{FORMATS[form]}", made, form)
@@ -75,6 +83,40 @@ def test_gaussforge_counts_every_gaussian(tmp_path, form, theirs):
     assert found["data"]["numPoints"] == 400
 
 
+def test_spz_is_of_version_3_or_4_as_was_asked_for(tmp_path):
+    """Version 3 is one gzip stream; version 4 begins with a plain header."""
+    for form in ("spz", "spz4"):
+        export_scene(tmp_path / form, scene(), form)
+    third = gzip.decompress((tmp_path / "spz").read_bytes())
+    fourth = (tmp_path / "spz4").read_bytes()
+    assert struct.unpack_from("<4sII", third) == (b"NGSP", 3, 400)
+    assert struct.unpack_from("<4sII", fourth) == (b"NGSP", 4, 400)
+
+
+def splat_transform(*files):
+    """PlayCanvas' converter, a program of its own in JavaScript."""
+    program = shutil.which("splat-transform")
+    if program is None:
+        pytest.skip("needs splat-transform: npm install -g @playcanvas/splat-transform")
+    command = [program, "-q", "-w", *map(str, files)]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+
+
+@pytest.mark.parametrize("form", ["spz", "spz4", "sog", "splat", "compressed-ply"])
+def test_splat_transform_reads_every_gaussian_where_it_is(tmp_path, form):
+    made, path = scene(), tmp_path / f"s{FORMATS[form]}"
+    export_scene(path, made, form)
+    splat_transform(path, tmp_path / "s.csv")
+    columns = np.genfromtxt(tmp_path / "s.csv", delimiter=",", names=True)
+    theirs = np.stack([columns[axis] for axis in "xyz"], 1)
+    if form.startswith("spz"):  # has y up and z backward, and their table keeps that
+        theirs *= (1, -1, -1)
+    gaps = torch.cdist(made.means[0].double(), torch.from_numpy(theirs))
+    assert len(theirs) == 400 and gaps.amin(1).max() < 0.004
+    opacities = 1 / (1 + np.exp(-columns["opacity"][gaps.argmin(1)]))
+    np.testing.assert_allclose(opacities, made.opacities[0].numpy(), atol=0.02)
+
+
 @pytest.mark.parametrize("form", ["compressed-ply", "ply"])
 def test_gsply_reads_it(tmp_path, form):
     gsply = pytest.importorskip("gsply")
@@ -87,55 +129,105 @@ def test_gsply_reads_it(tmp_path, form):
     assert len(theirs.means) == 400 and gaps.max() < 0.004
 
 
-def test_glb_follows_the_format_and_the_extension(tmp_path):
-    """By glTF 2.0 and KHR_gaussian_splatting, read by hand: exact, aligned, with the bounds that
-    glTF asks for.
-    """
-    import json
-
-    made = scene(101, degree=4)
-    export_scene(tmp_path / "s.glb", made, "glb")
-    content = (tmp_path / "s.glb").read_bytes()
+def glb_columns(path):
+    """What the only primitive of a file holds, read by hand: ({name: rows}, the extension)."""
+    content = path.read_bytes()
     magic, version, length = struct.unpack_from("<4sII", content)
     assert (magic, version, length) == (b"glTF", 2, len(content))
     size, kind = struct.unpack_from("<I4s", content, 12)
     tree, start = json.loads(content[20 : 20 + size]), 28 + size
-    assert (
-        kind == b"JSON"
-        and content[24 + size : start] == b"BIN\0"
-        and size % 4 == 0
-        and start % 4 == 0
-    )
-    primitive = tree["meshes"][0]["primitives"][0]
-    assert primitive["mode"] == 0 and "KHR_gaussian_splatting" in tree["extensionsUsed"]
-    assert primitive["extensions"]["KHR_gaussian_splatting"]["kernel"] == "ellipse"
+    assert kind == b"JSON" and content[24 + size : start] == b"BIN\0"
+    assert size % 4 == 0 and start % 4 == 0
+    assert "KHR_gaussian_splatting" in tree["extensionsUsed"]
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert primitive["mode"] == 0
     columns = {}
     for name, index in primitive["attributes"].items():
         accessor = tree["accessors"][index]
         view = tree["bufferViews"][accessor["bufferView"]]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        assert (
-            view["byteOffset"] % 4 == 0
-            and view["byteLength"] == 4 * width * accessor["count"] == 4 * width * 101
-        )
-        columns[name.rpartition(":")[2]] = np.frombuffer(
-            content, "<f4", width * 101, start + view["byteOffset"]
-        )
-    assert sum(name.startswith("SH_DEGREE") for name in columns) == 16, (
-        "degree 3 is the highest the extension knows"
+        kind = {5126: "<f4", 5121: "u1"}[accessor["componentType"]]
+        shape = (accessor["count"], width)
+        assert view["byteOffset"] % 4 == 0
+        assert view["byteLength"] == np.zeros(shape, kind).nbytes
+        values = np.frombuffer(
+            content, kind, shape[0] * width, start + view["byteOffset"]
+        ).reshape(shape)
+        columns[name] = values / 255 if kind == "u1" else values
+        if name == "POSITION":
+            assert accessor["min"] == pytest.approx(values.min(0).tolist())
+            assert accessor["max"] == pytest.approx(values.max(0).tolist())
+    return columns, primitive["extensions"]["KHR_gaussian_splatting"]
+
+
+OWN = "KHR_gaussian_splatting:"
+UP_AND_BACK = (1, -1, -1)  # the axes of glTF, seen from ours
+
+
+def of_glb(columns):
+    """The scene that a file's columns mean by the extension."""
+    coefficients = [name for name in columns if "SH_DEGREE" in name]
+    harmonics = np.stack([columns[name] for name in coefficients], 1)
+    values = (
+        columns["POSITION"],
+        columns[f"{OWN}SCALE"],
+        columns[f"{OWN}ROTATION"][:, [3, 0, 1, 2]],
+        columns[f"{OWN}OPACITY"][:, 0],
+        harmonics,
     )
-    np.testing.assert_array_equal(
-        columns["POSITION"].reshape(-1, 3), made.means[0].numpy()
-    )
-    np.testing.assert_array_equal(
-        columns["SH_DEGREE_3_COEF_6"].reshape(-1, 3), made.harmonics[0, :, 15].numpy()
-    )
-    np.testing.assert_allclose(
-        columns["ROTATION"].reshape(-1, 4)[:, [3, 0, 1, 2]],
-        made.quats[0].numpy(),
-        atol=1e-6,
-    )
-    assert tree["accessors"][0]["max"] == pytest.approx(made.means[0].amax(0).tolist())
+    return Gaussians(*(torch.tensor(each)[None].float() for each in values))
+
+
+def seen(gaussians, axes=(1, 1, 1)):
+    """The scene from its first camera, in a world with other `axes`."""
+    c2w = torch.diag(torch.tensor([*axes, 1.0]))[None, None]
+    k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])[None, None]
+    camera = Cameras(c2w, k, (32, 32))
+    return edit3r.build("rasterizer", "torch").render(gaussians, camera).images
+
+
+def test_glb_follows_the_format_and_the_extension(tmp_path):
+    """By glTF 2.0 and KHR_gaussian_splatting, as a turned camera shows: colours too."""
+    made = scene(101, degree=3)
+    export_scene(tmp_path / "s.glb", made, "glb")
+    columns, extension = glb_columns(tmp_path / "s.glb")
+    assert extension == {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    positions = made.means[0].numpy() * np.float32(UP_AND_BACK)
+    np.testing.assert_array_equal(columns["POSITION"], positions)
+    turned = seen(of_glb(columns), UP_AND_BACK)
+    torch.testing.assert_close(turned, seen(made), atol=1e-5, rtol=0)
+
+
+def test_a_glb_has_harmonics_up_to_the_degree_that_the_extension_knows(tmp_path):
+    export_scene(tmp_path / "s.glb", scene(4, degree=4), "glb")
+    columns, _ = glb_columns(tmp_path / "s.glb")
+    assert sum(name.startswith(f"{OWN}SH_DEGREE") for name in columns) == 16
+
+
+def test_splat_transform_writes_the_same_scene_as_glb(tmp_path):
+    """But for its axes, which are y up and z forward, and for `COLOR_0`, which it leaves sRGB."""
+    made = scene(50, degree=3)
+    save_ply(tmp_path / "s.ply", made)
+    export_scene(tmp_path / "ours.glb", made, "glb")
+    splat_transform(tmp_path / "s.ply", tmp_path / "theirs.glb")
+    ours, extension = glb_columns(tmp_path / "ours.glb")
+    theirs, their_extension = glb_columns(tmp_path / "theirs.glb")
+    assert set(ours) == set(theirs) and extension.items() <= their_extension.items()
+    theirs = seen(of_glb(theirs), (-1, -1, 1))
+    ours = seen(of_glb(ours), UP_AND_BACK)
+    torch.testing.assert_close(ours, theirs, atol=1e-4, rtol=0)
+
+
+def test_colours_of_a_glb_are_linear_as_gltf_has_them(tmp_path):
+    """Dark and bright values of the standard IEC 61966-2-1, and the opacity beside."""
+    srgb = torch.tensor([[0.02, 0.5, 1.0], [1.2, -0.1, 0.04]])
+    made = scene(2, degree=0)
+    made = replace(made, harmonics=colour_to_dc(srgb)[None, :, None])
+    export_scene(tmp_path / "s.glb", made, "glb")
+    expected = [[0.00154799, 0.21404114, 1], [1, 0, 0.00309598]]
+    colours = glb_columns(tmp_path / "s.glb")[0]["COLOR_0"]
+    np.testing.assert_allclose(colours[:, :3], expected, atol=1e-6)
+    np.testing.assert_array_equal(colours[:, 3], made.opacities[0].numpy())
 
 
 def test_a_damaged_file_is_one_sentence_even_where_the_library_dies_of_it(
