@@ -36,7 +36,32 @@ _HOME = {
     "Command": "edit3r.contract.command",
 }
 
-__all__ = [*sorted(_HOME), "__version__"]
+__all__ = [
+    "Cache",
+    "Cameras",
+    "Command",
+    "Component",
+    "Edit3rError",
+    "EditRequest",
+    "Features",
+    "Gaussians",
+    "PartChoice",
+    "Reconstruction",
+    "Rendering",
+    "RunConfig",
+    "RunResult",
+    "Selection",
+    "Settings",
+    "Views",
+    "__version__",
+    "build",
+    "components",
+    "hookimpl",
+    "load_ply",
+    "load_views",
+    "run",
+    "save_ply",
+]
 
 
 def __getattr__(name: str):

@@ -5,6 +5,7 @@ edit3r.run(["a.jpg", "b.jpg"], "paint the bike red", editor="recolor", recon="ed
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,6 +66,7 @@ def run(
     registry: Registry | None = None,
     report: Report | None = None,
     cache: Cache | None = None,
+    progress: bool = False,
 ) -> RunResult:
     """Edit photos as `prompt` says and reconstruct them in 3D.
 
@@ -84,6 +86,8 @@ def run(
         registry: Where components are looked up; default: all that is installed.
         report: Collects stages, notes and warnings. Without one, warnings are Python's own too.
         cache: Keeps what several runs have in common from being computed twice.
+        progress: Show stages and warnings as the command line does, in notebooks too; a `report`
+            shows its own.
 
     Raises:
         InputError: For photos, masks or a folder that cannot be used.
@@ -142,9 +146,15 @@ def run(
         cache=cache,
         components=built,
     )
-    own_report = report or Report()
-    result = run_job(job, registry, own_report)
-    if report is None:
+    listener: Any = nullcontext()
+    if progress:
+        from edit3r.cli.console import StageConsole
+
+        listener = StageConsole()
+    with listener as console:
+        own_report = report or Report(on_event=console)
+        result = run_job(job, registry, own_report)
+    if report is None and not progress:
         for text in own_report.warnings:
             warnings.warn(text, stacklevel=2)
     return result

@@ -31,7 +31,7 @@ class StageConsole:
             *columns,
             console=self.console,
             transient=True,
-            disable=not sys.stderr.isatty(),
+            disable=not (sys.stderr.isatty() or self.console.is_jupyter),
         )
         self.tasks: dict[str, TaskID] = {}
         self.started: dict[str, float] = {}

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from PIL import Image
 
 from edit3r.cache import Cache, using
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
@@ -121,6 +122,15 @@ class RunResult:
         from edit3r.pipeline import write
 
         return write.open_viewer(self)
+
+    def compare(self, other: "RunResult") -> Image.Image:
+        """A sheet of the photos, this scene and an `other` of the same photos.
+
+        Raises InputError for a result of other photos.
+        """
+        from edit3r.pipeline import write
+
+        return write.comparison(self, other)
 
     def __repr__(self) -> str:
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"

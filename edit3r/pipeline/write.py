@@ -22,6 +22,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.errors import InputError
 from edit3r.io.cameras import posed_cameras, write_cameras
 from edit3r.io.export import FORMATS, export_scene
 from edit3r.io.images import Pixels, save_pixels, to_bytes
@@ -230,6 +231,22 @@ def _sheet(result: "RunResult") -> Image.Image:
     return draw_sheet(
         columns, names=result.photos.names, title=title, subtitle=subtitle
     )
+
+
+def comparison(result: "RunResult", other: "RunResult") -> Image.Image:
+    """The sheet of two results of the same photos: photo, the one scene, the other scene."""
+    names = result.photos.names
+    if other.photos.names != names:
+        raise InputError(
+            f"these are results of different photos: {', '.join(names)}, and "
+            f"{', '.join(other.photos.names)}."
+        )
+    columns = {"photo": _images(result.photos)}
+    lines = []
+    for each, name in ((result, "first"), (other, "second")):
+        columns[name] = _images(each.rendered)
+        lines.append(f"{name}: {each.config.prompt} ({each.verdict.label})")
+    return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
 
 def preview_sheet(scene: Scene, prompt: str) -> Image.Image:

@@ -8,6 +8,7 @@ geometry where it is at hand, else by what the pictures show. The command line, 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,6 +40,7 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.6  # surety under which what words found is not taken unasked
+SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
 
@@ -72,6 +74,23 @@ class Selection:
     larger: int = 0
     grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
     inverted: bool = False  # True: all but the object is meant
+
+    def __post_init__(self) -> None:
+        """Raise InputError for marks that lie on no photo."""
+        for place in (*self.positive, *self.negative):
+            view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
+            if not (0 <= x <= 1 and 0 <= y <= 1):
+                raise InputError(
+                    f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); {SHARES}."
+                )
+        for view, box in self.boxes.items():
+            x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
+            right, bottom = x + width, y + height
+            if min(x, y) < 0 or min(width, height) <= 0 or max(right, bottom) > 1.001:
+                raise InputError(
+                    f"the box on photo {view + 1} must lie within the photo and have a size above "
+                    f"0; {SHARES}."
+                )
 
     @property
     def views(self) -> tuple[int, ...]:
@@ -171,23 +190,14 @@ def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None
         return None
 
 
+def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
+    if not hasattr(value, "__len__") or len(value) != count:
+        raise InputError(f"{meaning}, got {value!r}.")
+    return tuple(value)
+
+
 def _check(selection: Selection, count: int) -> None:
-    """Marks lie on views that exist, and within them."""
-    for view, x, y in (*selection.positive, *selection.negative):
-        if not (0 <= x <= 1 and 0 <= y <= 1):
-            raise InputError(
-                f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); expected 0 to 1 of "
-                "its sides."
-            )
-    for view, (x, y, width, height) in selection.boxes.items():
-        if (
-            min(x, y) < 0
-            or min(width, height) <= 0
-            or max(x + width, y + height) > 1.001
-        ):
-            raise InputError(
-                f"the box on photo {view + 1} must lie within the photo and have a size above 0."
-            )
+    """Marks lie on views that exist."""
     outside = [view for view in selection.views if not 0 <= view < count]
     if outside:
         raise InputError(

@@ -2,7 +2,10 @@
 
 import inspect
 import json
+import warnings
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -96,6 +99,49 @@ def test_cameras_of_loaded_views_are_used(posed):
         (cameras.c2w[0, 1, :3, 3] - cameras.c2w[0, 0, :3, 3]).norm(),
         atol=1e-5,
     )
+
+
+@pytest.fixture(scope="module")
+def result(posed):
+    return run(posed, masks=edit3r.Selection(positive=((0, 0.5, 0.5),)))
+
+
+def with_scene(result, **changes):
+    return replace(result, scene=replace(result.scene, **changes))
+
+
+def test_two_results_are_compared_on_one_sheet(result):
+    red, green = torch.eye(3)[:2, :, None, None]
+    shown = result.rendered.images
+    first, second = (
+        with_scene(result, rendered=replace(result.rendered, images=colour + 0 * shown))
+        for colour in (red, green)
+    )
+    pixels = np.asarray(first.compare(second))
+    shares = [
+        (pixels == colour).all(-1).mean() for colour in ([255, 0, 0], [0, 255, 0])
+    ]
+    assert shares[0] == shares[1] > 0.12
+
+
+def test_results_of_different_photos_are_not_compared(result):
+    photos = replace(result.photos, names=("x", "y"))
+    with pytest.raises(InputError, match="different photos: 0, 1, and x, y"):
+        result.compare(with_scene(result, photos=photos))
+
+
+def test_progress_is_shown_where_it_is_asked_for(posed, tmp_path, capsys):
+    save_image(torch.zeros(3, 96, 96), tmp_path / "black.png")
+    masks = [posed[0] / "mask_0.png", tmp_path / "black.png"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # they are shown, and not raised as well
+        run(posed, masks=masks, progress=True)
+    shown = capsys.readouterr().err
+    assert "reconstruct" in shown and "warning: " in shown and "all black" in shown
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        run(posed, masks=masks)
+    assert not capsys.readouterr().err
 
 
 def test_marks_in_words_need_files(posed):

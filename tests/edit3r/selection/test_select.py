@@ -194,3 +194,20 @@ def test_steps_to_a_larger_reading_reach_the_segmenter_with_the_click():
     click = Selection(positive=((0, 0.25, 0.5),), larger=-1)
     select_masks(IMAGES[:1], click, Listening())
     assert asked == [-1]
+
+
+@pytest.mark.parametrize(
+    ("marks", "told"),
+    [
+        ({"positive": ((0, 320, 240),)}, r"outside photo 1: \(320, 240\); .*x / width"),
+        ({"negative": ((1, 0.5, -0.1),)}, "outside photo 2"),
+        ({"positive": (0, 0.5, 0.4)}, r"a point is \(view, x, y\), got 0"),
+        ({"positive": ((0.5, 0.4),)}, r"a point is \(view, x, y\), got \(0.5, 0.4\)"),
+        ({"boxes": {0: (10, 10, 200, 100)}}, "box on photo 1 .*x / width"),
+        ({"boxes": {0: (0.1, 0.1, 0.0, 0.2)}}, "a size above 0"),
+        ({"boxes": {0: (0.1, 0.1, 0.2)}}, "a box is .*x, y, width, height"),
+    ],
+)
+def test_wrong_marks_are_an_error_where_they_are_written(marks, told):
+    with pytest.raises(InputError, match=told):
+        Selection(**marks)
