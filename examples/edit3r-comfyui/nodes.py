@@ -8,9 +8,9 @@ from pathlib import Path
 
 import folder_paths  # of ComfyUI
 import torch
-import yaml
 
 import edit3r
+from edit3r.config import of_file, parse_yaml
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.images import save_image
 from edit3r.pipeline.rendering import path_around, render_each
@@ -64,7 +64,8 @@ class Edit3rEdit:
                 prompt,
                 masks=masks,
                 seed=seed,
-                **(yaml.safe_load(settings) or {}),
+                # A workflow may be a stranger's: its settings name no program or address.
+                **of_file(parse_yaml(settings) or {}),
             )
         output = Path(folder_paths.get_output_directory())
         folders = (output / f"edit3r-{number}" for number in count(1))

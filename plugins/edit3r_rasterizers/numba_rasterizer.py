@@ -117,7 +117,9 @@ class _CompilingAhead:
     def start(self) -> None:
         if self.process is not None or is_kept(differentiate_tiles):
             return
-        say("compiling", "the rasterizer, once after an install, beside the other steps")
+        say(
+            "compiling", "the rasterizer, once after an install, beside the other steps"
+        )
         command = [*PYTHON, "-m", "edit3r_rasterizers.compile_ahead"]
         self.process = subprocess.Popen(
             command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL

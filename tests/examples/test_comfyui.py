@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
+from edit3r.errors import SettingsError
 from edit3r.io.images import packaged_pair
 
 FOLDER = Path(__file__).parents[2] / "examples" / "edit3r-comfyui"
@@ -104,3 +105,17 @@ def test_pixels_outside_of_the_mask_stay(nodes, images):
     middle = given.shape[2] // 2
     change = (given - before).abs().mean((0, 1, 3))
     assert change[: middle - 2].mean() > 5 * change[middle + 2 :].mean()
+
+
+def test_settings_of_a_workflow_name_no_program(nodes, images, tmp_path):
+    """A workflow may be a stranger's."""
+    made = tmp_path / "made"
+    with pytest.raises(SettingsError, match="editor.command"):
+        call(
+            nodes["Edit3rEdit"],
+            images=images,
+            prompt="make it warmer",
+            seed=1,
+            settings=f"editor: {{name: command, command: 'touch {made}'}}",
+        )
+    assert not made.exists()
