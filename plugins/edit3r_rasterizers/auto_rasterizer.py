@@ -56,8 +56,8 @@ class AutoRasterizer(Rasterizer):
         self,
         gaussians: Gaussians,
         cameras: Cameras,
-        weights: Float[Tensor, "camera height width"] | None = None,
-    ) -> Float[Tensor, "batch gaussian"]:
+        weights: Float[Tensor, "camera *map height width"] | None = None,
+    ) -> Float[Tensor, "batch gaussian *map"]:
         rasterizer, device = self._on(gaussians.means.device.type)
         weights = None if weights is None else weights.to(device)
         found = rasterizer.contributions(

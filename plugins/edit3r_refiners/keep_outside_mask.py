@@ -141,8 +141,7 @@ def _replace_sets(
 ) -> Gaussians:
     """Replace all Gaussians that show inside alone, for scenes of different structure."""
     removed, inserted = (
-        _show_in(gaussians, region, cameras, rasterizer)
-        & ~_show_in(gaussians, ~region, cameras, rasterizer)
+        _show_only_in(gaussians, region, cameras, rasterizer)
         for gaussians in (before, after)
     )
     kept = before.select(~removed)
@@ -162,6 +161,15 @@ def _show_in(
 ) -> Bool[Tensor, "gaussian"]:
     """Tell which Gaussians add anything to the pixels."""
     return rasterizer.contributions(gaussians, cameras, pixels)[0] > 0
+
+
+def _show_only_in(
+    gaussians: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
+) -> Bool[Tensor, "gaussian"]:
+    """Tell which Gaussians add something to the pixels of the region and nothing to others."""
+    both = torch.stack((region, ~region), 1)
+    inside, outside = rasterizer.contributions(gaussians, cameras, both)[0].unbind(-1)
+    return (inside > 0) & (outside <= 0)
 
 
 def _in_unit_of(

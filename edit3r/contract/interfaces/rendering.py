@@ -30,27 +30,32 @@ class Rasterizer(Configured, ABC):
         self,
         gaussians: Gaussians,
         cameras: Cameras,
-        weights: Float[Tensor, "camera height width"] | None = None,
-    ) -> Float[Tensor, "batch gaussian"]:
+        weights: Float[Tensor, "camera *map height width"] | None = None,
+    ) -> Float[Tensor, "batch gaussian *map"]:
         """Each Gaussian's blending weight (transmittance times alpha), summed over all pixels.
 
-        `weights` says how much each pixel counts; None: 1 each. Not differentiable. This default
+        `weights` says how much each pixel counts, in one map or in up to three, each of which has
+        its own sums; None: 1 each. Not differentiable. This default
         reads them from the gradient of `render`; a rasterizer without gradients overrides it.
         """
         # An image is linear in the colours, so the gradient of its sum by the constant harmonic is
         # the weight times the basis function. Grey Gaussians stay away from the clamp at 0.
         grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
         grey_gaussians = replace(gaussians, harmonics=grey)
-        total = torch.zeros_like(gaussians.opacities)
+        maps = torch.Size() if weights is None else weights.shape[1:-2]
+        channels = maps.numel()
+        total = torch.zeros_like(gaussians.means[..., :channels])
         for camera in range(
             cameras.count
         ):  # one by one: a graph of all takes a lot of memory
             with torch.enable_grad():
                 images = self.render(grey_gaussians, cameras.select([camera])).images
-                red = images[:, 0, 0]
-                counted = red if weights is None else red * weights[camera]
-                total += torch.autograd.grad(counted.sum(), grey)[0][:, :, 0, 0]
-        return total / DC
+                counted = images[:, 0, :channels]
+                if weights is not None:
+                    counted = counted * weights[camera]
+                gradient = torch.autograd.grad(counted.sum(), grey)[0]
+                total += gradient[:, :, 0, :channels]
+        return (total / DC).view(*total.shape[:2], *maps)
 
 
 @dataclass(frozen=True)

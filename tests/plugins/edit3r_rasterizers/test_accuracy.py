@@ -176,3 +176,22 @@ def test_background_per_camera_and_its_gradient(rasterizer):
     rendering.images.sum().backward()
     left = (1 - rendering.alphas).sum((-1, -2)).expand(2, 3, 3)
     assert torch.allclose(background.grad, left, rtol=1e-4, atol=1e-4)
+
+
+def test_contributions_are_alpha_in_sum_and_several_maps_give_what_each_gives(
+    rasterizer,
+):
+    scene = cloud(30)
+    views = cameras((40, 56), 2)
+    alone = rasterizer.contributions(scene, views)
+    alphas = rasterizer.render(scene, views).alphas
+    assert alone.shape == (1, 30)
+    assert torch.allclose(alone.sum(), alphas.sum(), rtol=1e-4)
+    left = torch.zeros(2, *views.image_size)
+    left[..., : views.image_size[1] // 2] = 1
+    both = rasterizer.contributions(scene, views, torch.stack((left, 1 - left), 1))
+    for index, weights in enumerate((left, 1 - left)):
+        assert torch.equal(
+            both[..., index], rasterizer.contributions(scene, views, weights)
+        )
+    assert torch.allclose(both.sum(-1), alone, rtol=1e-3, atol=1e-4)
