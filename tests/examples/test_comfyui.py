@@ -110,7 +110,7 @@ def test_pixels_outside_of_the_mask_stay(nodes, images):
 def test_settings_of_a_workflow_name_no_program(nodes, images, tmp_path):
     """A workflow may be a stranger's."""
     made = tmp_path / "made"
-    with pytest.raises(SettingsError, match="editor.command"):
+    with pytest.raises(SettingsError, match=r"editor\.command"):
         call(
             nodes["Edit3rEdit"],
             images=images,
