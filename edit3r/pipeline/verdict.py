@@ -25,7 +25,7 @@ MOST_FILLED = {"good": 0.5, "fair": 0.55, "poor": 1.0}
 """Largest share of the pixels of all views whose depth may be guessed, for each label."""
 MOST_FILLED_WORST = {"good": 0.5, "fair": 0.65, "poor": 1.0}
 """The same of the view with most guesses."""
-MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 1.0}
+MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 0.5}
 """Largest share of the photos that may be left out, for each label."""
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 

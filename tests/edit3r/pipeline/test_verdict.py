@@ -75,14 +75,14 @@ def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
     assert verdict.input_psnr[2] == pytest.approx(41, abs=1e-3)
 
 
-def test_nearly_all_photos_left_out_is_poor():
+def test_a_run_without_most_of_its_photos_failed():
     verdict = shown(
         EDITED.select([0]), rendered(40.0), [True, False, False, False], None
     )
-    assert (
-        verdict.label == "poor"
-        and "3 of 4 photos could not be placed" in verdict.reason
-    )
+    assert verdict.label == "failed"
+    assert "3 of 4 photos could not be placed" in verdict.reason
+    half = shown(EDITED.select([0, 1]), rendered(40.0, 40.0), [True, False] * 2, None)
+    assert half.label == "fair"
 
 
 def test_much_guessed_depth_is_never_good_and_more_is_poor():
