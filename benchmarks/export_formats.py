@@ -1,5 +1,5 @@
-"""What each export format costs and loses: `python benchmarks/export_formats.py FOLDER`, the folder
-of a run.
+"""What each export format costs and loses: `python benchmarks/export_formats.py [FOLDER]`, the
+folder of a run; left out, the packaged pair with one Gaussian a pixel.
 
 Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard
 deviations of the Gaussian itself; of the pictures from the run's cameras, against those of
@@ -9,6 +9,7 @@ scene.ply. GLB is read here, as nothing that is installed reads it.
 import json
 import resource
 import struct
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -29,7 +30,7 @@ def main(folder: Path) -> None:
     rasterizer = build("rasterizer", "auto")
     whole = render_each(rasterizer, scene, cameras, "").images.clamp(0, 1)
     print(
-        "| format | MB | CPU s | centres | sizes | pictures |\n| --- | --: | --: | --: | --: | "
+        "| format | MB | CPU s | centres | sizes | images |\n| --- | --: | --: | --: | --: | "
         "--: |"
     )
     with tempfile.TemporaryDirectory() as scratch:
@@ -93,5 +94,14 @@ def read_glb(file: Path) -> Gaussians:
     )
 
 
+def packaged(folder: Path) -> Path:
+    """The folder of a run of the packaged pair with one Gaussian a pixel."""
+    every = ["--gaussians", "all", "--refine", "0", "--grid", "1"]
+    command = [sys.executable, "-m", "edit3r", "run", *every, "--quiet", "--out"]
+    subprocess.run([*command, folder], check=True)
+    return folder
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    with tempfile.TemporaryDirectory() as made:
+        main(Path(sys.argv[1]) if len(sys.argv) > 1 else packaged(Path(made) / "scene"))
