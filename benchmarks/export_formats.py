@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from edit3r.contract.types import Gaussians
+from edit3r.geometry.harmonics import basis
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.export import FORMATS, export_scene, load_scene
 from edit3r.pipeline.rendering import render_each
@@ -70,7 +71,7 @@ def _errors(scene: Gaussians, back: Gaussians) -> tuple[float, float]:
 
 
 def read_glb(file: Path) -> Gaussians:
-    """The Gaussians of a GLB as `export_scene` writes it."""
+    """The Gaussians of a GLB as `export_scene` writes it, turned back to the frame of view 0."""
     content = file.read_bytes()
     length = struct.unpack_from("<I", content, 12)[0]
     tree, data = json.loads(content[20 : 20 + length]), content[28 + length :]
@@ -84,13 +85,19 @@ def read_glb(file: Path) -> Gaussians:
         columns[name.rpartition(":")[2]] = torch.from_numpy(
             values.reshape(-1, width).copy()
         )
-    harmonics = [values for name, values in columns.items() if name.startswith("SH_")]
+    coefficients = [each for name, each in columns.items() if name.startswith("SH_")]
+    harmonics = torch.stack(coefficients, 1)
+    turn = torch.tensor([1.0, -1.0, -1.0])
+    anywhere = torch.nn.functional.normalize(torch.tensor([0.2, 0.5, 0.8]), dim=0)
+    degree = round(harmonics.shape[1] ** 0.5) - 1
+    signs = basis(anywhere * turn, degree).sign() * basis(anywhere, degree).sign()
+    x, y, z, w = columns["ROTATION"].unbind(-1)
     return Gaussians(
-        columns["POSITION"][None],
+        (columns["POSITION"] * turn)[None],
         columns["SCALE"][None],
-        columns["ROTATION"].roll(1, -1)[None],
+        torch.stack((-x, w, -z, y), -1)[None],  # half a turn about x first
         columns["OPACITY"][None, :, 0],
-        torch.stack(harmonics, 1)[None],
+        (harmonics * signs[:, None])[None],
     )
 
 
