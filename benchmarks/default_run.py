@@ -3,7 +3,7 @@
     python benchmarks/default_run.py FOLDER:FIRST,SECOND ... --settings 512 384 512:plain
 
 Each scene is a folder with photos and a cameras.json and the numbers of two photos; poses are not
-used. `plain` stands for `--gaussians all --refine 0`. A line a run: processor seconds from images
+used. `plain` stands for `--gaussians all --refine 0`. A row a run: processor seconds from images
 to Gaussians, of 36 frames of the camera path (from six of them), Gaussians, PSNR of the input
 views, and PSNR of the photo half-way at 512 pixels, whatever the size of the run.
 """
@@ -48,8 +48,8 @@ def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
     held_out = float(-10 * torch.log10((image - full.images[:, 2:]).square().mean()))
     shown = sum(result.verdict.input_psnr) / 2
     return (
-        f"{made:.2f} s, path {drawn:.2f} s, {result.gaussians.count:,} Gaussians, "
-        f"input views {shown:.2f} dB, half-way {held_out:.2f} dB, {result.verdict.label}"
+        f"{made:.2f} | {drawn:.2f} | {result.gaussians.count:,} | {shown:.2f} | "
+        f"{held_out:.2f} | {result.verdict.label}"
     )
 
 
@@ -65,6 +65,11 @@ def main() -> None:
         help="SIZE or SIZE:plain",
     )
     args = parser.parse_args()
+    print(
+        "| scene and photos | pixels | made in, CPU s | 36 frames, CPU s | Gaussians | "
+        "input views, dB | half-way, dB | verdict |\n"
+        "| --- | --- | --: | --: | --: | --: | --: | --- |"
+    )
     for scene in args.scenes:
         folder, _, numbers = scene.rpartition(":")
         first, second = map(int, numbers.split(","))
@@ -75,12 +80,9 @@ def main() -> None:
         ]
         for settings in args.settings:
             size, _, plain = settings.partition(":")
-            print(
-                scene,
-                settings,
-                measure(files[:2], files[2], int(size), plain == "plain"),
-                flush=True,
-            )
+            figures = measure(files[:2], files[2], int(size), plain == "plain")
+            name = f"{Path(folder).name} {first}, {second}"
+            print(f"| {name} | {settings} | {figures} |", flush=True)
 
 
 if __name__ == "__main__":

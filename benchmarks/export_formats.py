@@ -1,5 +1,5 @@
-"""What each export format costs and loses: `python benchmarks/export_formats.py FOLDER`, the folder
-of a run.
+"""What each export format costs and loses: `python benchmarks/export_formats.py [FOLDER]`, the
+folder of a run; left out, the packaged pair with one Gaussian a pixel.
 
 Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard
 deviations of the Gaussian itself; of the pictures from the run's cameras, against those of
@@ -9,6 +9,7 @@ scene.ply. GLB is read here, as nothing that is installed reads it.
 import json
 import resource
 import struct
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 
 from edit3r.contract.types import Gaussians
+from edit3r.geometry.harmonics import basis
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.export import FORMATS, export_scene, load_scene
 from edit3r.pipeline.rendering import render_each
@@ -29,7 +31,7 @@ def main(folder: Path) -> None:
     rasterizer = build("rasterizer", "auto")
     whole = render_each(rasterizer, scene, cameras, "").images.clamp(0, 1)
     print(
-        "| format | MB | CPU s | centres | sizes | pictures |\n| --- | --: | --: | --: | --: | "
+        "| format | MB | CPU s | centres | sizes | images |\n| --- | --: | --: | --: | --: | "
         "--: |"
     )
     with tempfile.TemporaryDirectory() as scratch:
@@ -69,7 +71,7 @@ def _errors(scene: Gaussians, back: Gaussians) -> tuple[float, float]:
 
 
 def read_glb(file: Path) -> Gaussians:
-    """The Gaussians of a GLB as `export_scene` writes it."""
+    """The Gaussians of a GLB as `export_scene` writes it, turned back to the frame of view 0."""
     content = file.read_bytes()
     length = struct.unpack_from("<I", content, 12)[0]
     tree, data = json.loads(content[20 : 20 + length]), content[28 + length :]
@@ -83,15 +85,30 @@ def read_glb(file: Path) -> Gaussians:
         columns[name.rpartition(":")[2]] = torch.from_numpy(
             values.reshape(-1, width).copy()
         )
-    harmonics = [values for name, values in columns.items() if name.startswith("SH_")]
+    coefficients = [each for name, each in columns.items() if name.startswith("SH_")]
+    harmonics = torch.stack(coefficients, 1)
+    turn = torch.tensor([1.0, -1.0, -1.0])
+    anywhere = torch.nn.functional.normalize(torch.tensor([0.2, 0.5, 0.8]), dim=0)
+    degree = round(harmonics.shape[1] ** 0.5) - 1
+    signs = basis(anywhere * turn, degree).sign() * basis(anywhere, degree).sign()
+    x, y, z, w = columns["ROTATION"].unbind(-1)
     return Gaussians(
-        columns["POSITION"][None],
+        (columns["POSITION"] * turn)[None],
         columns["SCALE"][None],
-        columns["ROTATION"].roll(1, -1)[None],
+        torch.stack((-x, w, -z, y), -1)[None],  # half a turn about x first
         columns["OPACITY"][None, :, 0],
-        torch.stack(harmonics, 1)[None],
+        (harmonics * signs[:, None])[None],
     )
 
 
+def packaged(folder: Path) -> Path:
+    """The folder of a run of the packaged pair with one Gaussian a pixel."""
+    every = ["--gaussians", "all", "--refine", "0", "--grid", "1"]
+    command = [sys.executable, "-m", "edit3r", "run", *every, "--quiet", "--out"]
+    subprocess.run([*command, folder], check=True)
+    return folder
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    with tempfile.TemporaryDirectory() as made:
+        main(Path(sys.argv[1]) if len(sys.argv) > 1 else packaged(Path(made) / "scene"))

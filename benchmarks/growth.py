@@ -26,9 +26,9 @@ PHOTOS, SIZES, GAUSSIANS = (
     (10_000, 100_000, 1_000_000),
 )
 AXES = {
-    "photos": "photos at 256 pixels",
-    "pixels": "pixels of each of two photos",
-    "gaussians": "Gaussians drawn",
+    "photos": "photos of 256 pixels, the whole run and 12 frames",
+    "pixels": "pixels of each of two photos, the same",
+    "gaussians": "Gaussians drawn at 512 pixels, forward and backward",
 }
 
 
@@ -127,7 +127,7 @@ def plot(rows: list[dict[str, float]], axis: str, file: Path) -> None:
         side.set_ylabel(
             f"{'processor seconds' if cost == 'seconds' else 'peak MiB'}", color=colour
         )
-    left.set_xlabel(AXES[axis])
+    left.set_xlabel(AXES[axis].partition(",")[0])
     left.set_title(
         f"time ~ n^{exponent(rows, axis, 'seconds'):.2f}, memory ~ "
         f"n^{exponent(rows, axis, 'mb'):.2f}"
@@ -162,28 +162,33 @@ def main() -> None:
         "pixels": [(2, size) for size in args.sizes],
         "gaussians": [(count,) for count in args.gaussians],
     }
+    print(
+        "| against | range | processor s | exponent | peak MiB | exponent |\n"
+        "| --- | --- | --: | --: | --: | --: |"
+    )
     for axis, runs in wanted.items():
         rows = []
         for run in runs:
             command = [sys.executable, __file__, args.folder, "--one", *map(str, run)]
-            rows.append(
-                json.loads(
-                    subprocess.run(
-                        command, check=True, stdout=subprocess.PIPE
-                    ).stdout.splitlines()[-1]
-                )
-            )
-            print(
-                axis,
-                {key: round(value, 2) for key, value in rows[-1].items()},
-                flush=True,
-            )
+            printed = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
+            rows.append(json.loads(printed.splitlines()[-1]))
         if len(rows) > 1:
-            slopes = {
-                cost: round(exponent(rows, axis, cost), 2) for cost in ("seconds", "mb")
-            }
-            print(f"{axis}: exponents {slopes}", flush=True)
+            print(f"| {AXES[axis]} | {summary(rows, axis)} |", flush=True)
             plot(rows, axis, args.out / f"growth_{axis}.png")
+
+
+def summary(rows: list[dict[str, float]], axis: str) -> str:
+    """Range, seconds, MiB and their exponents, as cells of a table."""
+    low, high = rows[0], rows[-1]
+    return " | ".join(
+        [
+            f"{low[axis]:,} to {high[axis]:,}",
+            f"{low['seconds']:.2f} to {high['seconds']:.1f}",
+            f"{exponent(rows, axis, 'seconds'):.2f}",
+            f"{low['mb']:.0f} to {high['mb']:.0f}",
+            f"{exponent(rows, axis, 'mb'):.2f}",
+        ]
+    )
 
 
 if __name__ == "__main__":

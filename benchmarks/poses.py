@@ -21,6 +21,7 @@ import numpy as np
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.registration import FeatureSettings, find_features, register
+from held_out import for_tuning
 
 from edit3r.errors import MatchingError
 from edit3r.io.cameras import PosedCamera
@@ -160,7 +161,7 @@ def main() -> None:
     print("| --- | --: | --: | --: | --: | --: | --: | --: |")
     for degrees in CLASSES:
         rows = []
-        for folder in args.folders:
+        for folder in for_tuning(args.folders):
             cameras = read_posed_folder(folder).cameras
             for pair in pairs_of(cameras, degrees, args.pairs):
                 rows.append(

@@ -1,79 +1,84 @@
-"""Does the same seed give the same bytes? Runs the stages in many fresh processes with different
-numbers of threads.
+"""Does the same seed give the same bytes? Runs `edit3r run` in 24 fresh processes, each with other
+numbers of cores and threads.
 
-    python benchmarks/same_bytes.py --processes 200
+    python benchmarks/same_bytes.py [-- OPTIONS OF edit3r run]
 
-A fresh process matters: what differs is often only the first call of a library in it. Prints one
-line per stage: how many different answers there were. Exit code 1 where there was more than one.
+A fresh process matters: what differs is often only the first call of a library in it. Prints how
+many different scene.ply there were (sha256), then the same for every other file of the runs, in
+the order in which they are made: the first that differs says which stage to look at. Exit code 1
+where there was more than one scene.
 """
 
 import argparse
 import collections
-import json
+import hashlib
+import itertools
 import os
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
-THREADS = (1, 2, 4, 16)
+CORES = (1, 2)
+THREADS = (1, 2, 3, 4)  # of OpenMP, which PyTorch uses
+LIBRARIES = ((1, 1), (2, 2), (4, 1))  # threads of numba and of OpenCV
+WAYS = tuple(itertools.product(CORES, THREADS, LIBRARIES))
+TIMED = ("run.json", ".edit3r-run")  # hold seconds and dates, which differ
 
-STAGES = """
-import hashlib, json, sys
-import torch
-import edit3r
-from edit3r.io.images import load_views, packaged_pair
-from edit3r.selection.select import Selection
 
-def digest(*tensors):
-    content = b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)
-    return hashlib.sha256(content).hexdigest()[:16]
-
-torch.set_num_threads(int(sys.argv[1]))
-photos, cameras = packaged_pair()
-views = load_views(photos, cameras=cameras, size=int(sys.argv[2]))
-marked = Selection(positive=((0, 0.5, 0.55),))
-result = edit3r.run(views, "paint it blue", masks=marked)
-gaussians = result.gaussians
-fields = ("means", "scales", "quats", "opacities", "harmonics")
-print(json.dumps({
-    "photos": digest(views.images), "edit": digest(result.edited.images),
-    "poses": digest(result.cameras.c2w),
-    "gaussians": digest(*(getattr(gaussians, field) for field in fields)),
-    "render": digest(result.rendered.images),
-}))
-"""
+def digests(
+    folder: Path, cores: int, threads: int, numba: int, opencv: int, options: list[str]
+) -> dict[str, str]:
+    """sha256 of each file of one run, in the order in which they were written."""
+    environment = {
+        **os.environ,
+        "OMP_NUM_THREADS": str(threads),
+        "NUMBA_NUM_THREADS": str(numba),
+        "OPENCV_FOR_THREADS_NUM": str(opencv),
+    }
+    allowed = sorted(os.sched_getaffinity(0))[:cores]
+    subprocess.run(
+        [sys.executable, "-m", "edit3r", "run", "--quiet", "--out", folder, *options],
+        env=environment,
+        preexec_fn=lambda: os.sched_setaffinity(0, allowed),
+        check=True,
+    )
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    files.sort(key=lambda path: path.stat().st_mtime_ns)
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(
+            path.read_bytes()
+        ).hexdigest()
+        for path in files
+        if path.name not in TIMED
+    }
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--processes", type=int, default=200)
-    parser.add_argument(
-        "--size", type=int, default=96, help="longest side of the photos [pixels]"
-    )
-    options = parser.parse_args()
+    parser.add_argument("options", nargs="*", help="of edit3r run, after --")
+    options = parser.parse_args().options
     answers: dict[str, collections.Counter] = collections.defaultdict(
         collections.Counter
     )
-    for index in range(options.processes):
-        threads = str(THREADS[index % len(THREADS)])
-        environment = {
-            **os.environ,
-            "OMP_NUM_THREADS": threads,
-            "NUMBA_NUM_THREADS": threads,
-        }
-        command = [sys.executable, "-c", STAGES, threads, str(options.size)]
-        printed = subprocess.run(
-            command, env=environment, stdout=subprocess.PIPE, check=True
-        ).stdout
-        for stage, found in json.loads(printed).items():
-            answers[stage][found] += 1
-    for stage, found in answers.items():
+    for way in WAYS:
+        with tempfile.TemporaryDirectory() as folder:
+            found = digests(Path(folder) / "run", *way[:2], *way[2], options)
+        for file, digest in found.items():
+            answers[file][digest] += 1
+        cores, threads, (numba, opencv) = way
         print(
-            f"{stage:10} {len(found)} different in {options.processes} processes "
-            f"{list(found.values())}"
+            f"{cores} cores, threads: {threads} OpenMP, {numba} numba, {opencv} OpenCV: "
+            f"{found['scene.ply']}",
+            flush=True,
         )
-    return int(any(len(found) > 1 for found in answers.values()))
+    scenes = answers.pop("scene.ply")
+    print(f"scene.ply: {len(scenes)} different in {len(WAYS)} processes")
+    for file, different in answers.items():
+        print(f"{file}: {len(different)} different {sorted(different.values())}")
+    return int(len(scenes) > 1)
 
 
 if __name__ == "__main__":

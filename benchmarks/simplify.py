@@ -1,7 +1,7 @@
 """What simplifying costs and what it leaves, beside dropping as many Gaussians at random or by
 opacity.
 
-    python benchmarks/simplify.py FOLDER... procedural --scenes 3 --size 256 --out results
+    python benchmarks/simplify.py FOLDER... procedural --scenes 2 --generated 12 --out results
 
 Each FOLDER holds photos of one scene with their cameras; a data set's name stands for generated
 scenes. Two photos are reconstructed; the scene with all its Gaussians, with those that the refiner
@@ -29,6 +29,7 @@ from edit3r_measure.scene_sources import (
     SceneSource,
     find_scenes,
 )
+from held_out import for_tuning
 
 import edit3r
 from edit3r.contract.interfaces import RefineInputs
@@ -46,6 +47,7 @@ POLISH = {
     "scale": 0.08,
 }  # as `simplify` does after merging
 RENDER_REPEATS = 5
+SHORT = ("all", "auto", *(f"simplify to {share:g}" for share in reversed(SHARES)))
 UNSEEN = {
     "procedural": {"seed": 2024, "targets": 1, "angles": [5, 20]}
 }  # no training has seen these
@@ -55,8 +57,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sources", nargs="+", metavar="FOLDER|NAME")
     parser.add_argument("--recon", default="classical")
+    parser.add_argument("--scenes", type=int, default=3, help="pairs of a folder")
+    parser.add_argument("--generated", type=int, default=3, help="scenes of a data set")
     parser.add_argument(
-        "--scenes", type=int, default=3, help="pairs of a folder, scenes of a data set"
+        "--short", action="store_true", help="print the rows of `simplify` alone"
     )
     parser.add_argument(
         "--size", type=int, default=256, help="side of the square photos [pixels]"
@@ -77,12 +81,11 @@ def main() -> None:
     datasets = {
         name: {**settings, "image_size": args.size} for name, settings in UNSEEN.items()
     }
-    options = SceneOptions(args.scenes, args.size, datasets)
-    found = [
-        scene
-        for source in args.sources
-        for scene in find_scenes(source, options, default_registry())
-    ]
+    found = []
+    for source in for_tuning(args.sources):
+        count = args.scenes if Path(source).is_dir() else args.generated
+        options = SceneOptions(count, args.size, datasets)
+        found += find_scenes(source, options, default_registry())
     jobs = {
         f"{scene.name} {args.recon} {args.shares} {args.refine}": scene
         for scene in found
@@ -99,7 +102,9 @@ def main() -> None:
         print(
             f"\n{kind}: {len(measured)} scenes, {len(scenes) - len(measured)} not matched\n"
         )
-        print(table([scene["points"] for scene in measured]) if measured else "")
+        points = [scene["points"] for scene in measured]
+        names = [name for name in points[0] if name in SHORT or not args.short]
+        print(table(points, names))
 
 
 @dataclass(frozen=True)
@@ -209,12 +214,12 @@ def score(
     }
 
 
-def table(scenes: Sequence[dict[str, dict[str, float]]]) -> str:
+def table(scenes: Sequence[dict[str, dict[str, float]]], names: Sequence[str]) -> str:
     """Return means over the scenes; novel views as difference from `all` of the same scene, the
     worst in brackets.
     """
     rows = []
-    for name in scenes[0]:
+    for name in names:
         mean = {
             key: np.mean([scene[name][key] for scene in scenes])
             for key in scenes[0][name]
@@ -234,7 +239,7 @@ def table(scenes: Sequence[dict[str, dict[str, float]]]) -> str:
         "dB against all (worst)",
         "SSIM",
     ]
-    return markdown_table(titles, rows)
+    return markdown_table([dict(zip(titles, row)) for row in rows])
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from held_out import for_tuning
 
 import edit3r
 from edit3r.errors import Edit3rError
@@ -287,7 +288,7 @@ def main() -> None:
         else []
     )
     done = {(row["scene"], tuple(row["photos"])) for row in rows}
-    for folder in args.folders:
+    for folder in for_tuning(args.folders):
         asked = [
             [int(number) for number in text.split(",")] for text in args.photos or []
         ]

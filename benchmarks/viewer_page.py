@@ -1,5 +1,6 @@
-"""How large the viewer's page is and how soon it shows: `python benchmarks/viewer_page.py PAGE...
-[--pictures DIR]`.
+"""How large the viewer's page is and how soon it shows: `python benchmarks/viewer_page.py [PAGE...]
+[--pictures DIR]`; without a page, that of the packaged pair, as it is by default and with one
+Gaussian a pixel.
 
 In headless Chromium that draws by software; needs playwright and the program chromium. CPU seconds
 are those of all processes of the browser from opening the page to its first picture, so they hold
@@ -9,6 +10,10 @@ turned a little and far, and enlarged.
 
 import argparse
 import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -25,14 +30,32 @@ WIDTH, HEIGHT = 960, 600
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("pages", nargs="+", type=Path)
+    parser.add_argument("pages", nargs="*", type=Path)
     parser.add_argument("--pictures", type=Path)
     args = parser.parse_args()
+    if not args.pages:
+        with tempfile.TemporaryDirectory() as folder:
+            measure(list(packaged(Path(folder))), args.pictures)
+        return
+    measure(args.pages, args.pictures)
+
+
+def packaged(folder: Path) -> Iterator[Path]:
+    """Pages of runs of the packaged pair."""
+    every = ["--gaussians", "all", "--refine", "0", "--grid", "1"]
+    for name, options in {"default": [], "a-pixel-each": every}.items():
+        command = [sys.executable, "-m", "edit3r", "run", *options, "--quiet", "--out"]
+        subprocess.run([*command, folder / name], check=True)
+        yield folder / name / "viewer.html"
+
+
+def measure(pages: list[Path], save_in: Path | None) -> None:
+    """Print a line a page; what people see goes to `save_in`."""
     print(
         "| page | Gaussians | MB | first picture, wall s | CPU s |\n| --- | --: | --: | --: | --: |"
     )
     with sync_playwright() as manager:
-        for file in args.pages:
+        for file in pages:
             browser = manager.chromium.launch(
                 executable_path=shutil.which("chromium"), args=FLAGS
             )
@@ -43,13 +66,13 @@ def main() -> None:
             page.wait_for_selector("body[data-drawn]")
             spent, count = cpu_seconds() - start, page.evaluate("meta.count")
             wall = int(page.evaluate("document.body.dataset.drawn")) / 1000
+            size = file.stat().st_size / 1e6
             print(
-                f"| {file} | {count:,} | {file.stat().st_size / 1e6:.1f} | {wall:.1f} | "
-                f"{spent:.1f} |",
+                f"| {file.parent.name} | {count:,} | {size:.1f} | {wall:.1f} | {spent:.1f} |",
                 flush=True,
             )
-            if args.pictures:
-                pictures(page, args.pictures / (file.parent.name + "-" + file.stem))
+            if save_in:
+                pictures(page, save_in / (file.parent.name + "-" + file.stem))
             browser.close()
 
 

@@ -4,9 +4,10 @@ saw through.
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
 from edit3r.compute.compiling import compiled
+from edit3r.compute.smoothing import weighted_smooth
 from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
 from edit3r_matching.plane_sweep import Neighbour, RawDepth
 
@@ -103,10 +104,10 @@ def fill(
     median = cv2.medianBlur(inverse, 3)
     weight = measured.astype(np.float32)
     base, limits = main_plane(median, measured)
-    spread = base + _weighted_smooth(
+    spread = base + weighted_smooth(
         median - base, weight + np.float32(TRUST_IN_GUESSES), guide, REACH, COLOUR
     )
-    smooth = _weighted_smooth(
+    smooth = weighted_smooth(
         median, weight + np.float32(TRUST_NEARBY), guide, TOUCH, TOUCH_COLOUR
     )
     touched = np.where(np.abs(smooth - median) < step, 0.5 * (smooth + median), median)
@@ -166,19 +167,6 @@ def main_plane(
         weights = 1 / (1 + ((values - basis[some] @ solution) / scale) ** 2)
     low, high = np.percentile(values, [0.5, 99.5])
     return (basis @ solution).reshape(inverse.shape).astype(np.float32), (low, high)
-
-
-def _weighted_smooth(
-    values: Float[np.ndarray, "height width"],
-    weights: Float[np.ndarray, "height width"],
-    guide: UInt8[np.ndarray, "height width 3"],
-    strength: float,
-    colour: float,
-) -> Float[np.ndarray, "height width"]:
-    """Mean of `values` by `weights` along the guide's edges (fast global smoother)."""
-    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, strength, colour)
-    total = smoother.filter(weights)
-    return smoother.filter(values * weights) / np.maximum(total, 1e-8)
 
 
 def push_back(

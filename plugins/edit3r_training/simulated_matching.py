@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from edit3r.compute.smoothing import weighted_smooth
 from edit3r.contract.interfaces import MatchedGeometry, Matcher, SceneSample
 from edit3r.contract.types import Views
 from edit3r.errors import MatchingError
@@ -145,11 +146,8 @@ def _filled(inverse: Map, measured: Where, image: Image) -> Map:
     smoother).
     """
     guide = (image * 255).astype(np.uint8)
-    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, 2000.0, 6.0)
-    weight = measured.astype(np.float32) + 1e-4
-    return smoother.filter((inverse * weight).astype(np.float32)) / np.maximum(
-        smoother.filter(weight), 1e-8
-    )
+    weights = measured.astype(np.float32) + 1e-4
+    return weighted_smooth(inverse.astype(np.float32), weights, guide, 2000.0, 6.0)
 
 
 def _textureless(image: Image, rng: np.random.Generator, severity: float) -> Where:

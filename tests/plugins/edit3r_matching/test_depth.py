@@ -146,6 +146,14 @@ def test_a_neighbour_confirms_its_own_surface_but_nothing_hidden_or_floating(noi
     assert not same[:, :5].any()  # outside the neighbour's image
 
 
+def test_a_neighbour_confirms_nothing_behind_its_camera(noise):
+    """It stands 110 units ahead of a surface at 10: both inverse depths are near 0, and alike."""
+    ahead = Pose(np.eye(3), np.array([0, 0, -110.0]))
+    beside = Neighbour(CalibratedImage(noise, INTRINSICS), ahead)
+    picture = CalibratedImage(noise, INTRINSICS)
+    assert not confirmed(raw(0.1).inverse, picture, beside, raw(0.001)).any()
+
+
 def test_lone_agreements_are_taken_out():
     agrees = np.zeros(SIZE, bool)
     agrees[10:30, 10:30] = True
