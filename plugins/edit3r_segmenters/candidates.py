@@ -149,8 +149,10 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
         ):  # the network sees better what to do once it is told how far the thing goes
             logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
             found = _ranked(evidence, nothing, clicks, logits, asked)
+    if found:
+        return found
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
-    return found or [Candidate(_as_logits(cut), 0.0)]
+    return [Candidate(_as_logits(cut), 0.0)]
 
 
 def _corrected(

@@ -9,7 +9,6 @@ words mean nothing to it.
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import cv2
@@ -44,7 +43,14 @@ from edit3r_segmenters.masks import (
     tidied,
     to_bytes,
 )
-from edit3r_segmenters.salience import MAX_AREA, MIN_AREA, Objectness, measure, salience
+from edit3r_segmenters.salience import (
+    MAX_AREA,
+    MIN_AREA,
+    Objectness,
+    measure,
+    reader,
+    salience,
+)
 from edit3r_segmenters.superpixels import (
     Superpixels,
     background_weights,
@@ -338,11 +344,9 @@ class ClassicalSegmenter(Segmenter):
             left = np.clip(x * width - side / 2, 0, max(0, width - side))
             windows.append((int(top), int(left), side, CROP_SIDE))
         pixels = to_bytes(rgb)
-        key = (rgb.shape, hash(rgb.tobytes()))
+        key, read = (rgb.shape, hash(rgb.tobytes())), reader(weights)
         return tuple(
-            self._kept(
-                (key, window), partial(_salience, weights, pixels, window, shape)
-            )
+            self._kept((key, window), partial(_salience, read, pixels, window, shape))
             for window in windows
         )
 
@@ -480,7 +484,7 @@ def _at_size(mask: Float[Tensor, "height width"], shape: tuple[int, int]) -> np.
 
 
 def _salience(
-    weights: Path,
+    read: Callable[[], cv2.dnn.Net],
     pixels: np.ndarray,
     window: tuple[int, int, int, int],
     shape: tuple[int, int],
@@ -492,7 +496,7 @@ def _salience(
     values = np.zeros(pixels.shape[:2], np.float32)
     known = np.zeros(pixels.shape[:2], np.uint8)
     crop = np.s_[top : top + side, left : left + side]
-    values[crop] = salience(weights, np.ascontiguousarray(pixels[crop]), seen)
+    values[crop] = salience(read, np.ascontiguousarray(pixels[crop]), seen)
     known[crop] = 1
     return Salience(
         cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA),

@@ -2,8 +2,9 @@
 learned network.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -113,12 +114,14 @@ _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _STD = np.array([0.229, 0.224, 0.225], np.float32)
 
 
-@cache
-def _network(path: Path):
-    return cv2.dnn.readNetFromONNX(str(path))
+def reader(path: Path) -> Callable[[], cv2.dnn.Net]:
+    """Reads the network when it is first asked for; its 0.25 GB are free once this is forgotten."""
+    return cache(partial(cv2.dnn.readNetFromONNX, str(path)))
 
 
-def salience(path: Path, pixels: np.ndarray, side: int) -> np.ndarray:
+def salience(
+    read: Callable[[], cv2.dnn.Net], pixels: np.ndarray, side: int
+) -> np.ndarray:
     """How much each pixel of uint8 RGB `[H, W, 3]` belongs to the subject by U²-Netp: float32 `[H,
     W]` in [0, 1].
 
@@ -135,7 +138,7 @@ def salience(path: Path, pixels: np.ndarray, side: int) -> np.ndarray:
         interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR,
     )
     scaled = (square.astype(np.float32) / max(1, int(square.max())) - _MEAN) / _STD
-    network = _network(path)
+    network = read()
     network.setInput(np.ascontiguousarray(scaled.transpose(2, 0, 1)[None]))
     found = network.forward(network.getUnconnectedOutLayersNames()[0])[
         0, 0
