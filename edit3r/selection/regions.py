@@ -18,7 +18,7 @@ from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import InputError, PromptError
 from edit3r.reporting import say
 from edit3r.selection.near_colour import near_colour
-from edit3r.selection.select import ASK, Selected, Selection, select_masks
+from edit3r.selection.select import ASK, Selected, Selection, select_masks, shown
 
 PLAIN = Selection()
 Masks = Float[Tensor, "view height width"]
@@ -133,17 +133,13 @@ class RegionFinder:
 
     def _inverse(self, selected: Selected) -> Masks:
         masks = selected.masks[:, 0]
-        return (1 - masks) * self._seen(selected, masks)
+        return (1 - masks) * shown(masks)
 
     def _all_but(self, thing: Thing, marked_thing: Thing | None) -> Masks:
         """All but a thing; a view that lost it stays as it is."""
         masks = 1 - self._mask(thing, marked_thing)
         selected = self._found.get(replace(thing, part=None), self._found.get(None))
-        return masks if selected is None else masks * self._seen(selected, masks)
-
-    def _seen(self, selected: Selected, masks: Masks) -> Float[Tensor, "view 1 1"]:
-        seen = torch.tensor([how != "not found" for how in selected.how])
-        return seen.to(masks)[:, None, None]
+        return masks if selected is None else masks * shown(selected.masks[:, 0])
 
     def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""

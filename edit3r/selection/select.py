@@ -154,13 +154,18 @@ def select_masks(
             "how": how,
         },
     )
-    for text in work.warnings:
-        warn(text)
     masks = grown(masks, selection.grow)
     if selection.inverted:
-        seen = [one != "not found" for one in how]
-        masks = (1 - masks) * masks.new_tensor(seen)[:, None, None, None]
+        work.tell_empty(masks)
+        masks = (1 - masks) * shown(masks)
+    for text in work.warnings:
+        warn(text)
     return Selected(masks, how, tuple(work.warnings), work.surety)
+
+
+def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
+    """1 for a view where anything is selected, else 0: all but nothing is nothing."""
+    return (masks > 0.5).any(-1, keepdim=True).any(-2, keepdim=True).to(masks)
 
 
 def grown(
@@ -374,6 +379,15 @@ class _Work:
                 f"the object was not found again on photo {view + 1}, which stays as it is; "
                 "click on it there."
             )
+
+    def tell_empty(self, masks: Float[Tensor, "view 1 height width"]) -> None:
+        """Say which photos stay as they are because nothing is selected there."""
+        for view, some in enumerate(shown(masks).flatten().tolist()):
+            if not some and self.how[view] != "not found":  # that was said
+                self.warnings.append(
+                    f"nothing is selected on photo {view + 1}, so all but that is nothing: it "
+                    "stays as it is."
+                )
 
     def _followed(self, source: int, view: int) -> Float[Tensor, "height width"]:
         """Logits of the object of `source`, followed through all views on the way to `view`."""

@@ -152,6 +152,14 @@ def test_a_view_that_lost_what_is_left_out_stays_as_it_is():
     assert any("photo 2" in text for text in report.warnings)
 
 
+@pytest.mark.parametrize("rest", ["the background", "everything except the door"])
+def test_all_but_a_given_mask_is_nothing_where_that_is_empty(rest):
+    door = torch.zeros(HEIGHT, WIDTH)
+    given = Selection(masks={0: (door + 1).tril(), 1: door})
+    found = regions(f"paint {rest} red", given)[0]
+    assert found[0].any() and not found[1].any()
+
+
 @pytest.mark.parametrize(("near", "third"), [("grey", 0), ("red", 1), ("blue", 2)])
 def test_only_pixels_near_a_colour_are_meant(near, third):
     found = regions(f"from {near} to brown")[0][0].mean(0)
