@@ -9,6 +9,7 @@ whose match is too thin or looks different is reported lost.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -183,8 +184,9 @@ class _Search:
 
     def _by_flow(self, source: int, number: int) -> _Guess | None:
         if source not in self.flows:
-            self.flows[source] = flow_between(
-                self.views[source].grey, self.views[self.index].grey
+            here, there = self.views[source].grey, self.views[self.index].grey
+            self.flows[source] = _whole_flow(
+                here.tobytes(), there.tobytes(), here.shape
             )
         return self._carried(self.found[source][number], self.flows[source])
 
@@ -293,6 +295,13 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
     return Flow(
         forward, backward, _returns(forward, backward), _returns(backward, forward)
     )
+
+
+@lru_cache(maxsize=4)
+def _whole_flow(source: bytes, target: bytes, shape: tuple[int, int]) -> Flow:
+    """The flow between two whole views: clicks follow each other on one pair of photos."""
+    greys = [np.frombuffer(grey, np.uint8).reshape(shape) for grey in (source, target)]
+    return flow_between(*greys)
 
 
 def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
