@@ -85,8 +85,8 @@ class Selection:
                 )
         for view, box in self.boxes.items():
             x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
-            right, bottom = x + width, y + height
-            if min(x, y) < 0 or min(width, height) <= 0 or max(right, bottom) > 1.001:
+            # a comparison with what is no number is False
+            if not (0 <= x < x + width <= 1.001 and 0 <= y < y + height <= 1.001):
                 raise InputError(
                     f"the box on photo {view + 1} must lie within the photo and have a size above "
                     f"0; {SHARES}."
@@ -202,7 +202,12 @@ def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
 
 
 def _check(selection: Selection, count: int) -> None:
-    """Marks lie on views that exist."""
+    """Marks lie on views that exist, and masks are made of numbers."""
+    for view, mask in selection.masks.items():
+        if not torch.isfinite(mask).all():
+            raise InputError(
+                f"the mask of photo {view + 1} has values that are no numbers."
+            )
     outside = [view for view in selection.views if not 0 <= view < count]
     if outside:
         raise InputError(

@@ -21,6 +21,7 @@ from torch import Tensor
 from edit3r.cache import fingerprint, remembered
 from edit3r.config import Settings
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.errors import InputError
 from edit3r.plugins.weights import at_hand
 from edit3r.reporting import warn
 from edit3r_segmenters import U2NETP, tracking
@@ -345,10 +346,17 @@ class ClassicalSegmenter(Segmenter):
             windows.append((int(top), int(left), side, CROP_SIDE))
         pixels = to_bytes(rgb)
         key, read = (rgb.shape, hash(rgb.tobytes())), reader(weights)
-        return tuple(
-            self._kept((key, window), partial(_salience, read, pixels, window, shape))
-            for window in windows
-        )
+        try:
+            return tuple(
+                self._kept(
+                    (key, window), partial(_salience, read, pixels, window, shape)
+                )
+                for window in windows
+            )
+        except (cv2.error, IndexError):
+            raise InputError(
+                f"{weights}: is no whole U²-Net as ONNX; fetch it anew with: {U2NETP.get}"
+            ) from None
 
     def _kept(self, key: Hashable, compute: Callable[[], Known]) -> Known:
         """What was computed for the same picture before: clicks follow each other on one

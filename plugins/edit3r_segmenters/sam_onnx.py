@@ -158,7 +158,7 @@ class SamOnnxSegmenter(Segmenter):
         """All masks of the network for clicks (and whether the object is there) and a box.
 
         Returns logits `[n, h, w]` at the network's own resolution, which cover the image, and
-        their predicted IoU `[n]`. Raises InputError for places that are no numbers in [0, 1].
+        their predicted IoU `[n]`.
         """
         places = [place for place, _ in clicks]
         labels = [IN if inside else OUT for _, inside in clicks]
@@ -166,8 +166,6 @@ class SamOnnxSegmenter(Segmenter):
             x, y, width, height = box
             places += [(x, y), (x + width, y + height)]
             labels += CORNERS
-        if not np.isfinite(places).all() or not places:
-            raise InputError("a click or box is not made of numbers between 0 and 1.")
         if box is None:  # as the exporter wants it
             places += [(0.0, 0.0)]
             labels += [PADDING]

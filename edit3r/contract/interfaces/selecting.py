@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -51,6 +52,11 @@ class Marks:
     prior: Float[Tensor, "height width"] | None = None
     # steps from the best reading of the marks to a larger one (> 0) or a smaller one (< 0)
     larger: int = 0
+
+    def __post_init__(self) -> None:
+        places = np.array([*self.positive, *self.negative]).ravel()
+        if not np.isfinite([*places, *(self.box or ())]).all():
+            raise InputError("a click or box is not made of numbers between 0 and 1.")
 
 
 class Segmenter(Configured, ABC):

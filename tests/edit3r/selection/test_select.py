@@ -143,6 +143,10 @@ def test_geometry_carries_before_pictures_do():
         {"positive": ((0, 1.2, 0.5),)},
         {"positive": ((7, 0.2, 0.5),)},
         {"boxes": {0: (0.5, 0.5, 0.8, 0.2)}},
+        {"boxes": {0: (0.5, 0.5, 0.2, float("nan"))}},
+        {"boxes": {0: (float("nan"), 0.5, 0.2, 0.2)}},
+        {"positive": ((0, 0.5, float("nan")),)},
+        {"masks": {0: torch.full((24, 32), float("nan"))}},
         {"negative": ((0, 0.2, 0.5),)},
     ],
 )

@@ -1,4 +1,5 @@
 import sys
+import weakref
 from pathlib import Path
 
 import cv2
@@ -216,3 +217,45 @@ def test_the_packaged_motorcycle_is_what_its_picture_is_about():
     assert float((tracks.logits[1] > 0).float().mean()) == pytest.approx(
         proposal.area, rel=0.2
     )
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", bytes(range(256)) * 40])
+def test_a_damaged_network_of_salience_is_one_sentence(content, tmp_path, monkeypatch):
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    (tmp_path / "u2netp").mkdir()
+    (tmp_path / "u2netp" / "u2netp.onnx").write_bytes(content)
+    with pytest.raises(InputError, match=r"u2netp\.onnx: is no whole .* get u2netp"):
+        SEGMENTER.segment_marks(PICTURE, Marks(positive=((0.5, 0.5),)))
+
+
+class Nothing:
+    """Stands in for the network of salience."""
+
+    def setInput(self, pixels):
+        self.shape = pixels.shape[2:]
+
+    def getUnconnectedOutLayersNames(self):
+        return ("out",)
+
+    def forward(self, name):
+        return np.zeros((1, 1, *self.shape), np.float32)
+
+
+def test_the_network_of_salience_is_read_once_a_click_and_forgotten(
+    tmp_path, monkeypatch
+):
+    read = []
+
+    def counted(path):
+        network = Nothing()
+        read.append(weakref.ref(network))
+        return network
+
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    (tmp_path / "u2netp").mkdir()
+    (tmp_path / "u2netp" / "u2netp.onnx").touch()
+    monkeypatch.setattr(cv2.dnn, "readNetFromONNX", counted)
+    build("segmenter", "classical").segment_marks(
+        PICTURE, Marks(positive=((0.5, 0.5),))
+    )
+    assert len(read) == 1 and read[0]() is None

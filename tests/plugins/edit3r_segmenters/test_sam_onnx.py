@@ -81,18 +81,6 @@ def test_a_decoder_that_asks_for_other_things_is_told(
         ).segment_marks(photo, CLICK)
 
 
-@pytest.mark.parametrize(
-    "marks",
-    [
-        Marks(positive=((float("nan"), 0.5),)),
-        Marks(box=(0.1, 0.1, float("inf"), 0.2)),
-    ],
-)
-def test_marks_that_are_no_numbers_are_refused(build_sam_onnx, photo, marks):
-    with pytest.raises(InputError, match="numbers between 0 and 1"):
-        build_sam_onnx().segment_marks(photo, marks)
-
-
 def test_without_weights_the_command_that_fetches_them_is_told(
     build_sam_onnx, tmp_path, monkeypatch
 ):
