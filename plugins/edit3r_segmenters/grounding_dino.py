@@ -1,6 +1,7 @@
 """Grounding DINO (Liu et al. 2024): boxes of what a text names."""
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import torch
@@ -18,6 +19,7 @@ from edit3r.io.pretrained import (
     load_pretrained,
     out_of_memory_told,
     pick_device,
+    sized,
 )
 from edit3r.reporting import note
 
@@ -27,8 +29,13 @@ class GroundingDinoDetector(Detector):
 
     class Settings(Settings):
         model: str = Field(
-            "IDEA-Research/grounding-dino-base",
-            description="model id on the hub, or a saved folder",
+            default_factory=partial(
+                sized,
+                "IDEA-Research/grounding-dino-base",
+                "IDEA-Research/grounding-dino-tiny",
+            ),
+            description="model id on the hub, or a saved folder; where none is given the tiny "
+            "one for a CPU, the base one for a GPU or where only that was fetched",
         )
         revision: str = Field(
             "", description="branch, tag or commit of the model; empty: the newest"

@@ -9,6 +9,7 @@ mask generator is here.
 import importlib
 from abc import abstractmethod
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any, ClassVar
 
 import cv2
@@ -39,6 +40,7 @@ from edit3r.io.pretrained import (
     out_of_memory_told,
     pick_device,
     require_at_hand,
+    sized,
 )
 from edit3r.reporting import note, progress
 from edit3r_segmenters.masks import stepped
@@ -346,8 +348,11 @@ class Sam2Segmenter(SamSegmenter):
 
     class Settings(SamSettings):
         model: str = Field(
-            "facebook/sam2.1-hiera-large",
-            description="model id on the hub, or a saved folder",
+            default_factory=partial(
+                sized, "facebook/sam2.1-hiera-large", "facebook/sam2.1-hiera-tiny"
+            ),
+            description="model id on the hub, or a saved folder; where none is given the tiny "
+            "one for a CPU, the large one for a GPU or where only that was fetched",
         )
         detector: PartChoice = Field(
             PartChoice(name="grounding-dino"), description="finds what the words name"
@@ -366,6 +371,22 @@ class Sam2Segmenter(SamSegmenter):
         return tuple(
             self.segment(image, box=(x / width, y / height, w / width, h / height))
             for x, y, w, h in boxes
+        )
+
+
+class EdgeTamSegmenter(Sam2Segmenter):
+    """EdgeTAM (Zhou et al. 2025): SAM2 with a small encoder and a short memory."""
+
+    image_class, video_class = "EdgeTamModel", "EdgeTamVideoModel"
+    session = (
+        "transformers.models.edgetam_video.modeling_edgetam_video:"
+        "EdgeTamVideoInferenceSession"
+    )
+
+    class Settings(Sam2Segmenter.Settings):
+        model: str = Field(
+            "yonigozlan/EdgeTAM-hf",
+            description="model id on the hub, or a saved folder",
         )
 
 

@@ -83,6 +83,43 @@ def tiny_sam2_config():
 
 
 @pytest.fixture(scope="session")
+def edgetam_folder(tmp_path_factory) -> Path:
+    """EdgeTAM with the Hiera of the tiny SAM2: its own backbone would need timm."""
+    from transformers import EdgeTamVideoConfig, EdgeTamVideoModel
+
+    sam2 = tiny_sam2_config()
+    config = EdgeTamVideoConfig(
+        vision_config=sam2.vision_config.to_dict(),
+        prompt_encoder_config={"hidden_size": 128, "image_size": SIDE},
+        mask_decoder_config={
+            "hidden_size": 128,
+            "mlp_dim": 64,
+            "num_attention_heads": 2,
+            "iou_head_hidden_dim": 32,
+        },
+        image_size=SIDE,
+        memory_attention_hidden_size=128,
+        memory_attention_num_layers=1,
+        memory_attention_mlp_hidden_size=64,
+        memory_attention_rope_feat_sizes=[8, 8],
+        memory_attention_rope_k_sizes=[4, 4],
+        memory_encoder_hidden_size=128,
+        mask_downsampler_embed_dim=128,
+        memory_fuser_num_layers=1,
+        memory_fuser_embed_dim=128,
+        memory_fuser_intermediate_dim=64,
+        perceiver_resampler_num_latents=16,
+        perceiver_resampler_num_latents_2d=16,
+        perceiver_resampler_num_layers=1,
+        initializer_range=0.15,
+    )
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("edgetam")
+    EdgeTamVideoModel(config).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def sam3_folder(tmp_path_factory) -> Path:
     """Detector and tracker in one file, under the names that the hub's file has."""
     from safetensors.torch import save_file
@@ -350,7 +387,7 @@ def at_hand(monkeypatch, tmp_path, sam2_folder, dino_folder):
     def put(*names: str) -> None:
         for name in names:
             (tmp_path / "weights" / name).symlink_to(
-                {"sam2": sam2_folder, "grounding-dino": dino_folder}[name]
+                dino_folder if "dino" in name else sam2_folder
             )
 
     return put

@@ -2,6 +2,7 @@
 which.
 """
 
+import pytest
 import torch
 
 import edit3r
@@ -21,15 +22,18 @@ def test_without_weights_a_click_is_answered_by_classical(at_hand, photo):
     assert torch.equal(found.soft_mask, alone.soft_mask)
 
 
-def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(at_hand, photo):
-    at_hand("sam2")
+@pytest.mark.parametrize("size", ["sam2", "sam2-tiny"])
+def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(
+    at_hand, photo, size
+):
+    at_hand(size)
     events = []
     with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
         segmenter = edit3r.build("segmenter", "auto")
         found = segmenter.segment_marks(photo, CLICK)
         tracks = segmenter.track(photo.expand(2, 3, 60, 80), found.soft_mask[None])
     assert ("say", "segmenter: sam2") in events
-    assert report.notes["segmenter.weights"]["name"] == "sam2"
+    assert report.notes["segmenter.weights"]["name"] == size
     alone = edit3r.build("segmenter", "sam2")
     assert torch.equal(found.soft_mask, alone.segment_marks(photo, CLICK).soft_mask)
     assert torch.equal(
@@ -51,7 +55,7 @@ def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
     at_hand("sam2")
     segmenter = edit3r.build("segmenter", "auto")
     assert segmenter.segment_text(photo, "the bike") is None
-    at_hand("grounding-dino")
+    at_hand("grounding-dino-tiny")
     assert segmenter.segment_text(photo, "the bike") is not None
     assert (
         float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1

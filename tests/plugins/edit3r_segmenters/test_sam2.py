@@ -1,6 +1,9 @@
 """SAM2 on a tiny random Hiera, and the fields of its masks by closed forms."""
 
 import math
+import sys
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
 import pytest
 import torch
@@ -10,6 +13,7 @@ from edit3r_segmenters.sam import is_present
 import edit3r
 from edit3r.contract.interfaces import Detection, Detector
 from edit3r.errors import InputError, MissingDependencyError, PromptError, RunError
+from edit3r.plugins.registry import default_registry
 from edit3r.reporting import Report, collecting
 
 
@@ -153,6 +157,43 @@ def test_an_object_is_present_only_with_a_positive_score_or_a_mask():
     logits[1, 0, 0] = logits[3, 1, 1] = 3.0
     scores = torch.tensor([[-2.0], [-2.0], [1.0], [1.0]])
     assert is_present(logits, scores).tolist() == [False, True, True, True]
+
+
+def test_edgetam_answers_clicks_and_follows_by_the_same_code(
+    edgetam_folder, photo, monkeypatch
+):
+    timm = ModuleType("timm")
+    timm.__spec__ = ModuleSpec("timm", None)  # only its real backbone needs it
+    monkeypatch.setitem(sys.modules, "timm", timm)
+    segmenter = edit3r.build(
+        "segmenter", "edgetam", model=str(edgetam_folder), local_files_only=True
+    )
+    left, right = (
+        segmenter.segment(photo, points=[(x, 0.5)]).soft_mask for x in (0.3, 0.8)
+    )
+    assert (left - right).abs().max() > 0.1
+    tracks = segmenter.track(photo.expand(3, 3, 60, 80), (photo[:1] > 0.5).float())
+    given = photo[0] > 0.5
+    found = tracks.logits[0, 0] > 0
+    assert tracks.logits.shape == (3, 1, 60, 80) and tracks.present[0].all()
+    assert (found & given).sum() / (found | given).sum() > 0.7
+
+
+@pytest.mark.parametrize("kind", ["segmenter", "detector"])
+@pytest.mark.parametrize("there", [(), ("large",), ("tiny",), ("tiny", "large")])
+@pytest.mark.parametrize("gpu", [True, False])
+def test_the_size_is_what_was_fetched_else_what_suits_the_device(
+    at_hand, monkeypatch, kind, there, gpu
+):
+    name, large, tiny = {
+        "segmenter": ("sam2", "sam2.1-hiera-large", "sam2.1-hiera-tiny"),
+        "detector": ("grounding-dino", "grounding-dino-base", "grounding-dino-tiny"),
+    }[kind]
+    at_hand(*({"large": name, "tiny": f"{name}-tiny"}[size] for size in there))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
+    chosen = default_registry().load_class(default_registry().find(kind, name)).Settings
+    takes_large = "large" in there or (gpu and not there)
+    assert chosen().model.split("/")[1] == (large if takes_large else tiny)
 
 
 def test_no_objects_give_no_tracks(build_sam2, photo):
