@@ -23,6 +23,7 @@ MIN_AREA = 12  # pixels of a candidate
 SEED = (
     0.5  # share of a click's distance to the outline that surely is as the click says
 )
+ALIKE = 0.6  # overlap with the best candidate from which another one is a vote on its outline
 SURE = 4.0  # logit of what no network has measured
 # Powers of what a candidate counts by
 MIDDLE_POWER = 2.0
@@ -150,7 +151,7 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
             logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
             found = _ranked(evidence, nothing, clicks, logits, asked)
     if found:
-        return found
+        return _voted(evidence, found, clicks)
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
     return [Candidate(_as_logits(cut), 0.0)]
 
@@ -182,7 +183,7 @@ def _corrected(
         logits += [_as_logits(mask) for mask in others]
     cut = _as_logits(_locally_cut(evidence.pixels, before > 0, place, wanted))
     found = _ranked(evidence, before, clicks, [*logits, cut], wholes)
-    return found or [Candidate(cut, 0.0)]
+    return _voted(evidence, found, clicks) or [Candidate(cut, 0.0)]
 
 
 def _in_box(evidence: Evidence, box: Box, clicks: Sequence[Click]) -> list[Candidate]:
@@ -253,6 +254,25 @@ def _ranked(
             score *= (ALONE + agreed) ** power
         found.append(Candidate(one, float(score)))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _voted(
+    evidence: Evidence, found: list[Candidate], clicks: Sequence[Click]
+) -> list[Candidate]:
+    """The candidates behind what those like the best say of each pixel together, by their scores:
+    one's crumbs and gaps are not another's. Regions without a network gain nothing by it.
+    """
+    if not found or evidence.prompt is None:
+        return found
+    best = found[0]
+    alike = [one for one in found if overlap(one.mask, best.mask) >= ALIKE]
+    votes = sum(one.score * np.sign(one.logits) for one in alike)
+    inside = tidied(votes > 0, votes > 0)
+    if any(inside[place] != wanted for place, wanted in clicks):
+        return found
+    share = SURE * votes / sum(one.score for one in alike)
+    logits = np.where(inside == (votes > 0), share, _as_logits(inside))
+    return [Candidate(logits.astype(np.float32), best.score), *found]
 
 
 def _agreements(evidence: Evidence, place: Place, asked: list[np.ndarray]) -> list:

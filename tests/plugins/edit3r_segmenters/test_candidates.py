@@ -72,6 +72,28 @@ def test_a_click_on_what_is_wrong_takes_the_part_away_and_not_a_dot(segmenter, i
     assert left[SIDE // 2, SIDE // 2]
 
 
+class Crumbs:
+    """A network whose four masks are one disc, each with a bite and a crumb of its own."""
+
+    def ask(self, image, clicks, box=None):
+        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+        away = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
+        logits = np.stack([RADII[1] - away] * 4)
+        for one, bite in zip(logits, (22, 28, 34, 40)):
+            one[bite : bite + 5, 22:31] = -1
+            one[2:8, bite : bite + 6] = 1
+        return logits, np.full(4, 0.9)
+
+
+def test_what_is_one_candidate_s_alone_is_outvoted_by_those_like_it(segmenter, image):
+    found = segmenter.answer(image, Marks(positive=((0.55, 0.5),)), Crumbs())
+    rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+    disc = np.hypot(columns - SIDE / 2, rows - SIDE / 2) < RADII[1]
+    mask = found.soft_mask.numpy() > 0.5
+    assert (mask & disc).sum() / (mask | disc).sum() > 0.95
+    assert not mask[:8].any()
+
+
 def test_candidates_that_look_the_same_are_one_step():
     def square(side, score):
         logits = np.full((32, 32), -1.0)
