@@ -56,8 +56,9 @@ class ImagenetDetector(Detector):
     def activation(
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[str, float, np.ndarray] | None:
-        """Name and probability of the class that the text names and the image shows most, and its
-        activation map `[height, width]` with a peak of 1; None for a word that is not known.
+        """Name of the class that the text names and the image shows most, probability of all that
+        the text names beyond their share of the classes (a dog is one of 118), and the activation
+        map `[height, width]` with a peak of 1; None for a word that is not known.
         """
         classes = list(imagenet_classes(text))
         if not classes:
@@ -77,7 +78,8 @@ class ImagenetDetector(Detector):
         height, width = image.shape[-2:]
         heat = cv2.resize(heat, (width, height), interpolation=cv2.INTER_CUBIC)
         name = imagenet_names()[best].split(",")[0]
-        return name, float(shares[classes].sum()), np.clip(heat, 0, 1)
+        beyond_chance = float(shares[classes].sum()) - len(classes) / len(shares)
+        return name, max(0.0, beyond_chance), np.clip(heat, 0, 1)
 
     def _load(self) -> Any:
         """Raises InputError for a file that does not hold this network."""
