@@ -253,3 +253,13 @@ def test_the_hue_of_a_paint_is_measured():
     lab = rgb_to_oklab(shaded((0.1, 0.2, 0.8)).movedim(1, 0)[:, 0])
     found = own_paint(lab, ALL[0], 18, flood=False)
     assert abs(found.hue - float(torch.atan2(lab[2], lab[1]).mean())) < 0.05
+
+
+@pytest.mark.parametrize(("columns", "painted"), [(2, 1.0), (5, 0.25)])
+def test_a_neutral_thing_with_a_rim_of_colour_is_painted_whole(columns, painted):
+    """A click on a black seat takes a little of the red beside it along, which is not its paint."""
+    images = torch.full((1, 3, 20, 20), 0.25)
+    images[:, :, :, :columns] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    changed = paint(images, torch.ones(1, 20, 20), (0.1, 0.2, 0.9)) - images
+    share = (changed.abs().amax(1) > 0.02).double().mean()
+    assert float(share) == pytest.approx(painted, abs=0.01)
