@@ -119,14 +119,19 @@ def check_new_file(
 ) -> None:
     """Check that a file may be written to `path`.
 
-    Raises InputError where one is there and `overwrite` is not given, and always where it is the
-    `source`.
+    Raises InputError where one is there and `overwrite` is not given, and always where it is or
+    holds the `source`.
     """
     path = Path(path)
     if not path.exists():
         return
-    if source is not None and source.exists() and path.samefile(source):
-        raise InputError(f"{path}: is the file that is read; give another --out.")
+    if source is not None and path.resolve() in (
+        source.resolve(),
+        *source.resolve().parents,
+    ):
+        raise InputError(
+            f"{path}: is or holds the file that is read; give another --out."
+        )
     if not overwrite:
         raise InputError(
             f"{path}: is already there; give another --out, or --overwrite."

@@ -4,12 +4,12 @@ nerfstudio's `transforms.json`.
 Both have the centre of the top-left pixel at (0.5, 0.5), as `cameras.json` has.
 """
 
-import shutil
 import struct
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.errors import InputError
@@ -18,6 +18,7 @@ from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import matrices_to_quats
 from edit3r.io.atomic import atomic_folder
 from edit3r.io.cameras import read_scene_cameras, write_transforms
+from edit3r.io.images import read_image, save_pixels, unique_names
 from edit3r.pipeline.config import CAMERA_FORMATS
 
 __all__ = ["CAMERA_FORMATS", "export_cameras"]
@@ -52,11 +53,14 @@ def export_cameras(
             f"{run}: holds no cameras.json; {form} is written of the folder of a run."
         )
     cameras, views = read_scene_cameras(cameras_file)
-    names = [Path(view.file).name for view in views]
+    # The folder may come from a stranger.
+    stems = unique_names([Path(view.file).stem for view in views])
+    names = [f"{stem}.png" for stem in stems]
     with atomic_folder(out, overwrite) as folder:
         (folder / "images").mkdir()
-        for name in names:
-            shutil.copyfile(_image_of(Path(run), name), folder / "images" / name)
+        for view, name in zip(views, names):
+            image = _image_of(Path(run), Path(view.file).name, cameras.image_size)
+            save_pixels(np.asarray(image), folder / "images" / name)
         if form == "nerfstudio":
             files = [f"images/{name}" for name in names]
             write_transforms(folder / "transforms.json", cameras, files)
@@ -64,11 +68,17 @@ def export_cameras(
             _write_colmap(folder / "sparse" / "0", cameras, names, gaussians)
 
 
-def _image_of(run: Path, name: str) -> Path:
+def _image_of(run: Path, name: str, size: tuple[int, int]) -> Image.Image:
     """The edited image of a view, or its photo where nothing was edited."""
     for folder in ("edited", "inputs"):
-        if (run / folder / name).is_file():
-            return run / folder / name
+        path = run / folder / name
+        if path.is_file():
+            image = read_image(path)
+            if image.size != size[::-1]:
+                raise InputError(
+                    f"{path}: has another size than the first camera of cameras.json."
+                )
+            return image
     raise InputError(
         f"{run}: has no image {name}; repeat the run with `--outputs scene,images`."
     )

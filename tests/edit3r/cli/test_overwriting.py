@@ -36,5 +36,5 @@ def test_the_scene_that_is_read_is_never_replaced(folder, command, capsys):
     (folder / "link.ply").symlink_to("scene.ply")
     given = [*command.split(), "--out", "link.ply", "--overwrite"]
     assert main(given) == 2
-    assert "is the file that is read" in capsys.readouterr().err
+    assert "the file that is read" in capsys.readouterr().err
     assert (folder / "scene.ply").read_text() == "mine"

@@ -1,5 +1,8 @@
 """A run's cameras for other programs: theirs and ours see every Gaussian at the same pixel."""
 
+import json
+import os
+
 import numpy as np
 import pycolmap
 import pytest
@@ -10,6 +13,7 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import project
 from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.rotations import quats_to_matrices
+from edit3r.io.atomic import MARKER
 from edit3r.io.cameras import posed_cameras, read_scene_cameras, write_cameras
 from edit3r.io.images import save_image
 from edit3r.io.ply import save_ply
@@ -117,3 +121,39 @@ def test_a_folder_of_others_is_never_replaced(run, tmp_path, capsys):
     assert main(command) == 2 and "already there" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 2
     assert (tmp_path / "out" / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("content", [b"a secret", b"%!PS-Adobe-3.0 EPSF-3.0\n"])
+def test_only_images_are_copied_out_of_a_strangers_folder(run, tmp_path, content):
+    (tmp_path / "key").write_bytes(content)
+    (run / "edited" / "two.png").unlink()
+    (run / "edited" / "two.png").symlink_to(tmp_path / "key")
+    assert main(["export", str(run), "--to", "nerfstudio"]) == 2
+    assert not (run / "scene-nerfstudio").exists()
+
+
+def test_images_of_another_size_than_the_cameras_are_refused(run, capsys):
+    save_image(torch.zeros(3, 5, 5), run / "edited" / "two.png")
+    assert main(["export", str(run), "--to", "colmap"]) == 2
+    assert "two.png: has another size" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["one photo.png", os.fsdecode(b"\x80\x1b[0m.png")])
+def test_names_of_images_are_safe_and_no_two_alike(run, name):
+    cameras = json.loads((run / "cameras.json").read_text())
+    cameras[1]["file"] = name
+    (run / "cameras.json").write_text(json.dumps(cameras))
+    save_image(torch.zeros(3, *SIZE), run / "edited" / name)
+    assert main(["export", str(run), "--to", "colmap"]) == 0
+    out = run / "scene-colmap"
+    model = pycolmap.Reconstruction(out / "sparse" / "0")
+    names = sorted(image.name for image in model.images.values())
+    assert names == sorted(os.listdir(out / "images")) and len(names) == 2
+    assert all(name.isprintable() for name in names)
+
+
+def test_the_run_that_is_read_is_not_replaced_by_its_cameras(run, capsys):
+    (run / MARKER).write_text("{}")
+    command = ["export", str(run), "--to", "colmap", "--out", str(run), "--overwrite"]
+    assert main(command) == 2 and "holds the file" in capsys.readouterr().err
+    assert (run / "scene.ply").is_file()
