@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["main", "program"]
 
+MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes
+
 
 class UsageError(Edit3rError):
     """Wrong arguments."""
@@ -67,9 +69,12 @@ def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -
 
 def _tell(sentence: str) -> None:
     line = " ".join(sentence.split())
-    # A file name may be no UTF-8, and whoever reads our errors may take nothing else.
-    line = line.encode(errors="backslashreplace").decode()
-    print(f"edit3r: {line}", file=sys.stderr)
+    if len(line) > MAX_SENTENCE:
+        half = MAX_SENTENCE // 2
+        line = f"{line[:half]} ... {line[-half:]}"
+    # A file name may be no UTF-8, or may hold commands for the terminal.
+    shown = [one if one.isprintable() else ascii(one)[1:-1] for one in line]
+    print(f"edit3r: {''.join(shown)}", file=sys.stderr)
 
 
 def _dispatch(argv: list[str]) -> int:

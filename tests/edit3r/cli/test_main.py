@@ -28,6 +28,13 @@ def test_wrong_use_is_one_sentence_with_a_suggestion(capsys, tmp_path, line, mea
     assert not (tmp_path / "out").exists()
 
 
+def test_what_was_given_neither_commands_the_terminal_nor_fills_it(capsys):
+    assert main(["describe", "editor", "\x1b]0;title\x07\u202e" + "x" * 10**6]) == 2
+    error = capsys.readouterr().err
+    assert error.removesuffix("\n").isprintable() and "\\x1b]0;title" in error
+    assert len(error) < 5000
+
+
 def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
     assert main([]) == 2
     assert "run" in capsys.readouterr().out
