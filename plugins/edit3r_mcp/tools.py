@@ -4,6 +4,7 @@ the assistant cancels the call, and writes whole folders or nothing.
 
 import io
 import json
+import os
 from itertools import count
 from pathlib import Path
 from subprocess import DEVNULL
@@ -11,10 +12,10 @@ from subprocess import DEVNULL
 import anyio
 from mcp.server.mcpserver import Image, MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
-from PIL import Image as Pillow
 from pydantic import BaseModel, Field
 
 from edit3r.io.children import PYTHON
+from edit3r.io.decode import read_image
 from edit3r.pipeline.config import CAMERA_FORMATS, FORMATS
 
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
@@ -84,13 +85,16 @@ class Tools:
     def look(self, run: str) -> list:
         """Show the photos, the 2D edits and the 3D scene of a run, with the verdicts."""
         folder = self._found(run)
-        about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         lines = [f"run: {run} (walk through it in {folder / 'viewer.html'})"]
-        for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
-            verdict = about.get(key)
-            if verdict:
-                lines.append(f"{what}: {verdict['label']}, {verdict['reason']}")
-        return ["\n".join(lines), _sent(folder / "before_after.png")]
+        try:
+            about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+            for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+                verdict = about.get(key)
+                if verdict:
+                    lines.append(f"{what}: {verdict['label']}, {verdict['reason']}")
+            return ["\n".join(lines), _sent(folder / "before_after.png")]
+        except Exception as error:  # the folder may come from a stranger
+            raise ToolError(f"{folder}: is damaged and not shown ({error}).") from None
 
     async def export(self, run: str, form: str) -> str:
         """Write the scene of a run for other programs, as spz, spz4, sog, splat, compressed-ply,
@@ -99,6 +103,8 @@ class Tools:
         folder = self._found(run)
         ends = {**FORMATS, **CAMERA_FORMATS}
         out = self.folder / (run + ends.get(form, ""))
+        if out.is_symlink():
+            raise ToolError(f"{out}: is a link, which may lead out of {self.folder}.")
         return await self._command(
             "export", str(folder), f"--to={form}", f"--out={out}", "--overwrite"
         )
@@ -111,7 +117,7 @@ class Tools:
         runs = sorted(file.parent.name for file in self.folder.glob("*/run.json"))
         if run not in runs:
             raise ToolError(
-                f"{run!r} is no run; there are: {', '.join(runs) or 'none'}."
+                f"{run[:200]!r} is no run; there are: {', '.join(runs) or 'none'}."
             )
         return self.folder / run
 
@@ -119,13 +125,16 @@ class Tools:
         """Run a command that makes a folder `kind-N`: (what it printed, the folder)."""
         async with self._one_at_a_time:
             names = (self.folder / f"{kind}-{number}" for number in count(1))
-            out = next(path for path in names if not path.exists())
+            out = next(path for path in names if not os.path.lexists(path))
             return await self._command(*command, f"--out={out}"), out
 
     async def _command(self, *words: str) -> str:
         """What a command of edit3r prints. Raises ToolError with its own sentence."""
         command = [*PYTHON, "-m", "edit3r", *words]
-        done = await anyio.run_process(command, stdin=DEVNULL, check=False)
+        try:
+            done = await anyio.run_process(command, stdin=DEVNULL, check=False)
+        except (OSError, ValueError) as error:  # a null byte, too long, no Unicode
+            raise ToolError(f"cannot be passed on ({error}).") from None
         if done.returncode:
             lines = done.stderr.decode(errors="replace").strip().splitlines()
             raise ToolError(lines[-1] if lines else f"edit3r ended: {done.returncode}.")
@@ -144,7 +153,7 @@ def server(folder: Path, config: str | None = None) -> MCPServer:
 def _sent(path: Path) -> Image:
     """An image in the size and form in which assistants take it."""
     content = io.BytesIO()
-    with Pillow.open(path) as image:
-        image.thumbnail((MAX_SIDE, MAX_SIDE))
-        image.convert("RGB").save(content, "JPEG", quality=90)
+    image = read_image(path)
+    image.thumbnail((MAX_SIDE, MAX_SIDE))
+    image.save(content, "JPEG", quality=90)
     return Image(data=content.getvalue(), format="jpeg")

@@ -3,6 +3,7 @@
 import base64
 import io
 import os
+import shutil
 import sys
 
 import anyio
@@ -107,6 +108,41 @@ def test_a_run_is_exported_beside_it(call, edited, place, form, made):
 def test_an_error_is_one_sentence(call, edited, name, arguments, told):
     text, image, failed = call(name, **arguments)
     assert failed and told in text and image is None and "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("run.json", b"[]"),
+        ("run.json", b"\xff"),
+        ("run.json", b'{"verdict": 1}'),
+        ("before_after.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n"),
+    ],
+)
+def test_a_strangers_run_is_refused_in_one_sentence(call, edited, place, file, content):
+    shutil.copytree(place / "work" / "edit-1", place / "work" / "strange")
+    (place / "work" / "strange" / file).write_bytes(content)
+    text, _, failed = call("look", run="strange")
+    shutil.rmtree(place / "work" / "strange")
+    assert failed and "is damaged" in text and "\n" not in text
+    assert file == "run.json" or "not an image" in text
+
+
+def test_a_word_that_no_program_takes_is_one_sentence(call):
+    text, _, failed = call("edit", prompt="a\0b", photos=["a.png", "b.png"])
+    assert failed and "cannot be passed on" in text
+
+
+def test_links_lead_nothing_out_of_the_folder(call, edited, place):
+    for name in ("edit-1.ply", "selection-2"):
+        (place / "work" / name).unlink(missing_ok=True)
+        (place / "work" / name).symlink_to(place / "outside")
+    assert call("export", run="edit-1", form="ply")[2]
+    marks = {"points": ["0.5,0.5"]}
+    assert not call("select", photos=["a.png", "b.png"], marks=marks)[2]
+    assert not (place / "outside").exists()
+    for name in ("edit-1.ply", "selection-2"):
+        (place / "work" / name).unlink()
 
 
 def test_nothing_is_written_outside_of_the_folder(edited, place):
