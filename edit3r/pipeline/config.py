@@ -177,7 +177,8 @@ class RunConfig(Settings):
     @classmethod
     def _read_steps(cls, value: Any) -> Any:
         """Accept the steps of --larger and --smaller one by one."""
-        return sum(value) if isinstance(value, list) else value
+        steps = isinstance(value, list) and all(isinstance(one, int) for one in value)
+        return sum(value) if steps else value
 
     @field_validator("gaussians", mode="before")
     @classmethod

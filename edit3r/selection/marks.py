@@ -7,6 +7,7 @@ from edit3r.errors import InputError
 from edit3r.io.framing import Frame, Lens
 from edit3r.io.images import LoadedPhotos
 from edit3r.io.masks import load_masks, read_mask
+from edit3r.pipeline.config import MAX_PROMPT
 from edit3r.selection.select import Box, Selection
 from edit3r.wishes.things import read_thing
 
@@ -33,6 +34,10 @@ class MarkTexts:
 
     def read(self, photos: LoadedPhotos) -> Selection:
         """The marks on these photos. Raises InputError for a mark that fits no photo."""
+        if len(self.thing) > MAX_PROMPT:
+            raise InputError(
+                f"--thing: expected at most {MAX_PROMPT} characters, got {len(self.thing)}."
+            )
         frames = [photo.frame for photo in photos.photos]
         positive = tuple(_point("--point", text, frames) for text in self.points)
         negative = tuple(

@@ -43,6 +43,7 @@ def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():
         ({"seeds": 1}, "run.seeds: unknown setting. Did you mean 'seed'?"),
         ({"size": 1}, "run.size: input should be greater than or equal to 8, got 1"),
         ({"edit_views": "last"}, "run.edit_views"),
+        ({"larger": [1, "x"]}, "run.larger: input should be a valid integer"),
     ],
 )
 def test_a_wrong_key_or_value_is_one_sentence(layer, said):

@@ -80,6 +80,11 @@ def test_places_are_finite_numbers(photos, words):
         read(photos, *words)
 
 
+def test_words_are_no_book(photos):
+    with pytest.raises(InputError, match="at most 10000 characters, got 500000"):
+        MarkTexts(thing="bike " * 100_000).read(photos)
+
+
 def test_a_box_is_cut_to_the_photo(photos):
     assert read(photos, "--box", "40,30,99,99").boxes[0] == pytest.approx(
         (0.5, 0.5, 0.5, 0.5)
