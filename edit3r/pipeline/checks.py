@@ -57,7 +57,9 @@ def require_device(name: str, key: str = "--device") -> torch.device:
     cannot use it.
     """
     try:
-        return torch.empty(0, device=torch.device(name)).device
+        empty = torch.empty(1, device=torch.device(name))
+        empty.cpu()  # raises on "meta", which holds no numbers
+        return empty.device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = " ".join(str(error).split())[:200].rstrip(".")
         way_out = f"{key} cpu" if key.startswith("--") else f"--set {key}=cpu"

@@ -9,13 +9,14 @@ import torch
 from edit3r.contract.component import Component
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.types import Reconstruction, Rendering
-from edit3r.errors import InputError, PluginError
+from edit3r.errors import InputError, PluginError, SettingsError
 from edit3r.pipeline.checks import (
     check_edit,
     check_reconstruction,
     check_rendering,
     component_name,
     errors_named_after,
+    require_device,
 )
 from edit3r.plugins.load import Offer
 from edit3r_testing import cameras_around, gaussian_cloud, photograph
@@ -186,3 +187,8 @@ def test_sentences_for_the_user_and_lack_of_memory_pass_unchanged():
         raise RuntimeError("CUDA out of memory")
     with pytest.raises(KeyboardInterrupt), errors_named_after(SimpleNamespace()):
         raise KeyboardInterrupt
+
+
+def test_a_device_without_numbers_is_refused():
+    with pytest.raises(SettingsError, match="'meta' cannot be used"):
+        require_device("meta")
