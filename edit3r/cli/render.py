@@ -87,7 +87,7 @@ class RenderCommand(Command):
         import torch
 
         from edit3r.cli.console import StageConsole
-        from edit3r.io.atomic import atomic_folder
+        from edit3r.io.atomic import atomic_folder, check_apart
         from edit3r.io.run_folder import RunFolder
         from edit3r.reporting import Report, collecting
 
@@ -95,6 +95,7 @@ class RenderCommand(Command):
             raise SettingsError(
                 f"--frames: expected 2 to 2000 frames, got {args.frames}."
             )
+        check_apart(args.out, args.scene)
         rasterizer = _rasterizer(args)
         with (
             StageConsole(quiet=args.quiet) as console,

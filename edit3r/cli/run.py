@@ -135,11 +135,12 @@ class RunCommand(Command):
             collecting(report),
             report.stage("start"),
         ):  # most of it goes into importing torch
-            from edit3r.io.atomic import atomic_folder
+            from edit3r.io.atomic import atomic_folder, check_apart
             from edit3r.pipeline.run import run
             from edit3r.pipeline.write import write
             from edit3r.plugins.registry import default_registry
 
+            check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
         with atomic_folder(args.out, args.overwrite) as folder:

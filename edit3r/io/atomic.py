@@ -36,6 +36,7 @@ __all__ = [
     "MARKER",
     "atomic_folder",
     "atomic_write",
+    "check_apart",
     "check_new_file",
     "check_replaceable",
     "remove_abandoned",
@@ -125,17 +126,25 @@ def check_new_file(
     path = Path(path)
     if not path.exists():
         return
-    if source is not None and path.resolve() in (
-        source.resolve(),
-        *source.resolve().parents,
-    ):
-        raise InputError(
-            f"{path}: is or holds the file that is read; give another --out."
-        )
+    if source is not None:
+        check_apart(path, source)
     if not overwrite:
         raise InputError(
             f"{path}: is already there; give another --out, or --overwrite."
         )
+
+
+def check_apart(out: str | Path, *sources: Path) -> None:
+    """Raise InputError where `out`, which will be replaced, is or holds one of the `sources`."""
+    final = _resolved(out)
+    for source in sources:
+        # What is no path is told by whoever reads it.
+        with suppress(OSError, ValueError, RuntimeError):
+            source = source.resolve()
+        if final in (source, *source.parents):
+            raise InputError(
+                f"{out}: is or holds the file that is read; give another --out."
+            )
 
 
 def check_replaceable(out: Path, overwrite: bool = False) -> None:

@@ -3,6 +3,7 @@
 import pytest
 
 from edit3r.cli.main import main
+from edit3r.io.atomic import atomic_folder
 
 COMMANDS = [
     "simplify scene.ply --out theirs.ply",
@@ -38,3 +39,16 @@ def test_the_scene_that_is_read_is_never_replaced(folder, command, capsys):
     assert main(given) == 2
     assert "the file that is read" in capsys.readouterr().err
     assert (folder / "scene.ply").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "command", ["render theirs", "run theirs/inputs/a.png --size 16"]
+)
+def test_a_run_that_is_read_is_never_replaced(folder, command, capsys):
+    with atomic_folder("theirs") as run:
+        (run / "scene.ply").write_text("mine")
+        (run / "inputs").mkdir()
+        (run / "inputs" / "a.png").write_text("mine")
+    for more in ([], ["--overwrite"]):
+        assert main([*command.split(), "--out", "theirs", *more]) == 2
+        assert "holds the file that is read" in capsys.readouterr().err
