@@ -16,6 +16,8 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
+from edit3r.errors import printable
+
 
 class StageConsole:
     """Listener for `edit3r.reporting.Report.on_event`; use as a context manager around the run."""
@@ -49,6 +51,7 @@ class StageConsole:
         self.progress.stop()
 
     def __call__(self, event: str, text: str, done: int, total: int) -> None:
+        text = printable(text)
         if event == "start":
             self.started[text] = time.perf_counter()
             self.tasks[text] = self.progress.add_task(text, total=None)

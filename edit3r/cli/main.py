@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 import edit3r
 from edit3r.__main__ import program
 from edit3r.cli import COMMANDS
-from edit3r.errors import Edit3rError, as_known, suggest
+from edit3r.errors import Edit3rError, as_known, printable, suggest
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
@@ -72,9 +72,7 @@ def _tell(sentence: str) -> None:
     if len(line) > MAX_SENTENCE:
         half = MAX_SENTENCE // 2
         line = f"{line[:half]} ... {line[-half:]}"
-    # A file name may be no UTF-8, or may hold commands for the terminal.
-    shown = [one if one.isprintable() else ascii(one)[1:-1] for one in line]
-    print(f"edit3r: {''.join(shown)}", file=sys.stderr)
+    print(f"edit3r: {printable(line)}", file=sys.stderr)
 
 
 def _dispatch(argv: list[str]) -> int:

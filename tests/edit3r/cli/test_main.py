@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from edit3r.cli.console import StageConsole
 from edit3r.cli.main import main
 
 
@@ -33,6 +34,11 @@ def test_what_was_given_neither_commands_the_terminal_nor_fills_it(capsys):
     error = capsys.readouterr().err
     assert error.removesuffix("\n").isprintable() and "\\x1b]0;title" in error
     assert len(error) < 5000
+
+
+def test_warnings_command_no_terminal_either(capsys):
+    StageConsole()("warn", "\x1b]0;title\x07 by a file", 0, 0)
+    assert "\\x1b]0;title\\x07 by a file" in capsys.readouterr().err
 
 
 def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
