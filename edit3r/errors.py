@@ -57,11 +57,6 @@ def suggest(given: str, known: Iterable[str]) -> str:
     return f" Did you mean {near[0]!r}?" if near else ""
 
 
-def printable(text: str) -> str:
-    """The text for a terminal: names in it may be no UTF-8, or hold commands for the terminal."""
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
-
-
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out; torch raises several types for it."""
     text = str(error).lower()

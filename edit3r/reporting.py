@@ -99,6 +99,11 @@ def say(key: str, text: str) -> None:
         report.emit("say", f"{key.partition('.')[0]}: {text}")
 
 
+def printable(text: str) -> str:
+    """The text for a terminal: names in it may be no UTF-8, or hold commands for the terminal."""
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+
+
 def warn(text: str) -> None:
     """Tell the user something that does not stop the run; once per text, also kept in the manifest.
 

@@ -16,7 +16,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from edit3r.errors import printable
+from edit3r.reporting import printable
 
 
 class StageConsole:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 import edit3r
 from edit3r.__main__ import program
 from edit3r.cli import COMMANDS
-from edit3r.errors import Edit3rError, as_known, printable, suggest
+from edit3r.errors import Edit3rError, as_known, suggest
+from edit3r.reporting import printable
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
