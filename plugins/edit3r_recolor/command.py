@@ -79,12 +79,13 @@ class RecolorCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.cli.console import StageConsole
-        from edit3r.io.atomic import atomic_folder
+        from edit3r.io.atomic import atomic_folder, check_apart
         from edit3r.io.images import load_photos
         from edit3r.reporting import Report, collecting, warn
         from edit3r_recolor.folder import write_folder
         from edit3r_recolor.scene import carry_out
 
+        check_apart(args.out, *map(Path, args.images))
         _check(args)
         find = _replayed(args) if args.replay else _found(args)
         with StageConsole(quiet=args.quiet) as console:

@@ -71,13 +71,14 @@ class MaskCommand(Command):
 
         from edit3r.cli.console import StageConsole
         from edit3r.config import parse_assignments
-        from edit3r.io.atomic import atomic_folder
+        from edit3r.io.atomic import atomic_folder, check_apart
         from edit3r.io.images import load_photos, save_image
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
         from edit3r.selection.marks import MarkTexts
         from edit3r.selection.select import geometry_of, select_masks
 
+        check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)
         registry = default_registry(tuple(args.plugin))
         segmenter = registry.build(

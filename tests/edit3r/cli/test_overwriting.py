@@ -42,7 +42,13 @@ def test_the_scene_that_is_read_is_never_replaced(folder, command, capsys):
 
 
 @pytest.mark.parametrize(
-    "command", ["render theirs", "run theirs/inputs/a.png --size 16"]
+    "command",
+    [
+        "render theirs",
+        "run theirs/inputs/a.png --size 16",
+        "mask theirs/inputs/a.png --point 1,1",
+        "recolor theirs/inputs/a.png --quiet",
+    ],
 )
 def test_a_run_that_is_read_is_never_replaced(folder, command, capsys):
     with atomic_folder("theirs") as run:
