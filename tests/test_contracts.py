@@ -100,6 +100,7 @@ TRIED_IN: dict[tuple[str, ...], str] = {
     ("gemini-image", "gpt-image"): "edit3r_remote/test_contract.py",
     (
         "sam2",
+        "edgetam",
         "sam3",
         "sam-onnx",
         "grounding-dino",

@@ -3,7 +3,11 @@ users do.
 """
 
 import json
+import sys
+from collections.abc import Iterator
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -82,9 +86,13 @@ def tiny_sam2_config():
     )
 
 
-@pytest.fixture(scope="session")
-def edgetam_folder(tmp_path_factory) -> Path:
-    """EdgeTAM with the Hiera of the tiny SAM2: its own backbone would need timm."""
+@pytest.fixture(scope="module")
+def edgetam_folder(tmp_path_factory) -> Iterator[Path]:
+    """EdgeTAM with the Hiera of the tiny SAM2. Its own backbone alone needs timm, so timm counts as
+    installed.
+    """
+    timm = ModuleType("timm")
+    timm.__spec__ = ModuleSpec("timm", None)
     from transformers import EdgeTamVideoConfig, EdgeTamVideoModel
 
     sam2 = tiny_sam2_config()
@@ -116,7 +124,9 @@ def edgetam_folder(tmp_path_factory) -> Path:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("edgetam")
     EdgeTamVideoModel(config).save_pretrained(folder)
-    return folder
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(sys.modules, "timm", timm)
+        yield folder
 
 
 @pytest.fixture(scope="session")

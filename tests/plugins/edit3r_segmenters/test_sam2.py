@@ -1,9 +1,6 @@
 """SAM2 on a tiny random Hiera, and the fields of its masks by closed forms."""
 
 import math
-import sys
-from importlib.machinery import ModuleSpec
-from types import ModuleType
 
 import pytest
 import torch
@@ -159,12 +156,7 @@ def test_an_object_is_present_only_with_a_positive_score_or_a_mask():
     assert is_present(logits, scores).tolist() == [False, True, True, True]
 
 
-def test_edgetam_answers_clicks_and_follows_by_the_same_code(
-    edgetam_folder, photo, monkeypatch
-):
-    timm = ModuleType("timm")
-    timm.__spec__ = ModuleSpec("timm", None)  # only its real backbone needs it
-    monkeypatch.setitem(sys.modules, "timm", timm)
+def test_edgetam_answers_clicks_and_follows_by_the_same_code(edgetam_folder, photo):
     segmenter = edit3r.build(
         "segmenter", "edgetam", model=str(edgetam_folder), local_files_only=True
     )
