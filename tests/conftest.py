@@ -5,6 +5,11 @@ import sys
 
 import pytest
 import torch
+from hypothesis import settings
+
+# A test's time depends on what else the machine does; speed is measured in benchmarks/.
+settings.register_profile("edit3r", deadline=None)
+settings.load_profile("edit3r")
 
 
 def _changes(folder, event, arguments):

@@ -5,7 +5,7 @@ That folder may be a stranger's, with a `torch.py` in it that would run.
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 SAFE_PATH = "PYTHONSAFEPATH"
@@ -16,23 +16,35 @@ PYTHON = (sys.executable, "-P" if sys.version_info >= (3, 11) else "-I")
 
 
 @contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables inside the block, for the processes that start there."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            _restore(name, value)
+
+
+@contextmanager
 def safe_path() -> Iterator[None]:
     """Keep the current folder off the path of processes that multiprocessing starts inside.
 
     Such a process calls `restore_path` for its own children: a script of the user may import what
     lies beside it.
     """
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    try:
+    with environment({SAFE_PATH: "1"}):
         yield
-    finally:
-        restore_path(before)
 
 
 def restore_path(before: str | None) -> None:
     """Set the variable back to what it was outside of `safe_path`."""
-    if before is None:
-        os.environ.pop(SAFE_PATH, None)
+    _restore(SAFE_PATH, before)
+
+
+def _restore(name: str, value: str | None) -> None:
+    if value is None:
+        os.environ.pop(name, None)
     else:
-        os.environ[SAFE_PATH] = before
+        os.environ[name] = value

@@ -22,7 +22,7 @@ import torch
 
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.errors import Edit3rError
-from edit3r.io.children import SAFE_PATH, restore_path, safe_path
+from edit3r.io.children import SAFE_PATH, environment, restore_path, safe_path
 from edit3r.io.run_folder import installed_versions
 from edit3r.pipeline.config import make_run_config
 from edit3r.pipeline.job import RunJob
@@ -89,8 +89,7 @@ def measure_points(
 
 def in_fresh_process(job: PointJob) -> dict[str, Any]:
     """Return the job's row; `failure` in it where the point cannot be run, or the process died."""
-    if job.threads is not None:
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(job.threads)))
+    threads = dict.fromkeys(THREAD_VARIABLES, str(job.threads)) if job.threads else {}
     row = {
         "settings": job.settings,
         "scene": job.name,
@@ -99,7 +98,11 @@ def in_fresh_process(job: PointJob) -> dict[str, Any]:
     }
     spawn = multiprocessing.get_context("spawn")
     begin = (restore_path, (os.environ.get(SAFE_PATH),))
-    with safe_path(), ProcessPoolExecutor(1, spawn, *begin) as pool:
+    with (
+        safe_path(),
+        environment(threads),
+        ProcessPoolExecutor(1, spawn, *begin) as pool,
+    ):
         try:
             return row | pool.submit(figures_of, job).result()
         except Edit3rError as error:

@@ -51,7 +51,7 @@ def twist(rotation, velocity):
     st.tuples(*[st.floats(-5, 5)] * 3),
     st.floats(0, 1),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_interpolation_is_the_exponential_of_a_share_of_the_twist(
     rotation, velocity, share
 ):
@@ -104,7 +104,7 @@ def test_path_goes_up_and_down_around_the_line_between_two_views():
 
 
 @given(st.integers(1, 6), st.integers(0, 2**31 - 1), st.sampled_from([None, 0.5, 4.0]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_path_is_never_wild(views, seed, depth):
     generator = torch.Generator().manual_seed(seed)
     angles = (torch.rand(views, generator=generator) - 0.5).tolist()

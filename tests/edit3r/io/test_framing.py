@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -11,7 +11,6 @@ sizes = st.tuples(st.integers(1, 6000), st.integers(1, 6000))
 
 
 @given(st.lists(sizes, min_size=1, max_size=6), st.sampled_from([None, 1, 256, 512]))
-@settings(deadline=None)
 def test_every_photo_covers_the_common_size(photos, longest):
     target = common_size(photos, longest)
     assert min(target) >= 1 and (longest is None or max(target) <= longest)
@@ -45,7 +44,6 @@ def test_a_huge_photo_among_small_ones_is_reduced_and_a_tiny_one_is_enlarged():
 
 
 @given(sizes, sizes)
-@settings(deadline=None)
 def test_intrinsics_follow_the_crop_exactly(size, target):
     """A ray through a pixel of the original passes through the same spot of the crop."""
     frame = frame_for(size, target)
@@ -97,7 +95,6 @@ def bent(lens, u, v):
 
 
 @given(st.floats(0.1, 0.9), st.floats(0.1, 0.9))
-@settings(deadline=None)
 def test_a_place_on_a_bent_photo_is_found_on_the_straight_one(u, v):
     assert BARREL.straightened_place(*bent(BARREL, u, v)) == pytest.approx(
         (u, v), abs=1e-4

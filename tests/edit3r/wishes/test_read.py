@@ -217,7 +217,7 @@ TEXT = (
 WORDS = TEXT.split()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.one_of(
         st.text(max_size=40),

@@ -1,5 +1,6 @@
 """What a sweep measures, takes up again and makes of it; and the presets that ship."""
 
+import os
 from itertools import pairwise
 
 import pytest
@@ -131,7 +132,11 @@ def test_the_command_measures_runs_and_says_which_failed(tmp_path, capsys):
     (tmp_path / "plan.yaml").write_text(PLAN)
     out = tmp_path / "out"
     command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 1 --repeats 1 --threads 1"
+    environment = dict(os.environ)
     assert main(f"{command} --out {out}".split()) == 0
+    assert (
+        dict(os.environ) == environment
+    )  # the threads are the measured processes' alone
     base, wrong = read_rows(out / "measurements.jsonl").values()
     assert wrong["failure"].startswith("no reconstructor named 'nobody'.")
     assert base["psnr"] > 15

@@ -76,7 +76,7 @@ def test_extreme_fields_of_view_give_valid_gaussians(reconstructor, fov):
     require_valid(reconstructor(views_of(torch.rand(1, 2, 3, 32, 32), fov)).gaussians)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     points=st.floats(-80, 80, width=32),
     attributes=st.floats(-80, 80, width=32),

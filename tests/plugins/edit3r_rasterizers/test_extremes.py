@@ -234,7 +234,7 @@ def test_the_largest_floats_make_no_infinite_picture(rasterizer):
 finite = {"allow_nan": False, "allow_infinity": False, "width": 32}
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     position=st.tuples(*[st.floats(-1e4, 1e4, **finite)] * 3),
     scales=st.tuples(*[st.floats(-8, 4, **finite)] * 3),
@@ -261,7 +261,7 @@ def test_any_gaussian_gives_finite_pictures_and_gradients(
     assert_gradients_finite(NUMBA, scene, views)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     spread=st.floats(-3, 0.5),

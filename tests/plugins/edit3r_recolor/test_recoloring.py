@@ -127,7 +127,7 @@ def test_default_parameters_change_nothing():
     assert torch.allclose(recolor(image, RecolorParameters()), image, atol=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**31))
 def test_the_result_is_finite_and_in_range_for_any_parameters(seed):
     image = picture(2, 3, 4, 6)
@@ -139,7 +139,7 @@ def test_the_result_is_finite_and_in_range_for_any_parameters(seed):
     assert result.min() >= 0 and result.max() <= 1
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**31))
 def test_a_colour_maps_to_the_same_colour_in_every_picture(seed):
     """What makes one Theta the same edit in all views: neighbours and picture size have no say."""
