@@ -64,7 +64,7 @@ def given_flags(args: argparse.Namespace, cls: type[Settings]) -> dict[str, Any]
 
 
 def _help(field: FieldInfo) -> str:
-    default = field.default
+    default = None if field.is_required() else field.default
     if isinstance(default, tuple):
         default = ",".join(map(str, default))
     if isinstance(default, PartChoice):

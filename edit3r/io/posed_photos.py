@@ -17,9 +17,10 @@ from edit3r.geometry.cameras import invert_rigid, to_pixels
 from edit3r.geometry.harmonics import dc_to_colour
 from edit3r.geometry.rotations import matrices_to_quats
 from edit3r.io.atomic import atomic_folder
-from edit3r.io.cameras import read_scene_cameras, write_transforms
+from edit3r.io.cameras import read_cameras, read_scene_cameras, write_transforms
 from edit3r.io.images import read_image, save_pixels, unique_names
 from edit3r.pipeline.config import CAMERA_FORMATS
+from edit3r.reporting import warn
 
 __all__ = ["CAMERA_FORMATS", "export_cameras"]
 
@@ -53,6 +54,11 @@ def export_cameras(
             f"{run}: holds no cameras.json; {form} is written of the folder of a run."
         )
     cameras, views = read_scene_cameras(cameras_file)
+    without_pose = {view.file for view in read_cameras(cameras_file)}
+    without_pose -= {view.file for view in views}
+    if without_pose:
+        names = ", ".join(sorted(without_pose))
+        warn(f"{names}: without a pose in cameras.json, so not in the {form} export.")
     # The folder may come from a stranger.
     stems = unique_names([Path(view.file).stem for view in views])
     names = [f"{stem}.png" for stem in stems]

@@ -102,11 +102,12 @@ class Tools:
         """
         folder = self._found(run)
         ends = {**FORMATS, **CAMERA_FORMATS}
-        out = self.folder / (run + ends.get(form, ""))
-        if out.is_symlink():
-            raise ToolError(f"{out}: is a link, which may lead out of {self.folder}.")
+        end = ends.get(form, "")
+        out = self.folder / f"{run}{end}"
+        if os.path.lexists(out):
+            out = self._unused(run, end)
         return await self._command(
-            "export", str(folder), f"--to={form}", f"--out={out}", "--overwrite"
+            "export", str(folder), f"--to={form}", f"--out={out}"
         )
 
     def _photos(self, photos: list[str]) -> list[str]:
@@ -121,11 +122,15 @@ class Tools:
             )
         return self.folder / run
 
+    def _unused(self, stem: str, end: str = "") -> Path:
+        """The first of `stem-1`, `stem-2`, ... where nothing lies yet, not even a link."""
+        paths = (self.folder / f"{stem}-{number}{end}" for number in count(1))
+        return next(path for path in paths if not os.path.lexists(path))
+
     async def _make(self, kind: str, *command: str) -> tuple[str, Path]:
         """Run a command that makes a folder `kind-N`: (what it printed, the folder)."""
         async with self._one_at_a_time:
-            names = (self.folder / f"{kind}-{number}" for number in count(1))
-            out = next(path for path in names if not os.path.lexists(path))
+            out = self._unused(kind)
             return await self._command(*command, f"--out={out}"), out
 
     async def _command(self, *words: str) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from edit3r.cli.console import StageConsole
 from edit3r.cli.main import main
+from edit3r.plugins.registry import default_registry
 
 
 @pytest.mark.parametrize(
@@ -112,6 +113,18 @@ def test_help_and_lists_import_no_torch(line):
     )
     _, told = process.communicate(timeout=60)
     assert process.returncode == 0, told
+
+
+COMMANDS = [offer.component.name for offer in default_registry().offers("command")]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_shows_no_default_that_is_none(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert "Undefined" not in shown and "default None" not in shown
 
 
 def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():

@@ -101,6 +101,15 @@ def test_the_images_are_the_edited_ones_or_else_the_photos(run, tmp_path, form):
     assert second == (run / "inputs" / NAMES[1]).read_bytes()
 
 
+def test_views_without_a_pose_are_named_and_left_out(run, capsys):
+    cameras = json.loads((run / "cameras.json").read_text())
+    cameras[1]["c2w"] = None
+    (run / "cameras.json").write_text(json.dumps(cameras))
+    assert main(["export", str(run), "--to", "nerfstudio"]) == 0
+    assert "two.png: without a pose" in capsys.readouterr().err
+    assert len(list((run / "scene-nerfstudio" / "images").iterdir())) == 1
+
+
 @pytest.mark.parametrize(
     ("gone", "told"),
     [("cameras.json", "holds no cameras.json"), ("inputs/two.png", "no image two.png")],

@@ -94,6 +94,13 @@ def test_a_run_is_exported_beside_it(call, edited, place, form, made):
     assert not failed and out.exists() and str(out) in text
 
 
+def test_an_export_replaces_no_file(call, edited, place):
+    mine = place / "work" / "edit-1.glb"
+    mine.write_text("mine")
+    text, _, failed = call("export", run="edit-1", form="glb")
+    assert not failed and "edit-1-1.glb" in text and mine.read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("name", "arguments", "told"),
     [
@@ -137,7 +144,7 @@ def test_links_lead_nothing_out_of_the_folder(call, edited, place):
     for name in ("edit-1.ply", "selection-2"):
         (place / "work" / name).unlink(missing_ok=True)
         (place / "work" / name).symlink_to(place / "outside")
-    assert call("export", run="edit-1", form="ply")[2]
+    assert not call("export", run="edit-1", form="ply")[2]
     marks = {"points": ["0.5,0.5"]}
     assert not call("select", photos=["a.png", "b.png"], marks=marks)[2]
     assert not (place / "outside").exists()
