@@ -24,6 +24,7 @@ PAIRS = {
     "bear": ("bear/images/frame_00001.jpg", "bear/images/frame_00005.jpg"),
     "tower": ("nle_tower/images/01.jpg", "nle_tower/images/06.jpg"),
     "opera house": ("soh_pair/images/000.jpg", "soh_pair/images/010.jpg"),
+    "street": ("leuven_pair/images/leuvenA.jpg", "leuven_pair/images/leuvenB.jpg"),
     "motorcycle": (
         "stereo_motorcycle/images/left.jpg",
         "stereo_motorcycle/images/right.jpg",

@@ -23,10 +23,7 @@ def near_an_edit(
     not edited at all, what the reference does not show may take the edit too: 1.
     """
     before, after = views.reference
-    reach, matches = views.reach, views.matches
-    apart = blur_maps((before - views.source).abs().amax(2), reach / 5)
-    same = measured & (matches.depth_ratio.abs() < SAME_SURFACE) & (apart < ALIKE)
-    seen = matches.inside * same
+    reach, seen = views.reach, shown_by_reference(views, measured)
     change = views.change.abs().amax(2)
     # Changes of a few pixels are left out: surfaces that look alike by chance.
     of_reference = (after - before).abs().amax(2) * seen
@@ -37,6 +34,17 @@ def near_an_edit(
     found = blur_maps(dilate(found, reach), reach / 4)
     unknown = untouched & (seen == 0)
     return torch.maximum(found, unknown.to(found.dtype))
+
+
+def shown_by_reference(
+    views: EditedViews, measured: Bool[Tensor, "batch view height width"]
+) -> Maps:
+    """Return 1 where the reference surely shows the surface of a view's pixel, 0 elsewhere."""
+    before, _ = views.reference
+    matches = views.matches
+    apart = blur_maps((before - views.source).abs().amax(2), views.reach / 5)
+    same = measured & (matches.depth_ratio.abs() < SAME_SURFACE) & (apart < ALIKE)
+    return matches.inside * same
 
 
 @torch.no_grad()

@@ -26,7 +26,12 @@ from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.geometry.maps import guided_upsample, resize
 from edit3r.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
-from edit3r_model.disagreement import edits_conflict, edits_disagree, near_an_edit
+from edit3r_model.disagreement import (
+    edits_conflict,
+    edits_disagree,
+    near_an_edit,
+    shown_by_reference,
+)
 from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, FusedEdit
 from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
@@ -247,8 +252,9 @@ def assemble(
         matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
         views = EditedViews.of(edited, source.images, fine.exposure, matches)
         disagree = edits_disagree(EditedViews.of(*single, fine.exposure, matches))
-        near = near_an_edit(views, geometry.confidence >= MEASURED) * disagree
-        colours = fuse_colours(views, fine, near)
+        measured = geometry.confidence >= MEASURED
+        near = near_an_edit(views, measured) * disagree
+        colours = fuse_colours(views, fine, near, shown_by_reference(views, measured))
         conflict = edits_conflict(views, near)
         kept = 1 - (1 - settings.conflict_opacity) * conflict
     floating = contradicted(geometry, source.intrinsics)
@@ -259,12 +265,16 @@ def assemble(
     return discs(gaussians, tuple(depths.shape[1:]), settings.thickness)
 
 
-def fuse_colours(views: EditedViews, decisions: Decisions, near: Maps) -> Images:
+def fuse_colours(
+    views: EditedViews, decisions: Decisions, near: Maps, seen: Maps
+) -> Images:
     """Mix the candidates for each pixel's colour; exactly the view's own where it is not `near` a
     change.
 
     The candidates are its own edited colour, the source under the carried colour map, and the
-    reference's edited colour.
+    reference's edited colour. Where the reference does not show the place (`seen` 0), a map that
+    changes less than the view's own edit counts that much less: nothing carried contradicts
+    nothing.
     """
     made = views.after - views.before
     # On colours unlike any that the edit met, an affine map goes on for ever: grey beside a green
@@ -281,6 +291,10 @@ def fuse_colours(views: EditedViews, decisions: Decisions, near: Maps) -> Images
     # Where the reference shows no edit, the share of its colour goes to the source under the
     # carried colour map.
     shares = mapped + taken - taken * presence, taken * presence
+    sizes = [made.abs().amax(2, keepdim=True) for made in (change, views.change)]
+    strength = (sizes[0] / sizes[1].clamp(min=1e-6)).clamp(max=1)
+    told = torch.maximum(strength, seen[:, :, None])
+    shares = shares[0] * told, shares[1]
     own = views.edited
     return own + shares[0] * (carried - own) + shares[1] * (warped - own)
 

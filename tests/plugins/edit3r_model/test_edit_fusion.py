@@ -105,7 +105,8 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
         source = torch.stack((hole, view_1))[None]
         edited = torch.stack((green, view_1))[None]
         views = EditedViews.of(edited, source, same, matches)
-        return fuse_colours(views, decisions, torch.ones_like(none))[0, 1]
+        everywhere = torch.ones_like(none)
+        return fuse_colours(views, decisions, everywhere, seen=everywhere)[0, 1]
 
     bark = torch.full((3, 4, 4), 0.7)
     assert torch.equal(fused(bark), bark)
@@ -128,6 +129,38 @@ def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_e
     matches = Correspondences(places, torch.ones_like(none), none)
     source = torch.stack((photo, photo))[None]
     views = EditedViews.of(torch.stack((edited, photo))[None], source, same, matches)
-    fused = fuse_colours(views, decisions, torch.ones_like(none))[0, 1]
+    everywhere = torch.ones_like(none)
+    fused = fuse_colours(views, decisions, everywhere, seen=everywhere)[0, 1]
     assert torch.allclose(fused[..., :8], edited[..., :8], atol=1e-5)
     assert torch.allclose(fused[..., 18:], photo[..., 18:] + 0.2, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("seen", "carried", "expected"),
+    [
+        (0, 0.0, 0.5),  # nothing is carried, and nothing shown contradicts its own edit
+        (1, 0.0, 0.3),  # the reference shows the place without an edit
+        (0, -0.2, 0.1),  # as large as its own edit, and the other way
+    ],
+)
+def test_nothing_carried_takes_no_edit_back_where_the_reference_shows_nothing(
+    seen, carried, expected
+):
+    """The view made all of itself brighter; all of the choice is the carried map."""
+    photo = torch.full((3, 4, 4), 0.3)
+    reference = photo + carried
+    maps = torch.zeros(1, 2, 12, 4, 4)
+    maps[:, 1, 9:] = carried
+    choice = torch.zeros(1, 2, 3, 4, 4)
+    choice[:, 1, 1] = 1
+    none = torch.zeros(1, 2, 4, 4)
+    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
+    decisions = Decisions(none[:, :, None].expand_as(choice), same, maps, choice)
+    places = pixel_grid((4, 4), photo).expand(1, 2, -1, -1, -1)
+    matches = Correspondences(places, none, none)
+    source = torch.stack((photo, photo))[None]
+    edited = torch.stack((reference, photo + 0.2))[None]
+    views = EditedViews.of(edited, source, same, matches)
+    near = torch.ones_like(none)
+    fused = fuse_colours(views, decisions, near, torch.full_like(none, seen))[0, 1]
+    assert torch.allclose(fused, torch.full_like(fused, expected), atol=1e-5)
