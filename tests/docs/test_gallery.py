@@ -30,7 +30,6 @@ def made(monkeypatch, tmp_path):
         verdicts = {"verdict": {"label": "good"}, "edit_verdict": {"label": "doubtful"}}
         (folder / "run.json").write_text(json.dumps(verdicts))
 
-    monkeypatch.setitem(sys.modules, spec.name, gallery)
     monkeypatch.setattr(gallery.subprocess, "run", run)
     monkeypatch.setattr(sys, "argv", ["gallery.py", str(tmp_path / "out")])
     gallery.main()
