@@ -31,6 +31,8 @@ from edit3r_app.pages.start import chooser_of_files, told_of_uploads
 
 MODES = ["add", "remove", "box", "paint", "erase"]
 SAY = "say what to change, such as: paint it golden."
+SEND = "(event) => event.isComposing || emit(event.target.value)"
+"""What the field holds at this moment: the server's copy waits until nothing is typed."""
 READINGS = {"larger": 1, "smaller": -1}
 """Steps to another reading of what is selected."""
 
@@ -66,7 +68,9 @@ class Editing:
             said.value = self.tab.draft.form.get("prompt", "")
             said.props("debounce=300 aria-label='what to change' maxlength=2000")
             said.on_value_change(lambda event: self._say(event.value))
-            said.on("keydown.enter", lambda: self._go(said.value))
+            said.on(
+                "keydown.enter", lambda event: self._go(event.args), js_handler=SEND
+            )
             self.go = ui.button("Go", on_click=lambda: self._go(said.value))
         self.understood = quiet("")
         self.judged = ui.column()
