@@ -57,8 +57,8 @@ def export_cameras(
     without_pose = {view.file for view in read_cameras(cameras_file)}
     without_pose -= {view.file for view in views}
     if without_pose:
-        names = ", ".join(sorted(without_pose))
-        warn(f"{names}: without a pose in cameras.json, so not in the {form} export.")
+        told = ", ".join(sorted(without_pose))
+        warn(f"{told}: without a pose in cameras.json, so not in the {form} export.")
     # The folder may come from a stranger.
     stems = unique_names([Path(view.file).stem for view in views])
     names = [f"{stem}.png" for stem in stems]
