@@ -4,6 +4,8 @@
     python benchmarks/rasterizers.py
     # also 1e3 to 4e6 Gaussians, 128x128 to 1024x1024, with a plot
     python benchmarks/rasterizers.py --growth
+    # gradients for the camera too
+    python benchmarks/rasterizers.py --cameras
     python benchmarks/rasterizers.py --growth --torch-seconds 600 --out docs/images
 
 The scene is what a feed-forward reconstructor makes: one Gaussian per pixel of two square views of
@@ -99,12 +101,15 @@ def measure(
     size: int,
     backward: bool,
     budget: float,
+    cameras: bool = False,
 ):
     """Time one configuration: one run to warm up, then 20, or fewer for one that takes longer than
-    `budget` [s].
+    `budget` [s]. With `cameras`, the camera asks for gradients too.
     """
     torch.set_num_threads(threads)
     scene, camera = pixel_aligned(count), front_camera(size)
+    camera.c2w.requires_grad_(cameras and backward)
+    camera.intrinsics.requires_grad_(cameras and backward)
     frame = _frame(rasterizer, scene, camera, backward)
     frame()
     walls, cpus, began = [], [], time.perf_counter()
@@ -145,7 +150,9 @@ def _frame(
     return frame
 
 
-def table(threads: tuple[int, ...], torch_seconds: float) -> Iterator[Timing]:
+def table(
+    threads: tuple[int, ...], torch_seconds: float, cameras: bool
+) -> Iterator[Timing]:
     """The headline: 131,072 Gaussians at 256x256 and 512x512."""
     for size in (256, 512):
         for backward in (False, True):
@@ -158,6 +165,7 @@ def table(threads: tuple[int, ...], torch_seconds: float) -> Iterator[Timing]:
                     size,
                     backward,
                     1e9,
+                    cameras,
                 )
             if torch_seconds:
                 reference = edit3r.build("rasterizer", "torch")
@@ -169,6 +177,7 @@ def table(threads: tuple[int, ...], torch_seconds: float) -> Iterator[Timing]:
                     size,
                     backward,
                     torch_seconds,
+                    cameras,
                 )
 
 
@@ -271,6 +280,9 @@ def main() -> None:
         default=20,
         help="per configuration of the reference; 0: skip it",
     )
+    parser.add_argument(
+        "--cameras", action="store_true", help="gradients for the camera too"
+    )
     options = parser.parse_args()
     every = torch.get_num_threads()
     print(
@@ -278,7 +290,8 @@ def main() -> None:
         "repetitions |"
     )
     print("| --- | --: | --: | --: | --- | --: | --: | --: | --: |")
-    for timing in table((1,) if every == 1 else (1, every), options.torch_seconds):
+    threads = (1,) if every == 1 else (1, every)
+    for timing in table(threads, options.torch_seconds, options.cameras):
         print_row(timing)
     if not options.growth:
         return

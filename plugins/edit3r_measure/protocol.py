@@ -31,10 +31,9 @@ from edit3r.contract.interfaces import (
     Rasterizer,
     Reconstructor,
 )
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras
 from edit3r.errors import InputError
-from edit3r.geometry.cameras import invert_rigid
-from edit3r.geometry.rotations import cross_matrix, matrices_to_quats, quats_to_matrices
+from edit3r.geometry.rotations import cross_matrix
 from edit3r.io.posed_folder import PosedPhoto, read_posed_folder
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
@@ -175,41 +174,26 @@ def align(
     c2w = camera.c2w[0, 0].double()
     places = []
     for _ in range(steps + 1):
-        here = replace(camera, c2w=c2w[None, None].to(camera.c2w))
         with torch.enable_grad():
-            motion = c2w @ _motion(twist * units) @ invert_rigid(c2w)
-            moved = _moved(scene.reconstruction.gaussians, motion)
-            value = compare(scene.rasterizer.render(moved, here).images, photo)
+            pose = (c2w @ _motion(twist * units))[None, None].to(camera.c2w)
+            here = replace(camera, c2w=pose)
+            shown = scene.rasterizer.render(scene.reconstruction.gaussians, here)
+            value = compare(shown.images, photo)
             adam.zero_grad()
             value.backward()
-        places.append((value.item(), here))
+        places.append((value.item(), replace(camera, c2w=pose.detach())))
         adam.step()
         with torch.no_grad():
             # The camera takes the step, and the next one begins at zero.
-            c2w = c2w @ invert_rigid(_motion(twist * units))
+            c2w = c2w @ _motion(twist * units)
             twist.zero_()
     return min(places, key=lambda place: place[0])[1]
 
 
 def _motion(twist: Float[Tensor, "6"]) -> Float[Tensor, "4 4"]:
-    """Return the rigid motion that is the exponential of a turn and a shift, which multiplies
-    world-to-camera.
-    """
+    """Return the rigid motion that is the exponential of a turn and a shift."""
     rows = torch.cat((cross_matrix(twist[:3]), twist[3:, None]), 1)
     return torch.linalg.matrix_exp(F.pad(rows, (0, 0, 0, 1)))
-
-
-def _moved(gaussians: Gaussians, motion: Float[Tensor, "4 4"]) -> Gaussians:
-    """Move the scene instead of the camera: no rasterizer but `torch` has gradients for cameras.
-
-    The gradient leaves out that a colour that depends on the side it is seen from turns with its
-    Gaussian.
-    """
-    motion = motion.to(gaussians.means)
-    rotation = motion[:3, :3]
-    means = gaussians.means @ rotation.T + motion[:3, 3]
-    quats = matrices_to_quats(rotation @ quats_to_matrices(gaussians.quats))
-    return replace(gaussians, means=means, quats=quats)
 
 
 def likeness_loss(

@@ -24,6 +24,8 @@ _BUILT_IN = ("max_alpha", "min_alpha", "min_transmittance")
 class GsplatRasterizer(Rasterizer):
     """Renders float32 Gaussians on an NVIDIA GPU; sums gradients with atomics, so their last bits
     vary.
+
+    Differentiable in `c2w` too, but not in the intrinsics: gsplat has no gradient for them.
     """
 
     Settings = RasterizerSettings

@@ -38,6 +38,7 @@ LOW_X, HIGH_X, LOW_Y, HIGH_Y = (
     19,
 )  # tangents between which the Jacobian is not clamped
 CAMERA = 20
+POSE = 16  # the first columns, by which the backward pass gives gradients
 
 # Columns of the sums that the backward pass takes over a splat's pixels; s, t: the two terms
 # squared above, in units of standard deviations, v: the gradient by the exponent sigma.

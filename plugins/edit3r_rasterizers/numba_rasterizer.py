@@ -31,14 +31,13 @@ from edit3r_rasterizers.kernels import (
     scratch,
     thread_count,
 )
-from edit3r_rasterizers.layout import RECORD, SUMS
-from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_camera, project
+from edit3r_rasterizers.layout import CAMERA, POSE, RECORD, SUMS
+from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_cameras, project
 from edit3r_rasterizers.projection_backward import (
     PROJECTION_BACKWARD_SCRATCH,
     project_backward,
 )
 from edit3r_rasterizers.settings import (
-    BORDER,
     RasterizerSettings,
     check_cameras,
     check_finite,
@@ -46,6 +45,10 @@ from edit3r_rasterizers.settings import (
 )
 from edit3r_rasterizers.tile_lists import TileGrid, TileLists, list_tiles
 
+SHARES = 16
+"""Gradients by the camera are summed in slices as for this many threads, however many there are:
+other slices would give other last bits.
+"""
 MAX_WAIT = 120  # for kernels that another process compiles [s]
 
 
@@ -64,7 +67,8 @@ class NumbaRasterizer(Rasterizer):
     """Renders float32 Gaussians on the CPU, with the same bits for any number of threads.
 
     float64 is computed from float32 copies and returned as float64; another device is refused.
-    Cameras get no gradient: use `torch` to differentiate poses.
+    Differentiable in the cameras too: in `c2w` but its last row, taking the entries of its rotation
+    one by one, and in focal lengths and principal point.
     """
 
     Settings = NumbaSettings
@@ -82,17 +86,10 @@ class NumbaRasterizer(Rasterizer):
         """Render; `background` (anything that broadcasts to `[B, C, 3]`, differentiable) replaces
         the setting.
 
-        Raises InputError for input that is not finite or not on the CPU, or for cameras that ask
-        for a gradient.
+        Raises InputError for input that is not finite or not on the CPU.
         """
         _check_device(gaussians)
         check_cameras(gaussians, cameras)
-        if torch.is_grad_enabled() and (
-            cameras.c2w.requires_grad or cameras.intrinsics.requires_grad
-        ):
-            raise InputError(
-                "rasterizer 'numba' has no gradient for cameras; detach them, or use 'torch'."
-            )
         _compiling_ahead.wait()
         single = gaussians.to(torch.float32)
         backgrounds = resolve_background(
@@ -105,7 +102,13 @@ class NumbaRasterizer(Rasterizer):
             single.opacities,
             single.harmonics,
         )
-        outputs = _Rasterize.apply(self.settings, cameras, *fields, backgrounds)
+        outputs = _Rasterize.apply(
+            self.settings,
+            cameras.image_size,
+            backgrounds,
+            pack_cameras(cameras),
+            *fields,
+        )
         return Rendering(*outputs).to(gaussians.means.dtype)
 
 
@@ -180,6 +183,7 @@ class ProjectedScene:
     pass.
     """
 
+    settings: NumbaSettings
     grid: TileGrid
     camera: np.ndarray  # see layout.CAMERA
     records: np.ndarray  # [G, RECORD]
@@ -192,45 +196,38 @@ class _Rasterize(torch.autograd.Function):
     """Renders B scenes with C cameras each, one after the other, and differentiates that."""
 
     @staticmethod
-    def forward(
-        ctx, settings, cameras, means, scales, quats, opacities, harmonics, backgrounds
-    ):
-        batch, count = cameras.c2w.shape[:2]
-        grid = TileGrid(*cameras.image_size)
+    def forward(ctx, settings, image_size, backgrounds, cameras, *fields):
+        batch, count = cameras.shape[:2]
+        grid = TileGrid(*image_size)
         images = torch.empty(batch, count, 3, grid.height, grid.width)
         alphas, depths = (
             torch.empty(batch, count, 1, grid.height, grid.width) for _ in range(2)
         )
         threads, frames = thread_count(settings.threads), []
-        fields = means, scales, quats, opacities, harmonics
         scenes = [
             GaussianArrays(*(_array(field[b]) for field in fields))
             for b in range(batch)
         ]
         for b in range(batch):
             for c in range(count):
-                camera = pack_camera(
-                    cameras.c2w[b, c], cameras.intrinsics[b, c], grid, BORDER
-                )
                 frame = project_scene(
                     settings,
                     threads,
                     scenes[b],
-                    camera,
+                    _array(cameras[b, c]),
                     grid,
                     any(ctx.needs_input_grad),
                 )
                 if frame is None:
                     check_finite(Gaussians(*(field.detach() for field in fields)))
                 draw(
-                    settings,
                     threads,
                     frame,
                     _array(backgrounds[b, c]),
                     _images_of((images, alphas, depths), b, c),
                 )
                 frames += [frame] if any(ctx.needs_input_grad) else []
-        ctx.settings, ctx.scenes, ctx.frames = settings, scenes, frames
+        ctx.scenes, ctx.frames = scenes, frames
         ctx.save_for_backward(images, alphas, depths)
         return images, alphas, depths
 
@@ -238,23 +235,24 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, *gradients):
         outputs = ctx.saved_tensors
         batch, count = outputs[0].shape[:2]
-        *by_shapes, by_colours, by_background = ctx.needs_input_grad[2:]
+        by_background, *by_shapes, by_colours = ctx.needs_input_grad[2:]
         by_scenes = [
             scene.made_by(np.empty_like if count else np.zeros_like)
             for scene in ctx.scenes
         ]
         by_backgrounds = torch.zeros(batch, count, 3) if by_background else None
+        by_cameras = torch.zeros(batch, count, CAMERA, dtype=torch.float64)
         for index, frame in enumerate(ctx.frames):
             b, c = divmod(index, count)
             seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
             if any(by_shapes) or by_colours:
                 differentiate(
-                    ctx.settings,
                     ctx.scenes[b],
                     frame,
                     seen,
                     by_seen,
                     by_scenes[b],
+                    by_cameras[b, c].numpy() if by_shapes[0] else None,
                     shapes=any(by_shapes),
                     fresh=c == 0,
                 )
@@ -268,9 +266,9 @@ class _Rasterize(torch.autograd.Function):
         ] or [None] * 5
         by_fields = [
             field if wanted else None
-            for field, wanted in zip(stacked, ctx.needs_input_grad[2:])
+            for field, wanted in zip(stacked, ctx.needs_input_grad[4:])
         ]
-        return None, None, *by_fields, by_backgrounds
+        return None, None, by_backgrounds, by_cameras, *by_fields
 
 
 def _stack(arrays: tuple[np.ndarray, ...]) -> Tensor:
@@ -291,7 +289,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 def project_scene(
-    settings: RasterizerSettings,
+    settings: NumbaSettings,
     threads: int,
     scene: GaussianArrays,
     camera: np.ndarray,
@@ -331,6 +329,7 @@ def project_scene(
     lists = list_tiles(threads, grid, records, boxes, keys, by_splat)
     touched = np.empty(len(lists.entries), np.uint16)
     return ProjectedScene(
+        settings,
         grid,
         camera,
         records,
@@ -341,7 +340,6 @@ def project_scene(
 
 
 def draw(
-    settings: RasterizerSettings,
     threads: int,
     frame: ProjectedScene,
     background: np.ndarray,
@@ -352,7 +350,7 @@ def draw(
         shade_tiles,
         _tile_bounds(frame, threads),
         threads,
-        *_tile_arguments(settings, frame),
+        *_tile_arguments(frame),
         background,
         scratch(FORWARD_SCRATCH, np.float32),
         images.image,
@@ -363,12 +361,12 @@ def draw(
 
 
 def differentiate(
-    settings: RasterizerSettings,
     scene: GaussianArrays,
     frame: ProjectedScene,
     images: CameraImages,
     image_gradients: CameraImages,
     by_scene: GaussianArrays,
+    by_camera: np.ndarray | None,
     *,
     shapes: bool,
     fresh: bool,
@@ -376,15 +374,16 @@ def differentiate(
     """Add the gradients of one camera's images to those of the scene, which are 0 where they are
     `fresh`.
 
-    Without `shapes` only those by the harmonics, for which colours alone matter.
+    Without `shapes` only those by the harmonics, for which colours alone matter. `by_camera`
+    [CAMERA], which needs `shapes`, gets the gradient by the packed camera.
     """
-    threads = thread_count(settings.threads)
+    threads = thread_count(frame.settings.threads)
     sums = aligned_empty((len(frame.lists.positions) * SUMS,))
     run_slices(
         differentiate_tiles,
         _tile_bounds(frame, threads),
         threads,
-        *_tile_arguments(settings, frame),
+        *_tile_arguments(frame),
         shapes,
         scratch(BACKWARD_SCRATCH, np.float32),
         images.image,
@@ -395,13 +394,13 @@ def differentiate(
         image_gradients.depth,
         sums,
     )
-    run_slices(
+    parts = run_slices(
         project_backward,
-        even_bounds(len(scene.means), threads),
+        even_bounds(len(scene.means), threads if by_camera is None else SHARES),
         threads,
         *scene.arrays,
         frame.camera,
-        settings.eps2d,
+        frame.settings.eps2d,
         frame.records,
         frame.lists.splat_offsets,
         frame.lists.positions,
@@ -410,11 +409,15 @@ def differentiate(
         fresh,
         scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
         scratch(8, np.uint64),
+        None if by_camera is None else lambda: np.zeros((POSE, 8)),
         *by_scene.arrays,
     )
+    if by_camera is not None:
+        by_camera[:POSE] = sum(part.sum(1) for part in parts)
 
 
-def _tile_arguments(settings: RasterizerSettings, frame: ProjectedScene) -> tuple:
+def _tile_arguments(frame: ProjectedScene) -> tuple:
+    settings = frame.settings
     limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
     return (
         frame.grid.columns,

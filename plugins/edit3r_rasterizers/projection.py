@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.types import Cameras
 from edit3r.geometry.harmonics import DC
 from edit3r_rasterizers import layout
 from edit3r_rasterizers import projection_maths as maths
@@ -18,7 +20,7 @@ from edit3r_rasterizers.projection_maths import (
     U,
     staged_row,
 )
-from edit3r_rasterizers.settings import MAX_COLOUR
+from edit3r_rasterizers.settings import BORDER, MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import (
     broadcast,
@@ -29,7 +31,6 @@ from edit3r_rasterizers.simd import (
     square_root,
 )
 from edit3r_rasterizers.simd_memory import flat, shifted, store
-from edit3r_rasterizers.tile_lists import TileGrid
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
 """Factor from standard deviations to the records' unit, whose squares are exponents of two."""
@@ -49,20 +50,23 @@ basis.
 """
 
 
-def pack_camera(
-    c2w: Tensor, intrinsics: Tensor, grid: TileGrid, border: float
-) -> np.ndarray:
-    """Pack a camera as the kernels read it; `border` is how far the Jacobian's tangents may leave
-    the image.
+def pack_cameras(cameras: Cameras) -> Float[Tensor, "batch camera column"]:
+    """Pack cameras as the kernels read them, see `layout.CAMERA`: float64, on the CPU.
+
+    The limits of the tangents are constants to autograd: the kernels' gradients by focal lengths
+    and principal point include what passes through them.
     """
-    pose = c2w.detach().to("cpu", torch.float64).numpy()
-    matrix = intrinsics.detach().to("cpu", torch.float64).numpy()
-    size = np.array([grid.width, grid.height], dtype=np.float64)
-    focal, centre = matrix[[0, 1], [0, 1]] * size, matrix[:2, 2] * size
-    margin = border * 0.5 * size / focal
+    c2w = cameras.c2w.to("cpu", torch.float64)
+    intrinsics = cameras.intrinsics.to("cpu", torch.float64)
+    height, width = cameras.image_size
+    size = intrinsics.new_tensor([width, height])
+    focal = intrinsics[..., [0, 1], [0, 1]] * size
+    centre = intrinsics[..., :2, 2] * size
+    margin = BORDER * 0.5 * size / focal
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
-    limits = np.stack((low, high), -1).ravel()
-    return np.concatenate((pose[:3, :3].ravel(), pose[:3, 3], focal, centre, limits))
+    limits = torch.stack((low, high), -1).flatten(-2).detach()
+    rotation = c2w[..., :3, :3].flatten(-2)
+    return torch.cat((rotation, c2w[..., :3, 3], focal, centre, limits), -1)
 
 
 @kernel

@@ -22,7 +22,7 @@ from edit3r_rasterizers.projection_maths import (
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
-from edit3r_rasterizers.simd_memory import flat, prefetch, shifted, store
+from edit3r_rasterizers.simd_memory import flat, load, prefetch, shifted, store
 
 F = np.float32
 _PER_UNIT = 1.0 / UNIT
@@ -57,6 +57,7 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
     fresh,
     scratch,
     group,
+    camera_sums,
     mean_gradients,
     scale_gradients,
     quat_gradients,
@@ -68,7 +69,11 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
     Without `shapes` only those by the harmonics, as colours. `fresh` arrays hold nothing yet, and
     start from 0. `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that
     belong to Gaussian i. `scratch` and `group` (eight indices): work space.
+
+    To `camera_sums` [POSE, GROUP], which are returned, are added the gradients by the camera in
+    eight parts; for None another kernel is compiled, that does not know of them.
     """
+    by_pose = flat(camera_sums)
     count = U(harmonics.shape[1])
     means, scales, quats = flat(means), flat(scales), flat(quats)
     opacities, harmonics = flat(opacities), flat(harmonics)
@@ -106,11 +111,12 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
             )
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
-            # lanes of a short group hold some sound Gaussian, and are not read
+            # lanes of a short group hold some sound Gaussian that no pixel shows
             for lane in range(found, GROUP):
                 maths.stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
+                _add_up(scratch, lane, 0, 0, positions, sums)
             if shapes:
-                _differentiate_group(scratch, camera, eps2d)
+                _differentiate_group(scratch, camera, eps2d, by_pose)
             for lane in range(found):
                 k = group[lane]
                 if shapes:
@@ -137,8 +143,10 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
                     harmonics,
                     mean_gradients,
                     harmonic_gradients,
+                    by_pose,
                 )
             found = U(0)
+    return camera_sums
 
 
 @inlined
@@ -176,7 +184,7 @@ def _add_up(totals, lane, start, end, positions, sums):
 
 
 @inlined
-def _differentiate_group(staged, camera, eps2d):
+def _differentiate_group(staged, camera, eps2d, by_pose):
     """Compute gradients of eight Gaussians' geometry by the chain rule through projection and
     covariance.
     """
@@ -279,6 +287,37 @@ def _differentiate_group(staged, camera, eps2d):
         _OPACITY * GROUP,
         staged_row(staged, _TOTALS + U(layout.SUM_V)) / staged_row(staged, OPACITY),
     )
+    if by_pose is not None:
+        # The rows of the Jacobian are the rotation times FOCAL_X / z * (1, 0, -u) and
+        # FOCAL_Y / z * (0, 1, -v), u and v clamped.
+        focal_x, focal_y = camera[layout.FOCAL_X], camera[layout.FOCAL_Y]
+        f0, f1, f2 = f0 * per_z * focal_x, f1 * per_z * focal_x, f2 * per_z * focal_x
+        g0, g1, g2 = g0 * per_z * focal_y, g1 * per_z * focal_y, g2 * per_z * focal_y
+        fx, _, fz = maths.camera_position(camera, f0, f1, f2)
+        _, hy, hz = maths.camera_position(camera, g0, g1, g2)
+        _add(by_pose, layout.FOCAL_X, (tilt_u * u + fx) / focal_x)
+        _add(by_pose, layout.FOCAL_Y, (tilt_v * v + hy) / focal_y)
+        _add(by_pose, layout.CENTRE_X, (tilt_u + fz) / focal_x)
+        _add(by_pose, layout.CENTRE_Y, (tilt_v + hz) / focal_y)
+        u, v = maths.clamped_tangents(camera, u, v)
+        _add_axis(staged, by_pose, 0, gx, gy, gz, dx, f0, g0, u, v)
+        _add_axis(staged, by_pose, 1, gx, gy, gz, dy, f1, g1, u, v)
+        _add_axis(staged, by_pose, 2, gx, gy, gz, dz, f2, g2, u, v)
+
+
+@inlined
+def _add_axis(staged, by_pose, axis, gx, gy, gz, offset, f, g, u, v):
+    """Add the gradients by one row of the rotation, and by one coordinate of the centre."""
+    _add(by_pose, 3 * axis, offset * gx + f)
+    _add(by_pose, 3 * axis + 1, offset * gy + g)
+    _add(by_pose, 3 * axis + 2, offset * gz - f * u - g * v)
+    _add(by_pose, layout.CENTRE + axis, 0.0 - staged_row(staged, _MEAN + U(axis)))
+
+
+@inlined
+def _add(by_pose, column, gradient):
+    place = U(column) * GROUP
+    store(by_pose, place, load(by_pose, place) + gradient)
 
 
 @inlined
@@ -311,10 +350,9 @@ def _differentiate_colour(
     harmonics,
     mean_gradients,
     harmonic_gradients,
+    by_pose,
 ):
-    """Add the gradients by the harmonics, and those by the mean through the direction in which it
-    is seen.
-    """
+    """Add the gradients by the harmonics, and by mean and camera through the direction seen."""
     record, first = i * U(layout.RECORD), U(3) * count * i
     red = _unless_clamped(
         records[record + U(layout.RED)],
@@ -354,9 +392,19 @@ def _differentiate_colour(
         weights[k] = weight + blue * np.float64(harmonics[place + U(2)])
     gx, gy, gz = basis_gradient(x, y, z, weights, count)
     along = gx * x + gy * y + gz * z
-    mean_gradients[U(3) * i] += (gx - along * x) * shorten
-    mean_gradients[U(3) * i + U(1)] += (gy - along * y) * shorten
-    mean_gradients[U(3) * i + U(2)] += (gz - along * z) * shorten
+    gx, gy, gz = (
+        (gx - along * x) * shorten,
+        (gy - along * y) * shorten,
+        (gz - along * z) * shorten,
+    )
+    mean_gradients[U(3) * i] += gx
+    mean_gradients[U(3) * i + U(1)] += gy
+    mean_gradients[U(3) * i + U(2)] += gz
+    if by_pose is not None:
+        by_centre = shifted(by_pose, U(layout.CENTRE) * GROUP)
+        by_centre[lane] -= gx
+        by_centre[GROUP + lane] -= gy
+        by_centre[U(2) * GROUP + lane] -= gz
 
 
 @inlined

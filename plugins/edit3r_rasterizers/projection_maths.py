@@ -59,12 +59,19 @@ def camera_position(camera, dx, dy, dz):
 
 
 @inlined
+def clamped_tangents(camera, u, v):
+    """Return the tangents at which the Jacobian is taken."""
+    u = minimum(maximum(u, camera[layout.LOW_X]), camera[layout.HIGH_X])
+    v = minimum(maximum(v, camera[layout.LOW_Y]), camera[layout.HIGH_Y])
+    return u, v
+
+
+@inlined
 def image_rows(camera, u, v, per_z):
     """Return the Jacobian of the image position by the world position [pixels / scene unit],
     tangents clamped.
     """
-    u = minimum(maximum(u, camera[layout.LOW_X]), camera[layout.HIGH_X])
-    v = minimum(maximum(v, camera[layout.LOW_Y]), camera[layout.HIGH_Y])
+    u, v = clamped_tangents(camera, u, v)
     gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
     j0, j1, j2 = (
         (camera[0] - u * camera[2]) * gx,

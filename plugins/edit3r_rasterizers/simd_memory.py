@@ -29,7 +29,12 @@ def _align(kind) -> int:
 
 @intrinsic
 def flat(typing, array):
-    """Pointer to the first element of a contiguous array; index it by flat element index."""
+    """Pointer to the first element of a contiguous array; index it by flat element index.
+
+    None stays None, so that a kernel may go without an array.
+    """
+    if array is types.none:
+        return array(array), lambda context, builder, signature, values: values[0]
 
     def emit(context, builder, signature, values):
         return context.make_array(array)(context, builder, values[0]).data

@@ -1,6 +1,7 @@
 """Small scenes for the rasterizers' tests, and how their pictures are compared."""
 
 import math
+from dataclasses import replace
 
 import naive_rasterizer
 import numpy as np
@@ -118,19 +119,24 @@ def gradients(
     background: torch.Tensor,
     seed: int = 0,
 ) -> dict:
-    """Gradient of a random weighting of all outputs by every field and the background."""
+    """Gradient of a random weighting of all outputs by every field, background and camera."""
     draw = torch.Generator().manual_seed(seed)
     leaves = {
         name: getattr(gaussians, name).detach().clone().requires_grad_()
         for name in FIELDS
     }
     background = background.detach().clone().to(gaussians.means).requires_grad_()
-    rendering = rasterizer.render(Gaussians(**leaves), views, background)
+    poses = {
+        name: getattr(views, name).detach().clone().requires_grad_()
+        for name in ("c2w", "intrinsics")
+    }
+    rendering = rasterizer.render(
+        Gaussians(**leaves), replace(views, **poses), background
+    )
     total = 0.0
     for picture in (rendering.images, rendering.alphas, rendering.depths):
         weights = torch.randn(picture.shape, generator=draw, dtype=torch.float64)
         total = total + (picture.double() * weights).sum()
     total.backward()
-    return {name: leaf.grad for name, leaf in leaves.items()} | {
-        "background": background.grad
-    }
+    leaves |= poses | {"background": background}
+    return {name: leaf.grad for name, leaf in leaves.items()}
