@@ -228,6 +228,8 @@ class Gaussians(_Tensors):
     harmonics: Float[Tensor, "batch gaussian coefficient 3"]
     # input view each came from, -1: none; not given: all -1
     view_index: Int[Tensor, "gaussian"] = None  # type: ignore[assignment]
+    # object each belongs to, -1: none; None: the scene has no objects
+    object_index: Int[Tensor, "gaussian"] | None = None
 
     def __post_init__(self) -> None:
         _check("Gaussians.means", self.means, (None, None, 3))
@@ -245,6 +247,8 @@ class Gaussians(_Tensors):
             index = torch.full((count,), -1, device=self.means.device)
             object.__setattr__(self, "view_index", index)
         _check("Gaussians.view_index", self.view_index, (count,))
+        if self.object_index is not None:
+            _check("Gaussians.object_index", self.object_index, (count,))
 
     @property
     def count(self) -> int:
@@ -255,6 +259,13 @@ class Gaussians(_Tensors):
     def degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 4."""
         return round(self.harmonics.shape[2] ** 0.5) - 1
+
+    @property
+    def objects(self) -> Int[Tensor, "gaussian"]:
+        """`object_index`, all -1 in a scene without objects."""
+        if self.object_index is None:
+            return torch.full_like(self.view_index, -1)
+        return self.object_index
 
     def select(self, index: Tensor) -> "Gaussians":
         """The Gaussians at a boolean or integer (from 0) `index` along G.
@@ -268,7 +279,12 @@ class Gaussians(_Tensors):
         own = {
             name: getattr(self, name).index_select(1, index) for name in PER_GAUSSIAN
         }
-        return Gaussians(**own, view_index=self.view_index.index_select(0, index))
+        objects = self.object_index
+        return Gaussians(
+            **own,
+            view_index=self.view_index.index_select(0, index),
+            object_index=None if objects is None else objects.index_select(0, index),
+        )
 
     def from_view(self, view: int) -> "Gaussians":
         """Only those that came from input view `view`."""
@@ -280,14 +296,22 @@ class Gaussians(_Tensors):
 
     @staticmethod
     def cat(parts: "Iterable[Gaussians]") -> "Gaussians":
-        """Join along G; all parts share batch size and harmonics degree."""
+        """Join along G; all parts share batch size and harmonics degree.
+
+        A part without objects joins one that has some as background.
+        """
         parts = list(parts)
         view_index = torch.cat([part.view_index for part in parts])
-        return Gaussians(**_joined(parts, 1), view_index=view_index)
+        objects = None
+        if any(part.object_index is not None for part in parts):
+            objects = torch.cat([part.objects for part in parts])
+        return Gaussians(
+            **_joined(parts, 1), view_index=view_index, object_index=objects
+        )
 
     @staticmethod
     def stack(scenes: "Iterable[Gaussians]") -> "Gaussians":
-        """Join scenes as one batch; views are forgotten.
+        """Join scenes as one batch; views and objects are forgotten.
 
         A scene with fewer Gaussians repeats its last, transparent.
         """

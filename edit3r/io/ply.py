@@ -2,7 +2,8 @@
 
 One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
 (channel-major: all of red, then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3
-(wxyz). The header's comments say in which frame.
+(wxyz). A scene with objects has one more: object_index (-1: none). The header's comments say in
+which frame.
 """
 
 import os
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
+from torch import Tensor
 
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.errors import InputError
@@ -25,6 +27,8 @@ __all__ = ["load_ply", "save_ply"]
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
 VIEWER_DEGREE = 3  # common viewers read harmonics up to here
+OBJECT = "object_index"  # property of scenes with objects
+MAX_OBJECT = 1 << 24  # whole numbers up to here are exact in float32
 MOST_RUNS = 256  # of equal view_index that the header keeps
 
 _FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), camera at the origin"
@@ -133,7 +137,7 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         .clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     )
     harmonics = gaussians.harmonics[0, :, :coefficients].detach()
-    columns = (
+    columns = [
         gaussians.means[0].detach(),
         torch.zeros(1, 3).expand(gaussians.count, -1),
         harmonics[:, 0],
@@ -141,7 +145,9 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         torch.logit(opacities)[:, None],
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
         torch.from_numpy(_unit(quats.cpu().numpy())),
-    )
+    ]
+    if gaussians.object_index is not None:
+        columns.append(gaussians.object_index[:, None])
     table = torch.empty(
         gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32
     )
@@ -165,6 +171,8 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
             "rot_3",
         ),
     ]
+    if gaussians.object_index is not None:
+        names.append(OBJECT)
     return (
         table.numpy()
         .astype("<f4", copy=False)
@@ -253,7 +261,19 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
     return Gaussians(
         **{name: values[finite][None] for name, values in tensors.items()},
         view_index=view_index,
+        object_index=_read_objects(table, header, finite),
     )
+
+
+def _read_objects(
+    table: np.ndarray, header: "PlyHeader", finite: Tensor
+) -> Int64[Tensor, "gaussian"] | None:
+    """`object_index` of the Gaussians kept; what is no index of an object is -1."""
+    if OBJECT not in header.names:
+        return None
+    values = table[OBJECT].astype(np.float64)
+    index = np.where((values >= 0) & (values <= MAX_OBJECT), values, -1)
+    return torch.from_numpy(index.astype(np.int64))[finite]
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:

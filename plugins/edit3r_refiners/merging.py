@@ -229,6 +229,11 @@ def _merged(
     view = gaussians.view_index.new_full((groups,), -1).scatter_reduce_(
         0, group, gaussians.view_index, "amax"
     )
+    objects = gaussians.object_index
+    if objects is not None:
+        objects = view.new_full((groups,), -1).scatter_reduce_(
+            0, group, objects, "amax"
+        )
     camera_centre = cameras.c2w[0, view.clamp(0, cameras.count - 1), :3, 3].double()
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
     centre = centre + settings.behind * scales[:, 2:] * direction
@@ -241,5 +246,7 @@ def _merged(
         mean(gaussians.harmonics[0].double()),
     )
     return Gaussians(
-        *(value[None].to(gaussians.means.dtype) for value in values), view_index=view
+        *(value[None].to(gaussians.means.dtype) for value in values),
+        view_index=view,
+        object_index=objects,
     )

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -53,6 +55,17 @@ def test_from_view_and_without_view_split_the_gaussians():
     joined = Gaussians.cat([scene.from_view(1), scene.without_view(1)])
     assert torch.equal(joined.means.sort(1).values, scene.means.sort(1).values)
     assert joined.view_index.tolist() == [1, 1, 1, 0, 0, -1]
+
+
+def test_objects_follow_selecting_and_joining():
+    index = torch.tensor([0, 0, 1, -1, 1, 2])
+    scene = replace(gaussians(), object_index=index)
+    assert scene.select(index == 1).object_index.tolist() == [1, 1]
+    joined = Gaussians.cat([scene.select(torch.tensor([5, 3])), gaussians(count=2)])
+    assert joined.object_index.tolist() == [2, -1, -1, -1]
+    assert Gaussians.cat([gaussians(), gaussians()]).object_index is None
+    with pytest.raises(ValueError, match=r"Gaussians\.object_index"):
+        replace(scene, object_index=index[:2])
 
 
 def test_without_view_index_no_gaussian_belongs_to_a_view():

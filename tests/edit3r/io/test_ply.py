@@ -105,6 +105,38 @@ def test_view_index_comes_back_from_the_header(tmp_path):
     assert torch.equal(load_ply(tmp_path / "a.ply").view_index, index)
 
 
+def test_objects_are_one_more_property_that_comes_back(tmp_path):
+    plain = scene(degree=1)
+    index = torch.arange(50) % 3 - 1
+    save_ply(tmp_path / "plain.ply", plain)
+    save_ply(tmp_path / "a.ply", replace(plain, object_index=index))
+    assert torch.equal(load_ply(tmp_path / "a.ply").object_index, index)
+    assert load_ply(tmp_path / "plain.ply").object_index is None
+    assert b"object_index" not in (tmp_path / "plain.ply").read_bytes()
+
+
+def test_other_programs_pass_over_the_objects(tmp_path):
+    gsply = pytest.importorskip("gsply")
+    theirs = []
+    for objects in (None, torch.arange(50)):
+        save_ply(tmp_path / "a.ply", replace(scene(), object_index=objects))
+        theirs.append(gsply.plyread(str(tmp_path / "a.ply")))
+    for name in ("means", "scales", "quats", "opacities", "sh0"):
+        assert np.array_equal(*(getattr(read, name) for read in theirs))
+
+
+def test_what_is_no_object_is_none(tmp_path):
+    save_ply(
+        tmp_path / "a.ply", replace(scene(4), object_index=torch.tensor([3, 1, 2, 0]))
+    )
+    content = (tmp_path / "a.ply").read_bytes()
+    head, end, body = content.partition(b"end_header\n")
+    table = np.frombuffer(body, "<f4").reshape(4, -1).copy()
+    table[:3, -1] = [np.nan, -7, 1e30]
+    (tmp_path / "a.ply").write_bytes(head + end + table.tobytes())
+    assert load_ply(tmp_path / "a.ply").object_index.tolist() == [-1, -1, -1, 0]
+
+
 def test_view_index_in_many_runs_is_not_kept(tmp_path):
     save_ply(tmp_path / "a.ply", scene(1000, view_index=torch.arange(1000) % 2))
     assert (load_ply(tmp_path / "a.ply").view_index == -1).all()

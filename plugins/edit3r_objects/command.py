@@ -1,0 +1,153 @@
+"""`edit3r objects`: list, make and edit the objects of a finished scene."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from edit3r.cli.flags import add_mark_flags
+from edit3r.contract.command import Command
+from edit3r.errors import SettingsError
+
+if TYPE_CHECKING:
+    from edit3r_objects.run import Run
+
+VALUES = {
+    "list": "",
+    "add": "",
+    "remove": "",
+    "isolate": "",
+    "rename": "NEW_NAME",
+    "recolor": "COLOUR",
+    "move": "RIGHT UP NEARER",
+    "turn": "DEGREES",
+    "scale": "FACTOR",
+    "copy": "NEW_NAME RIGHT UP NEARER",
+}
+"""What follows the name of the object."""
+HOLES = "What the object hid was never seen: the place is left open."
+MAX_NUMBER = 1000  # of a step, an angle or a factor
+
+
+class ObjectsCommand(Command):
+    """`edit3r objects`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add("run", type=Path, metavar="RUN", help="folder of a run")
+        add(
+            "action",
+            nargs="?",
+            choices=VALUES,
+            default="list",
+            help="what to do (default list)",
+        )
+        add("name", nargs="?", default="", metavar="NAME", help="of the object")
+        after = "; ".join(
+            f"{name}: {values}" for name, values in VALUES.items() if values
+        )
+        add("values", nargs="*", metavar="VALUE", help=after)
+        add_mark_flags(parser)
+        add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
+        add(
+            "--overwrite",
+            action="store_true",
+            help="replace an earlier result in --out even where it was changed",
+        )
+        add("--quiet", action="store_true", help="print errors only")
+
+    def main(self, args: argparse.Namespace) -> int:
+        import torch
+
+        from edit3r.io.atomic import atomic_folder, check_apart
+        from edit3r.plugins.registry import default_registry
+        from edit3r_objects.run import describe, read_run, write_run
+
+        numbers = _numbers(args)
+        rasterizer = default_registry().build("rasterizer", "auto")
+        run = read_run(args.run)
+        if args.action == "list":
+            print("\n".join(describe(run, rasterizer)))
+            return 0
+        if not args.out:
+            raise SettingsError(
+                f"{args.action}: say with --out where the new run goes."
+            )
+        check_apart(args.out, args.run / "scene.ply", *map(Path, args.mask))
+        with torch.no_grad(), atomic_folder(args.out, args.overwrite) as folder:
+            new = _edited(run, args, numbers, rasterizer)
+            write_run(folder, run, new, rasterizer)
+        if not args.quiet:
+            if args.action in ("remove", "move", "turn", "scale"):
+                print(HOLES)
+            print(f"wrote {args.out}; look at {Path(args.out) / 'before_after.png'}")
+        return 0
+
+
+def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
+    """The numbers among the values; raises SettingsError for what the action cannot take."""
+    expected = VALUES[args.action].split()
+    usage = f"edit3r objects RUN {args.action} NAME {VALUES[args.action]}".strip()
+    if len(args.values) != len(expected) and args.action != "recolor":
+        raise SettingsError(f"{args.action}: expected {usage}.")
+    if args.action != "list" and not args.name:
+        raise SettingsError(f"{args.action}: name the object: {usage}.")
+    if args.action == "recolor" and not args.values:
+        raise SettingsError(f"recolor: name a colour: {usage}.")
+    given = {"move": args.values, "turn": args.values, "scale": args.values}
+    texts = given.get(args.action, args.values[1:] if args.action == "copy" else [])
+    try:
+        numbers = tuple(map(float, texts))
+    except ValueError:
+        raise SettingsError(f"{args.action}: expected numbers: {usage}.") from None
+    if not all(abs(number) <= MAX_NUMBER for number in numbers):
+        raise SettingsError(
+            f"{args.action}: expected numbers from -{MAX_NUMBER} to {MAX_NUMBER}."
+        )
+    if args.action == "scale" and not numbers[0] >= 1 / MAX_NUMBER:
+        raise SettingsError(f"scale: expected a factor from 0.001, got {texts[0]}.")
+    return numbers
+
+
+def _edited(
+    run: "Run", args: argparse.Namespace, numbers: tuple[float, ...], rasterizer: Any
+) -> "Run":
+    """The run after the action."""
+    from dataclasses import replace
+
+    from edit3r.contract.types import Gaussians
+    from edit3r.plugins.registry import default_registry
+    from edit3r_objects import edits
+    from edit3r_objects.run import add_object
+
+    done = " ".join((args.action, args.name, *args.values))
+    run = replace(run, edits=(*run.edits, done))
+    if args.action == "add":
+        return add_object(run, args, rasterizer)
+    scene = run.gaussians
+    chosen = run.chosen(args.name)
+    if args.action == "remove":
+        return run.without(args.name, scene.select(~chosen))
+    if args.action == "isolate":
+        only = {args.name: run.names[args.name]}
+        return replace(run, gaussians=scene.select(chosen), names=only)
+    if args.action == "rename":
+        run = run.named(args.values[0], run.names[args.name])
+        return run.without(args.name, scene)
+    if args.action == "copy":
+        run = run.named(args.values[0], run.free)
+        own = scene.select(chosen)
+        index = own.view_index.new_full((own.count,), run.names[args.values[0]])
+        both = Gaussians.cat([scene, replace(own, object_index=index)])
+        return replace(
+            run, gaussians=edits.moved(both, both.objects == index[0], numbers)
+        )
+    if args.action == "recolor":
+        editor = default_registry().build("editor", "recolor")
+        new = edits.painted(scene, chosen, " ".join(args.values), editor)
+    elif args.action == "move":
+        new = edits.moved(scene, chosen, numbers)
+    elif args.action == "turn":
+        new = edits.turned(scene, chosen, numbers[0])
+    else:
+        new = edits.scaled(scene, chosen, numbers[0])
+    return replace(run, gaussians=new)

@@ -1,0 +1,97 @@
+"""Edits of some Gaussians of a scene (batch 1): moved, turned, scaled, painted."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import Editor
+from edit3r.contract.types import EditRequest, Gaussians, Views
+from edit3r.geometry.harmonics import basis, colour_to_dc, dc_to_colour
+from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
+
+FOOT = 0.98  # quantile of y (down) at which a thing stands
+
+Chosen = Bool[Tensor, "gaussian"]
+
+
+def moved(gaussians: Gaussians, chosen: Chosen, steps: tuple[float, ...]) -> Gaussians:
+    """`steps` to the right, up and toward view 0's viewer, as shares of the scene's depth.
+
+    The depth is the median one of all Gaussians, seen from view 0.
+    """
+    depth = gaussians.means[0, :, 2].median()
+    shift = depth * gaussians.means.new_tensor(steps) * torch.tensor([1.0, -1, -1])
+    means = torch.where(chosen[:, None], gaussians.means + shift, gaussians.means)
+    return replace(gaussians, means=means)
+
+
+def scaled(gaussians: Gaussians, chosen: Chosen, factor: float) -> Gaussians:
+    """The object larger (> 1) or smaller; the middle of its foot stays where it is."""
+    own = gaussians.means[0, chosen]
+    pivot = own.median(0).values
+    pivot[1] = own[:, 1].quantile(FOOT)
+    means = gaussians.means.clone()
+    scales = gaussians.scales.clone()
+    means[:, chosen] = pivot + factor * (own - pivot)
+    scales[:, chosen] *= factor
+    return replace(gaussians, means=means, scales=scales)
+
+
+def turned(gaussians: Gaussians, chosen: Chosen, degrees: float) -> Gaussians:
+    """The object about the up axis of view 0 through its centre; positive: its front to the right.
+
+    Harmonics turn with it.
+    """
+    own = gaussians.select(chosen)
+    angle = torch.deg2rad(torch.tensor(degrees))
+    axis = torch.tensor([0.0, 1.0, 0.0]) * (angle / 2).sin()
+    rotation = quats_to_matrices(torch.cat(((angle / 2).cos()[None], axis)))
+    pivot = own.means[0].median(0).values
+    changes = {
+        "means": pivot + (own.means - pivot) @ rotation.T,
+        "quats": matrices_to_quats(rotation @ quats_to_matrices(own.quats)),
+        "harmonics": turn_harmonics(own.harmonics, rotation),
+    }
+    new = {name: getattr(gaussians, name).clone() for name in changes}
+    for name, values in changes.items():
+        new[name][:, chosen] = values
+    return replace(gaussians, **new)
+
+
+def turn_harmonics(
+    harmonics: Float[Tensor, "*batch coefficient 3"], rotation: Float[Tensor, "3 3"]
+) -> Float[Tensor, "*batch coefficient 3"]:
+    """Harmonics that show in direction R d what the given ones show in d.
+
+    Solved for on more directions than coefficients: B(d) h' = B(R^-1 d) h, where B is the basis.
+    """
+    degree = round(harmonics.shape[-2] ** 0.5) - 1
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(100, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(directions, dim=-1)
+    before = basis(directions @ rotation.double(), degree)
+    matrix = torch.linalg.pinv(basis(directions, degree)) @ before
+    return matrix.to(harmonics) @ harmonics
+
+
+def painted(
+    gaussians: Gaussians, chosen: Chosen, colour: str, editor: Editor
+) -> Gaussians:
+    """The object in another colour, named as in a prompt; light and shade stay.
+
+    The editor sees the Gaussians' colours as one image, a pixel each. What changes with direction
+    loses its colour and keeps its light.
+    """
+    harmonics = gaussians.harmonics.clone()
+    own = harmonics[0, chosen]
+    pixels = dc_to_colour(own[:, 0]).clamp(0, 1).T[None, None, :, None]
+    views = Views(pixels.contiguous(), torch.eye(3)[None, None])
+    new = editor.edit(views, EditRequest(f"paint the thing {colour}")).images[
+        0, 0, :, 0
+    ]
+    own[:, 1:] = own[:, 1:].mean(-1, keepdim=True)
+    own[:, 0] = colour_to_dc(new.T)
+    harmonics[0, chosen] = own
+    return replace(gaussians, harmonics=harmonics)

@@ -1,0 +1,198 @@
+"""A run's folder as a scene with named objects: read, listed, written anew."""
+
+import argparse
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.errors import InputError
+from edit3r.io.cameras import read_scene_cameras
+from edit3r.io.images import LoadedPhotos, save_image, unique_names
+from edit3r.io.ply import load_ply, save_ply
+from edit3r.io.run_folder import RunFolder
+from edit3r.io.sheet import draw_sheet
+from edit3r.pipeline.earlier import read_earlier_run
+from edit3r.pipeline.rendering import render_each
+from edit3r.plugins.registry import default_registry
+from edit3r.selection.marks import MarkTexts
+from edit3r.selection.select import MIN_AREA, geometry_of, select_masks
+from edit3r_objects.lifting import lift
+
+MAX_NAME = 80
+PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
+LOOK_ALIKE = ("add", "rename")  # actions that change no pixel
+
+
+@dataclass(frozen=True)
+class Run:
+    """A scene (batch 1) with its cameras and the names of its objects."""
+
+    root: Path
+    gaussians: Gaussians
+    cameras: Cameras
+    views: list[str]  # names of the views
+    manifest: dict[str, Any]  # content of run.json
+    names: Mapping[str, int] = field(default_factory=dict)  # object_index by name
+    edits: tuple[str, ...] = ()  # what was done to objects, in order
+
+    @property
+    def free(self) -> int:
+        """An index that no object has."""
+        return max(self.names.values(), default=-1) + 1
+
+    def chosen(self, name: str) -> Bool[Tensor, "gaussian"]:
+        """The object's Gaussians. Raises InputError for a name that the run has not."""
+        if name not in self.names:
+            known = ", ".join(self.names) or "none; make one with: add NAME"
+            raise InputError(f"{self.root}: has no object {name!r}; it has {known}.")
+        return self.gaussians.objects == self.names[name]
+
+    def named(self, name: str, index: int) -> "Run":
+        """The run with one more name. Raises InputError for a name that is taken or unfit."""
+        if name in self.names:
+            raise InputError(
+                f"{self.root}: has an object {name!r} already; choose another."
+            )
+        if not (name.isprintable() and 0 < len(name) <= MAX_NAME):
+            raise InputError(f"a name has 1 to {MAX_NAME} printable characters.")
+        return replace(self, names={**self.names, name: index})
+
+    def without(self, name: str, gaussians: Gaussians) -> "Run":
+        names = {known: index for known, index in self.names.items() if known != name}
+        return replace(self, names=names, gaussians=gaussians)
+
+
+def read_run(root: Path) -> Run:
+    """The run in a folder. Raises InputError, naming the file, for what is none."""
+    folder = RunFolder(root)
+    gaussians = load_ply(folder.scene, visible=True)
+    cameras, posed = read_scene_cameras(folder.cameras)
+    try:
+        manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+        names = {
+            str(name): int(index) for name, index in manifest.get("objects", {}).items()
+        }
+        edits = tuple(map(str, manifest.get("object_edits", [])))
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{folder.manifest}: cannot be read ({error}).") from None
+    views = unique_names([Path(camera.file).stem for camera in posed])
+    return Run(root, gaussians, cameras, views, manifest, names, edits)
+
+
+def describe(run: Run, rasterizer: Rasterizer) -> list[str]:
+    """A line for each object: Gaussians, centre and extent [scene units], views that show it."""
+    height, width = run.cameras.image_size
+    lines = []
+    for name in run.names:
+        own = run.gaussians.select(run.chosen(name))
+        if not own.count:
+            lines.append(f"{name}: no Gaussian is left of it")
+            continue
+        low, high = own.means[0].quantile(torch.tensor([0.02, 0.98]), 0)
+        shown = [
+            view
+            for place, view in enumerate(run.views)
+            if _area(run, name, place, rasterizer) > MIN_AREA * height * width
+        ]
+        centre = " ".join(f"{value:.3g}" for value in (low + high) / 2)
+        extent = " ".join(f"{value:.3g}" for value in high - low)
+        lines.append(
+            f"{name}: {own.count:,} Gaussians, centre {centre}, extent {extent}, seen in "
+            f"{', '.join(shown) or 'no view'}"
+        )
+    return lines or ["no objects; make one with: add NAME"]
+
+
+def _area(run: Run, name: str, view: int, rasterizer: Rasterizer) -> float:
+    """How much of a view the object covers [pixels]."""
+    camera = run.cameras.select([view])
+    return float(
+        rasterizer.contributions(run.gaussians, camera)[0, run.chosen(name)].sum()
+    )
+
+
+def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Run:
+    """The run with one more object: what is marked, or what the run itself selected."""
+    name = args.name
+    run = run.named(name, run.free)
+    if not (run.root / "inputs").is_dir():
+        raise InputError(
+            f"{run.root}: has no photos to mark the object on, since its scene was edited; add "
+            "all objects before the first edit, or begin with a run that kept its images."
+        )
+    chosen = lift(run.gaussians, run.cameras, _masks(run, args), rasterizer)
+    if not chosen.any():
+        raise InputError(
+            f"{name}: nothing of the scene lies inside the masks; mark it with --point X,Y, "
+            "--thing WORDS or --mask FILE."
+        )
+    index = torch.where(chosen, run.names[name], run.gaussians.objects)
+    return replace(run, gaussians=replace(run.gaussians, object_index=index))
+
+
+def _masks(run: Run, args: argparse.Namespace) -> Tensor:
+    """Masks of the object `[V, H, W]` on the run's photos."""
+    earlier = read_earlier_run(run.root)
+    views = earlier.photos
+    texts = MarkTexts(
+        tuple(args.point),
+        tuple(args.not_point),
+        tuple(args.box),
+        tuple(args.mask),
+        args.thing,
+    )
+    if not texts.given:
+        if not earlier.things:
+            raise InputError(
+                f"{run.root}: the run kept no masks; mark the object with --point X,Y, "
+                "--thing WORDS or --mask FILE."
+            )
+        return list(earlier.things.values())[-1]
+    marks = replace(
+        texts.read(LoadedPhotos(views, earlier.records)),
+        larger=sum(args.larger or ()),
+        grow=args.grow or 0.0,
+        inverted=bool(args.invert),
+    )
+    build = default_registry().build
+    geometry = geometry_of(build("matcher", "classical"), views)
+    segmenter = build("segmenter", "auto")
+    found = select_masks(views.images[0], marks, segmenter, geometry, views.intrinsics)
+    return found.masks[:, 0]
+
+
+def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None:
+    """Write a run's folder with the scene, its renders and a sheet that compares both scenes."""
+    folder = RunFolder(root)
+    save_ply(folder.scene, run.gaussians)
+    shutil.copyfile(RunFolder(before.root).cameras, folder.cameras)
+    if run.edits[-1].split()[0] in LOOK_ALIKE:
+        for name in PHOTOS:
+            if (before.root / name).is_dir():
+                shutil.copytree(before.root / name, root / name)
+    images = {
+        caption: render_each(rasterizer, scene.gaussians, scene.cameras, caption)
+        .images[0]
+        .clamp(0, 1)
+        for caption, scene in (("before", before), ("after", run))
+    }
+    for view, image in zip(run.views, images["after"]):
+        save_image(image, folder.renders / f"{view}.png")
+    draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
+    facts = {
+        "gaussians": run.gaussians.count,
+        "objects": dict(run.names),
+        "object_edits": list(run.edits),
+        "edited_from": str(before.root),
+    }
+    text = json.dumps({**run.manifest, **facts}, indent=2, ensure_ascii=False)
+    folder.manifest.write_text(text + "\n", encoding="utf-8")

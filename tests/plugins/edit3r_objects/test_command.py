@@ -1,0 +1,123 @@
+"""`edit3r objects` on a run: what it says, writes, refuses, and never touches."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from edit3r.cli.main import main
+from edit3r.io.images import packaged_pair
+from edit3r.io.ply import load_ply
+from edit3r_testing import CommandContract
+
+FLAT = Path(__file__).parents[1] / "flat_scene.py"
+
+
+class TestObjects(CommandContract):
+    component = "objects"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with photos, a mask of their left half, a run, and the run with an object."""
+    place = tmp_path_factory.mktemp("objects")
+    for name, photo in zip("ab", packaged_pair()[0]):
+        Image.open(photo).resize((48, 32)).save(place / f"{name}.png")
+    half = np.zeros((32, 48), np.uint8)
+    half[:, :24] = 255
+    for name in "ab":
+        Image.fromarray(half).save(place / f"{name}_mask.png")
+    settings = "editor=none reconstructor=flat refine=0 gaussians=all size=48"
+    given = [f"--set={one}" for one in f"{settings} outputs=scene,images".split()]
+    photos = [str(place / "a.png"), str(place / "b.png")]
+    plugin = ["--plugin", str(FLAT), "--quiet", "--out", str(place / "run")]
+    assert main(["run", *photos, *given, *plugin]) == 0
+    add = f"add left --mask {place}/a_mask.png {place}/b_mask.png"
+    assert objects(place, f"run {add} --out {place}/left") == 0
+    return place
+
+
+def objects(place, line):
+    """The command, with the run's folder first."""
+    return main(["objects", f"{place}/{line.split()[0]}", *line.split()[1:], "--quiet"])
+
+
+def scene_of(folder):
+    return load_ply(folder / "scene.ply")
+
+
+def manifest_of(folder):
+    return json.loads((folder / "run.json").read_text())
+
+
+def test_a_mask_becomes_an_object_that_is_listed(made, capsys):
+    share = (scene_of(made / "left").object_index == 0).float().mean()
+    assert 0.3 < share < 0.6  # half of what shows, not the edge
+    assert objects(made, "left") == 0
+    said = capsys.readouterr().out
+    assert said.startswith("left: ") and "seen in a, b" in said
+    assert objects(made, "run") == 0
+    assert "no objects; make one" in capsys.readouterr().out
+
+
+def test_removing_and_isolating_part_the_scene(made):
+    assert objects(made, f"left remove left --out {made}/without") == 0
+    assert objects(made, f"left isolate left --out {made}/only") == 0
+    whole = scene_of(made / "left").count
+    assert scene_of(made / "without").count + scene_of(made / "only").count == whole
+    assert manifest_of(made / "without")["objects"] == {}
+    assert (made / "without" / "before_after.png").is_file()
+
+
+def test_edits_follow_each_other_and_are_written_down(made):
+    before = (made / "left" / "scene.ply").read_bytes()
+    assert objects(made, f"left rename left door --out {made}/named") == 0
+    assert objects(made, f"named copy door twin 0.5 0 0 --out {made}/two") == 0
+    assert objects(made, f"two recolor twin dark green --out {made}/green") == 0
+    facts = manifest_of(made / "green")
+    assert facts["objects"] == {"door": 0, "twin": 1}
+    assert facts["object_edits"][1:] == [
+        "rename left door",
+        "copy door twin 0.5 0 0",
+        "recolor twin dark green",
+    ]
+    assert facts["edited_from"] == str(made / "two")
+    scene = scene_of(made / "green")
+    door, twin = (scene.select(scene.object_index == index) for index in (0, 1))
+    shift = (twin.means - door.means)[0]
+    torch.testing.assert_close(shift, torch.tensor([[0.5, 0, 0]]).expand_as(shift))
+    assert not torch.equal(twin.harmonics, door.harmonics)
+    assert (made / "left" / "scene.ply").read_bytes() == before
+
+
+def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
+    assert objects(made, f"left move left 0.1 0 0 --out {made}/moved") == 0
+    assert objects(made, f"moved add other --out {made}/no") == 2
+    assert "has no photos to mark the object on" in capsys.readouterr().err
+    assert not (made / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("left remove right --out {0}/no", "has no object 'right'; it has left"),
+        ("left add left --out {0}/no", "has an object 'left' already"),
+        ("left copy left left 0 0 0 --out {0}/no", "has an object 'left' already"),
+        ("left add other --out {0}/no", "kept no masks; mark the object with"),
+        ("left move left 0.1 nan 0 --out {0}/no", "expected numbers from -1000"),
+        ("left move left 0.1 0 --out {0}/no", "expected edit3r objects RUN move NAME"),
+        ("left turn left far --out {0}/no", "expected numbers"),
+        ("left scale left 0 --out {0}/no", "expected a factor"),
+        ("left recolor left quickly --out {0}/no", "quickly"),
+        ("left remove left", "say with --out"),
+        ("left remove left --out {0}/left", "is or holds the file that is read"),
+        ("nowhere remove left --out {0}/no", "no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_nothing_is_written(made, line, said, capsys):
+    assert objects(made, line.format(made)) == 2
+    assert said in capsys.readouterr().err
+    assert not (made / "no").exists()
