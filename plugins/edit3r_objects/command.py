@@ -9,6 +9,9 @@ from edit3r.contract.command import Command
 from edit3r.errors import SettingsError
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from edit3r.contract.types import Gaussians
     from edit3r_objects.run import Run
 
 VALUES = {
@@ -24,7 +27,8 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
-HOLES = "What the object hid was never seen: the place is left open."
+OPENS = ("remove", "move", "turn", "scale")
+"""Actions after which the place behind the object is seen."""
 MAX_NUMBER = 1000  # of a step, an angle or a factor
 
 
@@ -77,8 +81,10 @@ class ObjectsCommand(Command):
             new = _edited(run, args, numbers, rasterizer)
             write_run(folder, run, new, rasterizer)
         if not args.quiet:
-            if args.action in ("remove", "move", "turn", "scale"):
-                print(HOLES)
+            if new.guessed:
+                print(
+                    f"{new.guessed:,} Gaussians are guesses: no photo shows what the object hid."
+                )
             print(f"wrote {args.out}; look at {Path(args.out) / 'before_after.png'}")
         return 0
 
@@ -114,9 +120,11 @@ def _edited(
     """The run after the action."""
     from dataclasses import replace
 
+    import torch
+
     from edit3r.contract.types import Gaussians
-    from edit3r.plugins.registry import default_registry
     from edit3r_objects import edits
+    from edit3r_objects.holes import without_object
     from edit3r_objects.run import add_object
 
     done = " ".join((args.action, args.name, *args.values))
@@ -125,8 +133,6 @@ def _edited(
         return add_object(run, args, rasterizer)
     scene = run.gaussians
     chosen = run.chosen(args.name)
-    if args.action == "remove":
-        return run.without(args.name, scene.select(~chosen))
     if args.action == "isolate":
         only = {args.name: run.names[args.name]}
         return replace(run, gaussians=scene.select(chosen), names=only)
@@ -135,19 +141,35 @@ def _edited(
         return run.without(args.name, scene)
     if args.action == "copy":
         run = run.named(args.values[0], run.free)
-        own = scene.select(chosen)
-        index = own.view_index.new_full((own.count,), run.names[args.values[0]])
-        both = Gaussians.cat([scene, replace(own, object_index=index)])
-        return replace(
-            run, gaussians=edits.moved(both, both.objects == index[0], numbers)
-        )
+        twin = edits.moved(scene, chosen, numbers).select(chosen)
+        index = torch.full_like(twin.objects, run.names[args.values[0]])
+        both = Gaussians.cat([scene, replace(twin, object_index=index)])
+        return replace(run, gaussians=both)
+    if args.action not in OPENS:
+        return replace(run, gaussians=_changed(scene, chosen, args, numbers))
+    rest, guessed = without_object(scene, chosen, run.cameras, rasterizer)
+    run = replace(run, guessed=guessed)
+    if args.action == "remove":
+        return run.without(args.name, rest)
+    own = _changed(scene, chosen, args, numbers).select(chosen)
+    return replace(run, gaussians=Gaussians.cat([rest, own]))
+
+
+def _changed(
+    scene: "Gaussians",
+    chosen: "Tensor",
+    args: argparse.Namespace,
+    numbers: tuple[float, ...],
+) -> "Gaussians":
+    """The scene with the chosen Gaussians painted, moved, turned or scaled."""
+    from edit3r.plugins.registry import default_registry
+    from edit3r_objects import edits
+
     if args.action == "recolor":
         editor = default_registry().build("editor", "recolor")
-        new = edits.painted(scene, chosen, " ".join(args.values), editor)
-    elif args.action == "move":
-        new = edits.moved(scene, chosen, numbers)
-    elif args.action == "turn":
-        new = edits.turned(scene, chosen, numbers[0])
-    else:
-        new = edits.scaled(scene, chosen, numbers[0])
-    return replace(run, gaussians=new)
+        return edits.painted(scene, chosen, " ".join(args.values), editor)
+    if args.action == "move":
+        return edits.moved(scene, chosen, numbers)
+    if args.action == "turn":
+        return edits.turned(scene, chosen, numbers[0])
+    return edits.scaled(scene, chosen, numbers[0])

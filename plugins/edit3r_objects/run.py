@@ -43,6 +43,7 @@ class Run:
     manifest: dict[str, Any]  # content of run.json
     names: Mapping[str, int] = field(default_factory=dict)  # object_index by name
     edits: tuple[str, ...] = ()  # what was done to objects, in order
+    guessed: int = 0  # Gaussians that the last action made where no photo sees
 
     @property
     def free(self) -> int:
@@ -178,7 +179,7 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     if run.edits[-1].split()[0] in LOOK_ALIKE:
         for name in PHOTOS:
             if (before.root / name).is_dir():
-                shutil.copytree(before.root / name, root / name)
+                shutil.copytree(before.root / name, root / name, symlinks=True)
     images = {
         caption: render_each(rasterizer, scene.gaussians, scene.cameras, caption)
         .images[0]
@@ -192,6 +193,7 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         "gaussians": run.gaussians.count,
         "objects": dict(run.names),
         "object_edits": list(run.edits),
+        "object_guesses": run.guessed,
         "edited_from": str(before.root),
     }
     text = json.dumps({**run.manifest, **facts}, indent=2, ensure_ascii=False)

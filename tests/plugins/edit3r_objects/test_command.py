@@ -1,6 +1,7 @@
 """`edit3r objects` on a run: what it says, writes, refuses, and never touches."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -63,13 +64,30 @@ def test_a_mask_becomes_an_object_that_is_listed(made, capsys):
     assert "no objects; make one" in capsys.readouterr().out
 
 
-def test_removing_and_isolating_part_the_scene(made):
-    assert objects(made, f"left remove left --out {made}/without") == 0
+def test_removing_and_isolating_part_the_scene(made, capsys):
+    line = f"objects {made}/left remove left --out {made}/without"
+    assert main(line.split()) == 0
+    guessed = manifest_of(made / "without")["object_guesses"]
+    assert f"{guessed:,} Gaussians are guesses" in capsys.readouterr().out
     assert objects(made, f"left isolate left --out {made}/only") == 0
     whole = scene_of(made / "left").count
-    assert scene_of(made / "without").count + scene_of(made / "only").count == whole
+    left = scene_of(made / "without").count - guessed
+    only = scene_of(made / "only").count
+    assert 0.9 * whole < left + only <= whole  # the rim goes with the object
+    assert only == (scene_of(made / "left").object_index == 0).sum()
     assert manifest_of(made / "without")["objects"] == {}
     assert (made / "without" / "before_after.png").is_file()
+
+
+def test_links_among_the_photos_are_not_followed(made):
+    run = made / "linked"
+    shutil.copytree(made / "run", run)
+    (made / "secret.txt").write_text("secret")
+    (run / "inputs" / "more.png").symlink_to(made / "secret.txt")
+    mask = f"--mask {made}/a_mask.png {made}/b_mask.png"
+    assert objects(made, f"linked add left {mask} --out {made}/apart") in (0, 2)
+    for path in (made / "apart").rglob("*"):
+        assert path.is_symlink() or path.is_dir() or b"secret" not in path.read_bytes()
 
 
 def test_edits_follow_each_other_and_are_written_down(made):
