@@ -30,9 +30,9 @@ def without_object(
 ) -> tuple[Gaussians, int]:
     """The scene (batch 1) without the chosen Gaussians, the place behind them closed.
 
-    What another view shows there stays, as do other objects. The rest continues the colours and depths around the
-    hole; view after view, each closes what is still open. Also returns how many Gaussians are
-    such guesses, the last ones.
+    What another view shows there stays, as do other objects. The rest continues the colours and
+    depths around the hole; view after view, each closes what is still open. Also returns how
+    many Gaussians are such guesses, the last ones.
     """
     holes = _outlines(gaussians, chosen, cameras, rasterizer)
     rest = gaussians.select(~chosen)
