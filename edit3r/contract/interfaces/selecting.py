@@ -50,6 +50,8 @@ class Marks:
     )
     # where it is expected, in [0, 1], as from another view
     prior: Float[Tensor, "height width"] | None = None
+    # where the prior says anything, such as what the other view shows too; None: everywhere
+    known: Bool[Tensor, "height width"] | None = None
     # steps from the best reading of the marks to a larger one (> 0) or a smaller one (< 0)
     larger: int = 0
 

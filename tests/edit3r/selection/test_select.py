@@ -136,6 +136,60 @@ def test_geometry_carries_before_pictures_do():
     assert both > 0.7
 
 
+class Told(Squares):
+    """Keeps the marks that it was given, and takes the whole photo for the object."""
+
+    def __init__(self):
+        super().__init__()
+        self.marks = []
+
+    def segment_marks(self, image, marks):
+        self.marks.append(marks)
+        return self._proposal(torch.ones_like(image[0]))
+
+
+def told_by_half_a_photo(count):
+    """The marks for photos 1 and on, where photo 0 has depth on its left half; what they show."""
+    scene = photograph(3, (48, 64))
+    depths = scene.depths[:, :count].clone()
+    depths[:, 0, :, 32:] = 0
+    geometry = MatchedGeometry(
+        scene.cameras.c2w[:, :count],
+        depths,
+        torch.ones_like(depths),
+        torch.ones(1, count, dtype=torch.bool),
+    )
+    truth = scene.objects[0, 0]
+    told = Told()
+    views = scene.views.select(range(count))
+    select_masks(
+        views.images[0],
+        Selection(masks={0: truth[0]}),
+        told,
+        geometry,
+        views.intrinsics,
+    )
+    return told.marks, truth > 0.5
+
+
+def test_a_photo_without_marks_is_told_what_the_marked_one_shows_of_it():
+    (marks,), truth = told_by_half_a_photo(2)
+    assert 0.2 < marks.known.float().mean() < 0.7
+    wrong = (marks.prior > 0.5) != truth[1]
+    assert wrong[marks.known].float().mean() < 0.1
+    assert not marks.prior[~marks.known].any()
+
+
+def test_of_the_rest_it_is_told_by_photos_to_which_it_was_carried():
+    (second, third), truth = told_by_half_a_photo(3)
+    by_both, by_second = third.known, third.known & (third.prior == 1)
+    assert by_both.float().mean() > second.known.float().mean() + 0.1
+    # The second photo says "object" everywhere: where the marked one says otherwise, it holds.
+    denied = by_both & (third.prior < 0.5)
+    assert denied.sum() > 0.2 * by_both.sum() and by_second.any()
+    assert (denied & truth[2]).sum() < 0.1 * denied.sum()
+
+
 @pytest.mark.parametrize(
     "marks",
     [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_segmenters.candidates import Candidate, by_size
+from edit3r_segmenters.candidates import Candidate, by_size, completed
 
 import edit3r
 from edit3r.contract.interfaces import Marks
@@ -104,3 +104,44 @@ def test_candidates_that_look_the_same_are_one_step():
     ordered, place = by_size([best, square(17, 0.9), square(24, 0.5), square(8, 0.4)])
     assert [int(one.mask.sum()) for one in ordered] == [64, 256, 576]
     assert ordered[place] is best
+
+
+class TestCompleted:
+    """A thing of two halves; the photo that says where it is shows only the left half."""
+
+    THING = np.zeros((64, 96), bool)
+    THING[16:48, 16:80] = True
+    KNOWN = np.zeros((64, 96), bool)
+    KNOWN[:, :48] = True
+    EXPECTED = THING & KNOWN
+
+    def of(self, *answers, expected=EXPECTED, known=KNOWN):
+        logits = np.stack([np.where(answer, 4.0, -4) for answer in answers])
+        return completed(expected, known, lambda clicks, box: logits)
+
+    def test_an_answer_that_agrees_is_the_whole_thing(self):
+        uneven = self.THING.copy()
+        uneven[16, 16:48] = False  # where it is known, the network's outline holds too
+        assert np.array_equal(self.of(self.KNOWN, uneven), uneven)
+
+    def test_a_part_that_lies_within_it_adds_what_was_hidden(self):
+        part = self.THING.copy()
+        part[28:] = False
+        assert np.array_equal(self.of(part), self.EXPECTED | part)
+
+    def test_what_reaches_beyond_what_is_known_not_to_be_it_is_left(self):
+        wide = np.zeros_like(self.THING)
+        wide[12:52, 12:80] = True
+        assert np.array_equal(self.of(wide), self.EXPECTED)
+
+    def test_what_is_hardly_confirmed_is_left(self):
+        far = np.zeros_like(self.THING)
+        far[20:44, 44:] = True
+        assert np.array_equal(self.of(far), self.EXPECTED)
+
+    def test_where_all_is_known_no_network_is_asked(self):
+        everywhere = np.ones_like(self.KNOWN)
+        found = completed(self.EXPECTED, everywhere, None)
+        assert np.array_equal(found, self.EXPECTED)
+        nothing = np.zeros_like(self.KNOWN)
+        assert not completed(nothing, nothing, None).any()
