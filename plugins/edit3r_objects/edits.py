@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Gaussians, Views
+from edit3r.errors import PromptError
 from edit3r.geometry.harmonics import basis, colour_to_dc, dc_to_colour
 from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
 
@@ -82,15 +83,16 @@ def painted(
     """The object in another colour, named as in a prompt; light and shade stay.
 
     The editor sees the Gaussians' colours as one image, a pixel each. What changes with direction
-    loses its colour and keeps its light.
+    loses its colour and keeps its light. Raises PromptError for what is not one colour.
     """
     harmonics = gaussians.harmonics.clone()
     own = harmonics[0, chosen]
     pixels = dc_to_colour(own[:, 0]).clamp(0, 1).T[None, None, :, None]
     views = Views(pixels.contiguous(), torch.eye(3)[None, None])
-    new = editor.edit(views, EditRequest(f"paint the thing {colour}")).images[
-        0, 0, :, 0
-    ]
+    request = EditRequest(f"paint the thing {colour}")
+    if len(request.read()) > 1:
+        raise PromptError(f"recolor: expected one colour, got {colour!r}.")
+    new = editor.edit(views, request).images[0, 0, :, 0]
     own[:, 1:] = own[:, 1:].mean(-1, keepdim=True)
     own[:, 0] = colour_to_dc(new.T)
     harmonics[0, chosen] = own

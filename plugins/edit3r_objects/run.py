@@ -28,6 +28,7 @@ from edit3r.selection.select import MIN_AREA, geometry_of, select_masks
 from edit3r_objects.lifting import lift
 
 MAX_NAME = 80
+MAX_INDEX = 2**31 - 1  # of an object
 PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
 LOOK_ALIKE = ("add", "rename")  # actions that change no pixel
 
@@ -83,10 +84,17 @@ def read_run(root: Path) -> Run:
             str(name): int(index) for name, index in manifest.get("objects", {}).items()
         }
         edits = tuple(map(str, manifest.get("object_edits", [])))
+        _check(names)
     except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{folder.manifest}: cannot be read ({error}).") from None
     views = unique_names([Path(camera.file).stem for camera in posed])
     return Run(root, gaussians, cameras, views, manifest, names, edits)
+
+
+def _check(names: Mapping[str, int]) -> None:
+    for name, index in names.items():
+        if not (name.isprintable() and 0 <= index <= MAX_INDEX):
+            raise ValueError(f"{name!r}: {index} is no object")
 
 
 def describe(run: Run, rasterizer: Rasterizer) -> list[str]:

@@ -130,6 +130,7 @@ def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
         ("left turn left far --out {0}/no", "expected numbers"),
         ("left scale left 0 --out {0}/no", "expected a factor"),
         ("left recolor left quickly --out {0}/no", "quickly"),
+        ("left recolor left red and the cup blue --out {0}/no", "expected one colour"),
         ("left remove left", "say with --out"),
         ("left remove left --out {0}/left", "is or holds the file that is read"),
         ("nowhere remove left --out {0}/no", "no such file"),
@@ -139,3 +140,17 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(made, line, said, ca
     assert objects(made, line.format(made)) == 2
     assert said in capsys.readouterr().err
     assert not (made / "no").exists()
+
+
+@pytest.mark.parametrize(
+    "names", [{"left": -1}, {"left": 2**70}, {"\x1b[31mleft": 0}, {"left": "x"}, [0]]
+)
+def test_a_strangers_list_of_objects_is_read_with_care(made, names, capsys):
+    run = made / "strange"
+    shutil.rmtree(run, ignore_errors=True)
+    shutil.copytree(made / "left", run)
+    facts = {**manifest_of(run), "objects": names}
+    (run / "run.json").write_text(json.dumps(facts))
+    assert objects(made, "strange") == 2
+    said = capsys.readouterr().err
+    assert "run.json: cannot be read" in said and "\x1b" not in said
