@@ -230,6 +230,8 @@ class Gaussians(_Tensors):
     view_index: Int[Tensor, "gaussian"] = None  # type: ignore[assignment]
     # object each belongs to, -1: none; None: the scene has no objects
     object_index: Int[Tensor, "gaussian"] | None = None
+    # in [0, 1]: the probability that its colour is wrong in a new view; None: nobody estimated it
+    uncertainty: Float[Tensor, "batch gaussian"] | None = None
 
     def __post_init__(self) -> None:
         _check("Gaussians.means", self.means, (None, None, 3))
@@ -249,6 +251,8 @@ class Gaussians(_Tensors):
         _check("Gaussians.view_index", self.view_index, (count,))
         if self.object_index is not None:
             _check("Gaussians.object_index", self.object_index, (count,))
+        if self.uncertainty is not None:
+            _check("Gaussians.uncertainty", self.uncertainty, (batch, count))
 
     @property
     def count(self) -> int:
@@ -280,10 +284,12 @@ class Gaussians(_Tensors):
             name: getattr(self, name).index_select(1, index) for name in PER_GAUSSIAN
         }
         objects = self.object_index
+        unsure = self.uncertainty
         return Gaussians(
             **own,
             view_index=self.view_index.index_select(0, index),
             object_index=None if objects is None else objects.index_select(0, index),
+            uncertainty=None if unsure is None else unsure.index_select(1, index),
         )
 
     def from_view(self, view: int) -> "Gaussians":
@@ -298,20 +304,33 @@ class Gaussians(_Tensors):
     def cat(parts: "Iterable[Gaussians]") -> "Gaussians":
         """Join along G; all parts share batch size and harmonics degree.
 
-        A part without objects joins one that has some as background.
+        A part without objects joins one that has some as background, one without uncertainty as
+        wholly uncertain (1).
         """
         parts = list(parts)
         view_index = torch.cat([part.view_index for part in parts])
         objects = None
         if any(part.object_index is not None for part in parts):
             objects = torch.cat([part.objects for part in parts])
+        uncertainty = None
+        if any(part.uncertainty is not None for part in parts):
+            unsure = [
+                torch.ones_like(part.opacities)
+                if part.uncertainty is None
+                else part.uncertainty
+                for part in parts
+            ]
+            uncertainty = torch.cat(unsure, 1)
         return Gaussians(
-            **_joined(parts, 1), view_index=view_index, object_index=objects
+            **_joined(parts, 1),
+            view_index=view_index,
+            object_index=objects,
+            uncertainty=uncertainty,
         )
 
     @staticmethod
     def stack(scenes: "Iterable[Gaussians]") -> "Gaussians":
-        """Join scenes as one batch; views and objects are forgotten.
+        """Join scenes as one batch; views, objects and uncertainty are forgotten.
 
         A scene with fewer Gaussians repeats its last, transparent.
         """

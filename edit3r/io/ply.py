@@ -2,8 +2,8 @@
 
 One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
 (channel-major: all of red, then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3
-(wxyz). A scene with objects has one more: object_index (-1: none). The header's comments say in
-which frame.
+(wxyz). A scene with objects has one more: object_index (-1: none); one whose uncertainty was
+estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from edit3r.contract.types import MAX_DEGREE, Gaussians
@@ -28,6 +28,7 @@ OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
 VIEWER_DEGREE = 3  # common viewers read harmonics up to here
 OBJECT = "object_index"  # property of scenes with objects
+UNCERTAINTY = "uncertainty"  # property of scenes in which it was estimated
 MAX_OBJECT = 1 << 24  # whole numbers up to here are exact in float32
 MOST_RUNS = 256  # of equal view_index that the header keeps
 
@@ -146,8 +147,12 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
         torch.from_numpy(_unit(quats.cpu().numpy())),
     ]
+    further = {}
     if gaussians.object_index is not None:
-        columns.append(gaussians.object_index[:, None])
+        further[OBJECT] = gaussians.object_index
+    if gaussians.uncertainty is not None:
+        further[UNCERTAINTY] = gaussians.uncertainty[0].detach()
+    columns += [values[:, None] for values in further.values()]
     table = torch.empty(
         gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32
     )
@@ -171,8 +176,7 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
             "rot_3",
         ),
     ]
-    if gaussians.object_index is not None:
-        names.append(OBJECT)
+    names += further
     return (
         table.numpy()
         .astype("<f4", copy=False)
@@ -262,6 +266,7 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         **{name: values[finite][None] for name, values in tensors.items()},
         view_index=view_index,
         object_index=_read_objects(table, header, finite),
+        uncertainty=_read_uncertainty(table, header, finite),
     )
 
 
@@ -274,6 +279,16 @@ def _read_objects(
     values = table[OBJECT].astype(np.float64)
     index = np.where((values >= 0) & (values <= MAX_OBJECT), values, -1)
     return torch.from_numpy(index.astype(np.int64))[finite]
+
+
+def _read_uncertainty(
+    table: np.ndarray, header: "PlyHeader", finite: Tensor
+) -> Float[Tensor, "1 gaussian"] | None:
+    """`uncertainty` of the Gaussians kept; what is no number is 1."""
+    if UNCERTAINTY not in header.names:
+        return None
+    values = np.nan_to_num(table[UNCERTAINTY].astype(np.float32), nan=1.0).clip(0, 1)
+    return torch.from_numpy(values)[finite][None]
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:

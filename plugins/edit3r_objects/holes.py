@@ -10,8 +10,8 @@ from torch import Tensor
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.harmonics import colour_to_dc
 from edit3r.geometry.maps import dilate
+from edit3r.pipeline.rendering import render_numbers
 
 RIM = 0.015  # around the object, where colours are mixed with its own [longer sides]
 COVERED = 0.3  # share of a pixel from which the object covers it
@@ -56,9 +56,8 @@ def _outlines(
     rasterizer: Rasterizer,
 ) -> Float[Tensor, "camera height width"]:
     """1 where the chosen Gaussians and their rim are seen, 0 elsewhere."""
-    colours = chosen.to(gaussians.means)[None, :, None, None].expand(-1, -1, 1, 3)
-    flags = replace(gaussians, harmonics=colour_to_dc(colours).contiguous())
-    share = rasterizer.render(flags, cameras).images[:, :, 0]
+    flags = render_numbers(rasterizer, gaussians, chosen[None], cameras)
+    share = flags.images[:, :, 0]
     reach = round(RIM * max(cameras.image_size))
     return dilate((share > COVERED).to(share), reach)[0]
 

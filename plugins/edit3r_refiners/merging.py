@@ -234,6 +234,9 @@ def _merged(
         objects = view.new_full((groups,), -1).scatter_reduce_(
             0, group, objects, "amax"
         )
+    unsure = gaussians.uncertainty
+    if unsure is not None:
+        unsure = mean(unsure[0].double())[None].to(gaussians.means.dtype)
     camera_centre = cameras.c2w[0, view.clamp(0, cameras.count - 1), :3, 3].double()
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
     centre = centre + settings.behind * scales[:, 2:] * direction
@@ -249,4 +252,5 @@ def _merged(
         *(value[None].to(gaussians.means.dtype) for value in values),
         view_index=view,
         object_index=objects,
+        uncertainty=unsure,
     )

@@ -68,6 +68,18 @@ def test_objects_follow_selecting_and_joining():
         replace(scene, object_index=index[:2])
 
 
+def test_uncertainty_follows_selecting_and_joining():
+    number = torch.rand(2, 6)
+    scene = replace(gaussians(), uncertainty=number)
+    chosen = torch.tensor([4, 1])
+    assert torch.equal(scene.select(chosen).uncertainty, number[:, chosen])
+    joined = Gaussians.cat([scene, gaussians()]).uncertainty
+    assert torch.equal(joined, torch.cat([number, torch.ones(2, 6)], 1))
+    assert Gaussians.cat([gaussians(), gaussians()]).uncertainty is None
+    with pytest.raises(ValueError, match=r"Gaussians\.uncertainty"):
+        replace(scene, uncertainty=number[0])
+
+
 def test_without_view_index_no_gaussian_belongs_to_a_view():
     scene = gaussians()
     assert scene.from_view(0).count == 0 and scene.without_view(0).count == scene.count

@@ -115,11 +115,40 @@ def test_objects_are_one_more_property_that_comes_back(tmp_path):
     assert b"object_index" not in (tmp_path / "plain.ply").read_bytes()
 
 
-def test_other_programs_pass_over_the_objects(tmp_path):
+def test_uncertainty_is_one_more_property_that_comes_back(tmp_path):
+    number = torch.linspace(0, 1, 50)[None]
+    save_ply(tmp_path / "plain.ply", scene())
+    save_ply(tmp_path / "a.ply", replace(scene(), uncertainty=number))
+    loaded = load_ply(tmp_path / "a.ply")
+    assert torch.equal(loaded.uncertainty, number)
+    save_ply(tmp_path / "again.ply", replace(loaded, uncertainty=None))
+    assert (tmp_path / "again.ply").read_bytes() == (
+        tmp_path / "plain.ply"
+    ).read_bytes()
+
+
+def test_uncertainty_of_a_strange_file_lies_between_0_and_1(tmp_path):
+    save_ply(tmp_path / "a.ply", replace(scene(3), uncertainty=torch.zeros(1, 3)))
+    head, end, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    table = np.frombuffer(body, "<f4").reshape(3, -1).copy()
+    table[:, -1] = [np.nan, -7, 1e30]
+    (tmp_path / "a.ply").write_bytes(head + end + table.tobytes())
+    assert load_ply(tmp_path / "a.ply").uncertainty.tolist() == [[1, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"object_index": torch.arange(50)},
+        {"uncertainty": torch.rand(1, 50)},
+        {"object_index": torch.arange(50), "uncertainty": torch.rand(1, 50)},
+    ],
+)
+def test_other_programs_pass_over_further_properties(tmp_path, more):
     gsply = pytest.importorskip("gsply")
     theirs = []
-    for objects in (None, torch.arange(50)):
-        save_ply(tmp_path / "a.ply", replace(scene(), object_index=objects))
+    for gaussians in (scene(), replace(scene(), **more)):
+        save_ply(tmp_path / "a.ply", gaussians)
         theirs.append(gsply.plyread(str(tmp_path / "a.ply")))
     for name in ("means", "scales", "quats", "opacities", "sh0"):
         assert np.array_equal(*(getattr(read, name) for read in theirs))

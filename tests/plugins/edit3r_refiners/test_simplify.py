@@ -34,6 +34,18 @@ def test_a_flat_wall_keeps_under_two_percent_of_its_gaussians_and_its_colour(
     assert np.abs(middle - 0.6).mean() < 0.03
 
 
+def test_merged_gaussians_have_the_mean_of_their_uncertainty(rasterizer):
+    gaussians, cameras = flat_wall()
+    number = torch.linspace(0.2, 0.6, gaussians.count)[None]
+    gaussians = replace(gaussians, uncertainty=number)
+    result = simplify(gaussians, cameras, rasterizer).gaussians
+    assert result.uncertainty.shape == (1, result.count)
+    weighed = result.uncertainty * result.scales.amax(-1).square()
+    mean = weighed.sum() / result.scales.amax(-1).square().sum()
+    assert result.uncertainty.min() > 0.19 and result.uncertainty.max() < 0.61
+    assert mean == pytest.approx(0.4, abs=0.03)
+
+
 def test_detail_survives_on_a_flat_wall(rasterizer):
     gaussians, cameras = flat_wall()
     detail = torch.zeros(64, 64, dtype=torch.bool)
