@@ -24,6 +24,7 @@ from clicks import filled, next_click
 from PIL import Image
 
 from edit3r import build, load_views
+from edit3r.contract.interfaces import Marks
 from edit3r.errors import InputError
 from edit3r.selection.select import Selection, geometry_of, select_masks
 
@@ -58,6 +59,7 @@ def main() -> None:
         if files not in geometries:
             geometries[files] = geometry_of(matcher, views)
             select_masks(images, Selection(positive=(ELSEWHERE,)), segmenter)
+            segmenter.segment_marks(images[1], Marks(positive=(ELSEWHERE[1:],)))
         x, y = place_in(next(iter(polygons.values())), files[0])
         row = []
         for geometry, aside in ((None, 0.0), (geometries[files], ASIDE)):

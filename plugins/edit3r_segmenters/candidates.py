@@ -42,6 +42,7 @@ MIN_OPEN = 0.2  # share of its rim of which nothing is known
 MAX_ASKED = 4  # places at which a network is asked
 PART_AGREED = 0.85  # share of an answer's known part that is expected
 PART_CONFIRMED = 0.3  # share of all of an answer that is expected
+SURELY_AGREED = 0.9  # overlap in what is known from which nothing more is asked
 MIN_AGREED = 0.75  # overlap in what is known from which an answer is the object
 MIN_SCORE = 0.02  # of the best one's score, under which a candidate is no step either
 
@@ -137,18 +138,28 @@ def completed(expected: np.ndarray, known: np.ndarray, prompt: Prompt) -> np.nda
         return expected
     whole = expected.copy()
     answers: list[np.ndarray] = []
-    places = _spread(expected)
-    for place in places:
-        for answer in prompt([(place, True)], None):
-            answers.append(answer > 0)
-            if _is_part(answers[-1], expected, known):
-                whole |= answers[-1] & ~known
-    clicks = [(place, True) for place in places]
-    answers += [answer > 0 for answer in prompt(clicks, _bounds(whole))]
-    agreements = [overlap(answer & known, expected) for answer in answers]
+    clicks: list[Click] = []
+    for place in _spread(expected):
+        clicks.append((place, True))
+        found = [answer > 0 for answer in prompt(clicks[-1:], None)]
+        answers += found
+        if max(_agreements_in(known, found, expected)) >= SURELY_AGREED:
+            break
+        for answer in found:
+            if _is_part(answer, expected, known):
+                whole |= answer & ~known
+    else:
+        answers += [answer > 0 for answer in prompt(clicks, _bounds(whole))]
+    agreements = _agreements_in(known, answers, expected)
     if max(agreements) >= MIN_AGREED:
         whole = answers[int(np.argmax(agreements))]
     return tidied(whole, expected)
+
+
+def _agreements_in(
+    known: np.ndarray, answers: Sequence[np.ndarray], expected: np.ndarray
+) -> list[float]:
+    return [overlap(answer & known, expected) for answer in answers]
 
 
 def _spread(mask: np.ndarray) -> list[Place]:

@@ -145,3 +145,13 @@ class TestCompleted:
         assert np.array_equal(found, self.EXPECTED)
         nothing = np.zeros_like(self.KNOWN)
         assert not completed(nothing, nothing, None).any()
+
+    def test_an_answer_that_surely_agrees_ends_the_questions(self):
+        asked = []
+
+        def prompt(clicks, box):
+            asked.append(clicks)
+            return np.where(self.THING, 4.0, -4)[None]
+
+        assert np.array_equal(completed(self.EXPECTED, self.KNOWN, prompt), self.THING)
+        assert len(asked) == 1
