@@ -22,13 +22,13 @@ from torch import Tensor
 
 from edit3r.cache import Cache, using
 from edit3r.config import PartChoice
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Marks, MatchedGeometry
 from edit3r.contract.types import Views
 from edit3r.errors import Edit3rError, InputError
 from edit3r.io.atomic import atomic_folder, atomic_write
 from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.io.outline import outlined
-from edit3r.pipeline.config import RunConfig, make_run_config
+from edit3r.pipeline.config import DEFAULTS, RunConfig, make_run_config
 from edit3r.pipeline.earlier import CACHE, read_views_of_run
 from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.job import RunJob
@@ -44,6 +44,8 @@ from edit3r_app.jobs import PREVIEW, JobsFolder
 
 GEOMETRY_PATIENCE = 3.0
 """[s] that a mark waits for poses and depths before masks are carried by what the photos show."""
+MAX_CLICKED_AHEAD = 8
+"""Photos that the segmenter reads before anybody clicks."""
 DIMMED = 0.55
 """Brightness of what is not selected."""
 
@@ -186,9 +188,22 @@ class Looker:
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
         geometry = self._background.submit(self._geometry, photos, cache)
+        clicked = self._background.submit(self._click_ahead, views, cache)
+        clicked.add_done_callback(Future.result)  # prints what nobody expected
         if not self.folder.is_run(state):
-            geometry.add_done_callback(lambda _: self._keep_answers(state, cache))
+            for reading in (geometry, clicked):
+                reading.add_done_callback(lambda _: self._keep_answers(state, cache))
         return _Opened(views, cache, geometry)
+
+    def _click_ahead(self, photos: Views, cache: Cache) -> None:
+        """Click on the photos, so that the segmenter has read them when the user does."""
+        choice = PartChoice(name=DEFAULTS["segmenter"])
+        middle = Marks(positive=((0.5, 0.5),))
+        for image in photos.images[0, :MAX_CLICKED_AHEAD]:
+            # Between two photos a waiting user comes first.
+            with self._working, _working_with(cache), suppress(Edit3rError):
+                segmenter = self.registry.build_choice("segmenter", choice)
+                segmenter.segment_marks(image, middle)
 
     def _answers(self, state: str) -> Path:
         """Where what was read from a set of photos is kept; changed by nothing but this."""

@@ -66,6 +66,29 @@ def test_a_click_gives_a_mask_on_every_photo(looker, scene):
         looker.image(scene, draft, "../x")
 
 
+def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene):
+    looker = Looker(folder, default_registry(), SIZE)
+    build = looker.registry.build_choice
+    clicked = []
+
+    class Watched:
+        def segment_marks(self, image, marks):
+            clicked.append((image, marks))
+            raise InputError("nothing at this click")
+
+    looker.registry.build_choice = lambda kind, choice: (
+        Watched()
+        if (kind, choice.name) == ("segmenter", "auto")
+        else build(kind, choice)
+    )
+    images = looker.look(scene, Draft()).views.images[0]
+    deadline = time.monotonic() + 60
+    while len(clicked) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    for (image, marks), photo in zip(clicked, images, strict=True):
+        assert torch.equal(image, photo) and marks.positive
+
+
 def test_the_brush_paints_exactly_and_the_eraser_takes_away(looker, scene):
     across = [(0.2, 0.5), (0.8, 0.5)]
     paint = stroke(looker, scene, "paint", 0.05, across)
