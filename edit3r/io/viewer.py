@@ -57,11 +57,13 @@ def viewer_page(
     title: str = "",
     subtitle: str = "",
     before: Float[Tensor, "gaussian 3"] | None = None,
+    looks: tuple[str, str] = ("after", "before"),
 ) -> str:
     """Return the page for one scene (batch 1); it opens at camera 0 and flies to any camera.
 
     Every Gaussian that can be drawn is in it. `before` holds the colours (sRGB) of a second look
-    that a switch shows from the same place, see `colours_before`.
+    that a switch shows from the same place, see `colours_before`. `looks` name both; a second
+    one with another name shows its colours alike from all sides.
     """
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
         raise ValueError("save_viewer writes one scene, got a batch")
@@ -84,6 +86,8 @@ def viewer_page(
         "up": _up(cameras),
         "views": _views(cameras, names),
         "size": cameras.image_size,
+        "first": looks[0],
+        "second": looks[1],
         "title": title,
         "subtitle": subtitle,
     }

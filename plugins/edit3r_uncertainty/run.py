@@ -22,6 +22,7 @@ from edit3r.io.images import save_image
 from edit3r.io.ply import load_ply, save_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import draw_sheet
+from edit3r.io.viewer import save_viewer
 from edit3r.pipeline.earlier import read_views_of_run
 from edit3r.pipeline.rendering import render_each, render_uncertainty
 from edit3r_uncertainty.signals import photos_of, uncertainty
@@ -115,6 +116,16 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     columns = {"scene": images.clamp(0, 1), "uncertainty": coloured(found)}
     sheet = draw_sheet(columns, names=names, title=run.sentence)
     sheet.save(root / "uncertainty.png")
+    save_viewer(
+        folder.viewer,
+        run.gaussians,
+        run.cameras,
+        names=run.names,
+        title="what can be trusted",
+        subtitle=run.sentence,
+        before=coloured(run.gaussians.uncertainty[:, :, None])[0, :, :, 0].T,
+        looks=("scene", "uncertainty"),
+    )
     if maps:
         (root / "uncertainty").mkdir()
         for name, one in zip(names, found):

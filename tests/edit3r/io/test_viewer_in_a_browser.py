@@ -149,6 +149,30 @@ def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
     assert page.evaluate("JSON.stringify(pose)") == pose
 
 
+def test_a_second_look_has_its_name_and_one_colour_from_all_sides(
+    browser, scene, cameras, tmp_path
+):
+    grey = torch.full((scene.count, 3), 0.5)
+    save_viewer(
+        tmp_path / "v.html",
+        scene,
+        cameras,
+        title="a/b: c",
+        before=grey,
+        looks=("scene", "uncertainty"),
+    )
+    opened = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+    opened.goto((tmp_path / "v.html").as_uri())
+    opened.wait_for_selector("body[data-drawn]", timeout=60_000)
+    assert opened.text_content("#switch") == "uncertainty"
+    opened.click("#switch")
+    settle(opened)
+    assert opened.text_content("#switch") == "scene"
+    image = seen(opened)
+    assert 0.4 < image.max() < 0.6 and np.ptp(image, axis=2).max() < 0.02
+    opened.close()
+
+
 def test_turning_ends_where_no_photo_shows_the_scene_and_fades_on_the_way(page):
     drag(page, 15)
     near, clear = (
