@@ -1,9 +1,12 @@
-"""`edit3r export`: a scene, or a run's cameras, in the formats of other programs; theirs as PLY."""
+"""`edit3r export`: a scene, its mesh, or a run's cameras, for other programs; theirs as PLY."""
 
 import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command, scene_file
+
+MESH = {"mesh": "-mesh.ply"}
+"""The scene as triangles, and the end of the file's name."""
 
 
 class ExportCommand(Command):
@@ -12,7 +15,7 @@ class ExportCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         from edit3r.pipeline.config import CAMERA_FORMATS, FORMATS
 
-        forms = [*FORMATS, *CAMERA_FORMATS]
+        forms = [*FORMATS, *CAMERA_FORMATS, *MESH]
         add = parser.add_argument
         add(
             "scene",
@@ -43,7 +46,9 @@ class ExportCommand(Command):
         from edit3r.io.atomic import check_new_file
         from edit3r.io.export import FORMATS, export_scene, load_scene
         from edit3r.io.posed_photos import CAMERA_FORMATS, export_cameras
+        from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
+        from edit3r_refiners.mesh import export_mesh
 
         scene: Path = args.scene
         if args.out and len(args.to) > 1:
@@ -55,7 +60,7 @@ class ExportCommand(Command):
             if scene.suffix == ".ply"
             else scene.stem
         )
-        ends = {**FORMATS, **CAMERA_FORMATS}
+        ends = {**FORMATS, **CAMERA_FORMATS, **MESH}
         made = {
             form: Path(args.out or scene.with_name(base + ends[form]))
             for form in args.to
@@ -72,6 +77,9 @@ class ExportCommand(Command):
                 with report.stage(f"write {form}"):
                     if form in FORMATS:
                         export_scene(path, gaussians, form)
+                    elif form in MESH:
+                        rasterizer = default_registry().build("rasterizer", "auto")
+                        export_mesh(path, scene.parent, gaussians, rasterizer)
                     else:
                         export_cameras(
                             path, scene.parent, gaussians, form, args.overwrite
