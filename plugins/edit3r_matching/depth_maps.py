@@ -12,7 +12,13 @@ from pydantic import Field
 from edit3r import config, reporting
 from edit3r.geometry.maps import upsample_depth
 from edit3r_matching.cameras import CalibratedImage
-from edit3r_matching.completion import confirmed, fill, push_back, without_speckles
+from edit3r_matching.completion import (
+    confirmed,
+    fill,
+    pull_forward,
+    push_back,
+    without_speckles,
+)
 from edit3r_matching.plane_sweep import (
     Neighbour,
     RawDepth,
@@ -21,6 +27,7 @@ from edit3r_matching.plane_sweep import (
 )
 from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import aggregate, best_plane
+from edit3r_matching.sky import coloured_like_sky, find_skies
 
 __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
 
@@ -42,6 +49,10 @@ class DepthSettings(config.Settings):
     )
     neighbours: int = Field(
         3, ge=1, le=8, description="most views that help to measure the depth of one"
+    )
+    sky: bool = Field(
+        True,
+        description="find the sky: what hides it in one photo alone is near that camera",
     )
 
 
@@ -81,13 +92,40 @@ def measure_depths(
         (np.ones(image.size, np.float32), np.zeros(image.size, np.float32))
         for image in images
     ]
+    skies = find_skies([image.pixels for image in small]) if settings.sky else None
     for view in raw:
         inverse = _completed(small[view], around[view], view, raw, measured)
+        if skies is not None:
+            inverse = _before_skies(
+                inverse, view, small, registration, raw, measured, skies
+            )
         maps[view] = upsample_depth(
             inverse, measured[view], small[view].pixels, images[view].pixels
         )
     inverse, confidence = zip(*maps)
     return np.stack(inverse), np.stack(confidence)
+
+
+def _before_skies(
+    inverse: Float[np.ndarray, "height width"],
+    view: int,
+    images: Sequence[CalibratedImage],
+    registration: Registration,
+    raw: dict[int, RawDepth],
+    measured: dict[int, Bool[np.ndarray, "height width"]],
+    skies: Sequence[Bool[np.ndarray, "height width"]],
+) -> Float[np.ndarray, "height width"]:
+    """`inverse` of a view whose guesses hide the sky of no other view."""
+    others = []
+    for other, neighbour in _neighbours(
+        images, registration, view, len(images)
+    ).items():
+        shown = np.where(measured[other], raw[other].inverse, -1)
+        shown[skies[other]] = 0
+        others.append((neighbour, shown))
+    pixels = images[view].pixels
+    guessed = ~measured[view] & ~skies[view] & ~coloured_like_sky(pixels)
+    return pull_forward(inverse, guessed, images[view], others)
 
 
 def _neighbours(

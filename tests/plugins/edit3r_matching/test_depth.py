@@ -1,4 +1,5 @@
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,10 +8,11 @@ from edit3r_matching.completion import (
     confirmed,
     fill,
     main_plane,
+    pull_forward,
     push_back,
     without_speckles,
 )
-from edit3r_matching.depth_maps import inverse_depth_range
+from edit3r_matching.depth_maps import _before_skies, inverse_depth_range
 from edit3r_matching.plane_sweep import (
     Neighbour,
     RawDepth,
@@ -259,3 +261,62 @@ def test_a_guess_is_pushed_before_the_neighbour_s_camera(noise):
     picture = CalibratedImage(noise, INTRINSICS)
     pushed = push_back(guess, nothing, own, picture, beside, other, nothing)
     assert (pushed < 1 / 3).all() and (pushed > 1 / 3 - 1.01 * own.step).all()
+
+
+def test_what_hides_another_s_sky_is_moved_until_the_others_look_past_it(noise):
+    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
+    guess = np.full(SIZE, 0.1, np.float32)
+    guessed = np.zeros(SIZE, bool)
+    guessed[:20, 30:40] = True
+    shown = np.full(SIZE, 0.1, np.float32)
+    shown[:30] = 0
+    moved = pull_forward(guess, guessed, picture, [(beside, shown)])
+    assert (moved[~guessed] == 0.1).all()
+    # A point leaves the neighbour's image on the left: x - 60 * 0.5 * inverse depth < 0.
+    x = np.arange(30, 40) + 0.5
+    assert (moved[:20, 30:40] > 3 * x / 30 - 1e-5).all()
+    assert (moved[:20, 30:40] < 3 * 1.11 * x / 30).all()
+
+
+@pytest.mark.parametrize("shown", [0.1, -1.0])
+def test_a_guess_that_hides_no_sky_stays(noise, shown):
+    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
+    guess = np.full(SIZE, 0.2, np.float32)
+    other = np.full(SIZE, shown, np.float32)
+    moved = pull_forward(guess, np.ones(SIZE, bool), picture, [(beside, other)])
+    assert (moved == guess).all()
+
+
+def test_a_guess_stays_where_no_place_hides_nothing(noise):
+    """From the same place, the other photo sees the sky along the whole ray."""
+    picture = CalibratedImage(noise, INTRINSICS)
+    same = Neighbour(picture, Pose(np.eye(3), np.zeros(3)))
+    guess = np.full(SIZE, 0.2, np.float32)
+    sky = np.zeros(SIZE, np.float32)
+    moved = pull_forward(guess, np.ones(SIZE, bool), picture, [(same, sky)])
+    assert (moved == guess).all()
+
+
+def test_only_guesses_that_look_like_no_sky_are_moved_before_it():
+    """A branch, a pale cloud and a measured roof, before the neighbour's sky."""
+    image = np.full((*SIZE, 3), (0.4, 0.6, 0.9), np.float32)
+    branch, roof = np.zeros(SIZE, bool), np.zeros(SIZE, bool)
+    branch[:10, 30:40] = True
+    roof[20:30, 30:40] = True
+    image[branch | roof] = 0.1
+    sky = ~branch & ~roof
+    sky[:, 45:50] = False  # a cloud that was not found
+    registration = SimpleNamespace(
+        neighbours_of=lambda view: [1], relative=lambda view, other: SIDEWAYS
+    )
+    moved = _before_skies(
+        np.full(SIZE, 0.1, np.float32),
+        0,
+        [CalibratedImage(image, INTRINSICS)] * 2,
+        registration,
+        {0: raw(0.1), 1: raw(0.1)},
+        {0: roof, 1: np.zeros(SIZE, bool)},
+        [sky, np.ones(SIZE, bool)],
+    )
+    assert (moved[branch] > 1).all()
+    assert (moved[~branch] == np.float32(0.1)).all()
