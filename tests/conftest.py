@@ -3,6 +3,11 @@
 import os
 import sys
 
+# Several processes share the cores, and waiting threads cost a third of the suite's time. Tests of
+# threads set their number themselves. Torch reads this when it is imported.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import pytest
 import torch
 from hypothesis import settings
