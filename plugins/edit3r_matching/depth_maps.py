@@ -32,6 +32,11 @@ from edit3r_matching.sky import coloured_like_sky, find_skies
 __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
 
 
+MAX_OTHERS = (
+    8  # views whose sky is not to be hidden: a video has many that say the same
+)
+
+
 class DepthSettings(config.Settings):
     """How finely depth is measured."""
 
@@ -117,9 +122,8 @@ def _before_skies(
 ) -> Float[np.ndarray, "height width"]:
     """`inverse` of a view whose guesses hide the sky of no other view."""
     others = []
-    for other, neighbour in _neighbours(
-        images, registration, view, len(images)
-    ).items():
+    around = _neighbours(images, registration, view, MAX_OTHERS)
+    for other, neighbour in around.items():
         shown = np.where(measured[other], raw[other].inverse, -1)
         shown[skies[other]] = 0
         others.append((neighbour, shown))
