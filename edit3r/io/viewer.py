@@ -10,7 +10,8 @@ import html
 import json
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from edit3r.io.atomic import atomic_write
 from edit3r.io.ply import LEAST_OPACITY
 from edit3r.reporting import warn
 
-__all__ = ["colours_before", "save_viewer", "viewer_page"]
+__all__ = ["NamedObjects", "colours_before", "save_viewer", "viewer_page"]
 
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; more are slow to sort
 MIN_STEP = 0.01  # of a harmonic; it changes a colour by less than a step of 8 bits
@@ -37,6 +38,19 @@ SAME_COLOUR = 0.1  # largest difference to the edited photo of what surely shows
 LIKE_COLOUR = 0.3  # and of what likely does
 NEARBY = 2  # how far from its pixel the colour of a Gaussian is looked for [pixels]
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
+
+
+@dataclass(frozen=True)
+class NamedObjects:
+    """Objects of a scene that can be chosen on its page."""
+
+    names: Mapping[str, int]  # `Gaussians.object_index` by name
+    # To copy, for going on with the chosen one: in it {run} becomes the page's folder and {name}
+    # the object's name, quoted as a shell wants them.
+    command: str = ""
+
+
+NO_OBJECTS = NamedObjects({})
 
 
 def save_viewer(
@@ -58,12 +72,16 @@ def viewer_page(
     subtitle: str = "",
     before: Float[Tensor, "gaussian 3"] | None = None,
     looks: tuple[str, str] = ("after", "before"),
+    objects: NamedObjects = NO_OBJECTS,
 ) -> str:
     """Return the page for one scene (batch 1); it opens at camera 0 and flies to any camera.
 
     Every Gaussian that can be drawn is in it. `before` holds the colours (sRGB) of a second look
     that a switch shows from the same place, see `colours_before`. `looks` name both; a second
     one with another name shows its colours alike from all sides.
+
+    A click on one of the `objects` chooses it, to hide it or all else. Where the scene has
+    `uncertainty`, a slider hides what is less sure.
     """
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
         raise ValueError("save_viewer writes one scene, got a batch")
@@ -77,7 +95,7 @@ def viewer_page(
         before = before[drawn.to(before.device)].cpu()
     gaussians = gaussians.select(drawn).to("cpu", torch.float32)
     cameras = cameras.to("cpu", torch.float64)
-    facts, data = _pack(gaussians, cameras, before)
+    facts, data = _pack(gaussians, cameras, before, objects)
     distance = _typical_distance(gaussians, cameras)
     meta = {
         **facts,
@@ -170,7 +188,10 @@ def _most_alike(
 
 
 def _pack(
-    gaussians: Gaussians, cameras: Cameras, before: Float[Tensor, "gaussian 3"] | None
+    gaussians: Gaussians,
+    cameras: Cameras,
+    before: Float[Tensor, "gaussian 3"] | None,
+    objects: NamedObjects,
 ) -> tuple[dict[str, Any], bytes]:
     """What the page must know to unpack the data, and the data.
 
@@ -178,7 +199,8 @@ def _pack(
     16 bits) and logarithmic distances (16 bits) from the middle of the cameras, so errors are small
     as the photos see them: 1/60 of a pixel at 512 pixels. Colours, scales (logarithmic), opacities
     and quaternions have 8 bits, harmonics steps of 0.01 where 8 bits reach. Neighbours in a photo
-    are neighbours in the data: of what is alike there, differences are stored.
+    are neighbours in the data: of what is alike there, differences are stored. Objects are places
+    among the names from 1 (0: none; 16 bits), uncertainty has 8 bits.
     """
     eye = cameras.c2w[0, :, :3, 3].mean(0).numpy()
     offsets = gaussians.means[0].double().numpy() - eye
@@ -222,6 +244,15 @@ def _pack(
         "harmonicsStep": harmonics_step,
         "factors": [-C1, C1, -C1, *C2, *C3, *C4],
     }
+    if objects.names:
+        places = np.zeros((gaussians.count, 1), np.uint16)
+        for place, index in enumerate(objects.names.values(), 1):
+            places[gaussians.objects.numpy() == index] = place
+        planes += [places & 255, places >> 8]
+        facts |= {"named": [*objects.names], "command": objects.command}
+    if gaussians.uncertainty is not None:
+        planes.append(_bytes(gaussians.uncertainty[0][:, None].numpy() * 255))
+        facts["unsure"] = True
     data = b"".join(plane.astype(np.uint8).tobytes("F") for plane in planes)
     return facts, zlib.compress(data, LEVEL)
 

@@ -12,7 +12,7 @@ import torch
 
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.io.viewer import colours_before, save_viewer
+from edit3r.io.viewer import NamedObjects, colours_before, save_viewer
 from edit3r.reporting import Report, collecting
 
 
@@ -63,7 +63,8 @@ def opened(path):
     scripts = Scripts(path.read_text(encoding="utf-8")).found
     meta = json.loads(scripts["meta"])
     n, degree = meta["count"], meta["degree"]
-    rows = 17 + 3 * meta["before"] + 3 * ((degree + 1) ** 2 - 1)
+    last = 17 + 3 * meta["before"] + 3 * ((degree + 1) ** 2 - 1)
+    rows = last + 2 * ("named" in meta) + meta.get("unsure", False)
     planes = (
         np.frombuffer(zlib.decompress(base64.b64decode(scripts["data"])), "u1")
         .reshape(rows, n)
@@ -94,10 +95,14 @@ def opened(path):
             + meta["colourStep"] * ((planes[17:20] + summed[6:9]) % 256).T
         )
     harmonics = (
-        planes[17 + 3 * meta["before"] :].astype("u1").view("i1")
+        planes[17 + 3 * meta["before"] : last].astype("u1").view("i1")
         * meta["harmonicsStep"]
     )
     arrays["harmonics"] = harmonics.T.reshape(n, len(harmonics) // 3, 3)
+    if "named" in meta:
+        arrays["places"] = planes[last] + 256 * planes[last + 1]
+    if "unsure" in meta:
+        arrays["unsure"] = planes[-1] / 255
     return meta, arrays
 
 
@@ -151,8 +156,30 @@ def test_page_holds_a_second_look_for_the_same_gaussians(tmp_path):
     )
 
 
+def test_page_holds_which_object_a_gaussian_belongs_to_and_how_unsure_it_is(tmp_path):
+    index = torch.arange(400) % 300 - 1
+    unsure = torch.rand(1, 400)
+    gaussians = replace(scene(400), object_index=index, uncertainty=unsure)
+    names = {f"</script>{number}": number for number in range(298, -1, -1)}
+    save_viewer(tmp_path / "v.html", gaussians, cameras(), objects=NamedObjects(names))
+    meta, arrays = opened(tmp_path / "v.html")
+    assert meta["named"] == list(names)
+    np.testing.assert_array_equal(arrays["places"], np.where(index < 0, 0, 299 - index))
+    np.testing.assert_allclose(
+        arrays["unsure"], unsure[0].numpy(), atol=0.5 / 255 + 1e-6
+    )
+
+
+def test_a_scene_without_objects_or_numbers_pays_nothing_for_them(tmp_path):
+    save_viewer(tmp_path / "v.html", scene(), cameras(), objects=NamedObjects({}, "go"))
+    meta, arrays = opened(tmp_path / "v.html")
+    assert not {"named", "command", "unsure"} & {*meta}
+    assert not {"places", "unsure"} & {*arrays}
+
+
 def test_colours_before_are_those_of_the_unedited_photos():
     """A wall of one Gaussian per pixel, and one hidden behind it in another colour."""
+    torch.manual_seed(0)
     ys, xs = torch.meshgrid(
         torch.arange(30) + 0.5, torch.arange(40) + 0.5, indexing="ij"
     )

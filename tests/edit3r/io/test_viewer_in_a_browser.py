@@ -1,6 +1,7 @@
 """The viewer's page in a real browser, drawn by software: what people see, and what they may do."""
 
 import io
+import shlex
 import shutil
 
 import numpy as np
@@ -10,7 +11,7 @@ from PIL import Image
 
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.io.viewer import save_viewer
+from edit3r.io.viewer import NamedObjects, save_viewer
 from edit3r.plugins.registry import build
 
 playwright = pytest.importorskip(
@@ -18,6 +19,7 @@ playwright = pytest.importorskip(
 )
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 WIDTH, HEIGHT = 320, 240
+GO_ON = "go {run} {name} --out {run}-{name}"
 
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="needs the program chromium: apt-get install chromium"
@@ -94,7 +96,7 @@ def page(browser, scene, cameras, tmp_path):
 def seen(page):
     """What "save picture" saves, as [height, width, 3] in [0, 1]; it is what the canvas shows."""
     with page.expect_download() as download:
-        page.keyboard.press("s")
+        page.keyboard.press("p")
     assert download.value.suggested_filename.startswith("a-b-c-")
     with open(download.value.path(), "rb") as file:
         return np.asarray(Image.open(io.BytesIO(file.read())).convert("RGB")) / 255
@@ -105,10 +107,10 @@ def settle(page):
     page.wait_for_function("!flight && !dirty")
 
 
-def drag(page, way):
-    page.mouse.move(WIDTH / 2, HEIGHT / 4)
+def drag(page, way, y=HEIGHT / 4):
+    page.mouse.move(WIDTH / 2, y)
     page.mouse.down()
-    page.mouse.move(WIDTH / 2 + way, HEIGHT / 4, steps=5)
+    page.mouse.move(WIDTH / 2 + way, y, steps=5)
     page.mouse.up()
     settle(page)
 
@@ -236,3 +238,134 @@ def test_two_fingers_enlarge_and_one_turns(browser, scene, cameras, tmp_path):
     fingers("touchEnd")
     assert page.evaluate("zoom") == pytest.approx(2, rel=0.2)
     context.close()
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """A red ball in the middle before a green wall; half of the wall is unsure."""
+    torch.manual_seed(0)
+    ball = 0.25 * torch.nn.functional.normalize(torch.randn(400, 3), dim=1)
+    wall = torch.cat((4 * torch.rand(1600, 2) - 2, torch.ones(1600, 1)), 1)
+    means = torch.cat((ball, wall)) + torch.tensor([0, 0, 3.0])
+    colours = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.9, 0.1]])
+    is_wall = torch.arange(2000) >= 400
+    return Gaussians(
+        means=means[None],
+        scales=torch.full((1, 2000, 3), 0.1),
+        quats=torch.tensor([1.0, 0, 0, 0]).expand(1, 2000, 4),
+        opacities=torch.full((1, 2000), 0.9),
+        harmonics=colour_to_dc(colours[is_wall.int()])[None, :, None],
+        object_index=torch.where(is_wall, -1, 7),
+        uncertainty=(0.8 * (is_wall & (means[:, 0] > 0)))[None],
+    )
+
+
+@pytest.fixture
+def opened(browser, balls, cameras, tmp_path):
+    """Opens the page of the ball, on a screen with or without touch."""
+    save_viewer(
+        tmp_path / "v.html",
+        balls,
+        cameras,
+        title="a/b: c",
+        objects=NamedObjects({"other": 3, "the ball's": 7}, GO_ON),
+    )
+
+    def one(**screen):
+        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, **screen)
+        page.goto((tmp_path / "v.html").as_uri())
+        page.wait_for_selector("body[data-drawn]", timeout=60_000)
+        pages.append(page)
+        return page
+
+    pages = []
+    yield one
+    for page in pages:
+        page.close()
+
+
+def middle(page):
+    """Mean colour in the middle of the image."""
+    settle(page)
+    rows, columns = HEIGHT // 2, WIDTH // 2
+    return seen(page)[rows - 5 : rows + 5, columns - 5 : columns + 5].mean((0, 1))
+
+
+def test_a_click_chooses_the_object_in_front_to_hide_it_or_all_else(opened, tmp_path):
+    page = opened()
+    red, green, _ = middle(page)
+    assert red > 0.8 and green < 0.2
+    page.mouse.click(WIDTH / 2, HEIGHT / 2)
+    assert page.text_content("#names [aria-pressed=true]") == "the ball's"
+    marked = middle(page)
+    assert marked[1] > green + 0.1
+    folder = tmp_path.as_posix()
+    quoted = "the ball'\\''s"
+    line = f"go {folder} '{quoted}' --out '{folder}-{quoted}'"
+    assert page.text_content("#command") == line
+    assert shlex.split(line)[2] == "the ball's"
+    page.click("#hide")
+    red, green, _ = middle(page)
+    assert red < 0.2 and green > 0.8
+    page.click("#hide")
+    np.testing.assert_array_equal(middle(page), marked)
+    page.click("#only")
+    settle(page)
+    assert seen(page)[:10].max() < 0.1  # no wall
+    page.click("#all")
+    page.set_viewport_size({"width": 2 * WIDTH, "height": 2 * HEIGHT})
+    settle(page)
+    page.mouse.click(WIDTH, HEIGHT / 2)  # the wall is no object
+    settle(page)
+    assert page.locator("#names [aria-pressed=true]").count() == 0
+    assert not page.is_visible("#hide") and seen(page)[:10, :, 1].max() > 0.8
+
+
+def test_a_drag_chooses_nothing_and_a_tap_does(opened):
+    page = opened(has_touch=True)
+    drag(page, 10, HEIGHT / 2)
+    assert page.evaluate("chosen") == 0
+    assert page.evaluate("pick(innerWidth / 2 + 10, innerHeight / 2)") == 2
+    page.keyboard.press("r")
+    settle(page)
+    page.touchscreen.tap(WIDTH / 2, HEIGHT / 2)
+    assert page.evaluate("chosen") == 2
+
+
+def test_the_slider_hides_what_is_less_sure_and_nothing_at_one(opened):
+    page = opened()
+    whole = seen(page)
+    page.fill("#sureness input", "0.5")
+    settle(page)
+    part = seen(page)
+    assert part[:, -60:, 1].max() < 0.1
+    np.testing.assert_array_equal(part[:, :60], whole[:, :60])
+    page.fill("#sureness input", "1")
+    settle(page)
+    np.testing.assert_array_equal(seen(page), whole)
+
+
+STROKE = """(keys) => ["keydown", "keyup"].forEach(
+    (kind) => dispatchEvent(new KeyboardEvent(kind, keys)))"""
+
+
+@pytest.mark.parametrize(
+    ("key", "axis", "sign"), [("w", 2, 1), ("a", 0, -1), ("e", 1, -1)]
+)
+def test_keys_fly_faster_with_shift_and_no_farther_than_the_photos_show(
+    page, key, axis, sign
+):
+    begin = seen(page)
+    page.evaluate(STROKE, {"key": key})
+    settle(page)
+    step = page.evaluate("pose.t")[axis] * sign
+    assert step > 0 and not np.array_equal(seen(page), begin)
+    page.evaluate(STROKE, {"key": key.upper(), "shiftKey": True})
+    assert page.evaluate("pose.t")[axis] * sign == pytest.approx(5 * step)
+    page.keyboard.down(key)
+    page.wait_for_function("away(pose.t) > 0.9 * FARTHEST")
+    page.keyboard.up(key)
+    assert page.evaluate("away(pose.t)") <= page.evaluate("FARTHEST") + 1e-6
+    page.keyboard.press("r")
+    settle(page)
+    assert page.evaluate("pose.t") == [0, 0, 0]

@@ -48,7 +48,8 @@ def test_the_new_folder_is_the_run_with_numbers_and_maps(made):
     assert body[0] == body[1]
     assert b"uncertainty" not in before.read_bytes()
     assert (made / "sure" / "uncertainty.png").is_file()
-    assert "uncertainty" in (made / "sure" / "viewer.html").read_text("utf-8")
+    page = (made / "sure" / "viewer.html").read_text("utf-8")
+    assert '"second": "uncertainty"' in page and '"unsure": true' in page
     maps = {path.name for path in (made / "sure" / "uncertainty").iterdir()}
     assert maps == {"a.png", "b.png", "between_0_1.png"}
     facts = json.loads((made / "sure" / "run.json").read_text())
