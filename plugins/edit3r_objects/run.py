@@ -20,6 +20,7 @@ from edit3r.io.images import LoadedPhotos, save_image, unique_names
 from edit3r.io.ply import load_ply, save_ply
 from edit3r.io.run_folder import RunFolder
 from edit3r.io.sheet import draw_sheet
+from edit3r.io.viewer import NamedObjects, save_viewer
 from edit3r.pipeline.earlier import read_earlier_run
 from edit3r.pipeline.rendering import render_each
 from edit3r.plugins.registry import default_registry
@@ -30,6 +31,7 @@ from edit3r_objects.lifting import lift
 MAX_NAME = 80
 MAX_INDEX = 2**31 - 1  # of an object
 PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
+GO_ON = "edit3r objects {run} remove {name} --out {run}-without-{name}"
 LOOK_ALIKE = ("add", "rename")  # actions that change no pixel
 
 
@@ -197,6 +199,14 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     for view, image in zip(run.views, images["after"]):
         save_image(image, folder.renders / f"{view}.png")
     draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
+    save_viewer(
+        folder.viewer,
+        run.gaussians,
+        run.cameras,
+        names=run.views,
+        title=run.edits[-1],
+        objects=NamedObjects(run.names, GO_ON),
+    )
     facts = {
         "gaussians": run.gaussians.count,
         "objects": dict(run.names),

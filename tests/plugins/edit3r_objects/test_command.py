@@ -95,6 +95,8 @@ def test_edits_follow_each_other_and_are_written_down(made):
     assert objects(made, f"left rename left door --out {made}/named") == 0
     assert objects(made, f"named copy door twin 0.5 0 0 --out {made}/two") == 0
     assert objects(made, f"two recolor twin dark green --out {made}/green") == 0
+    page = (made / "green" / "viewer.html").read_text("utf-8")
+    assert '"named": ["door", "twin"]' in page
     facts = manifest_of(made / "green")
     assert facts["objects"] == {"door": 0, "twin": 1}
     assert facts["object_edits"][1:] == [
