@@ -146,6 +146,18 @@ def go(page, address):
         )  # the page had begun to reload itself: the server is back
 
 
+def follow(page, node, there):
+    """Press a step of the history until its page comes: a page that has just been loaded does not
+    listen yet.
+    """
+    for _ in range(12):
+        page.locator(".e3-node").nth(node).click()
+        with contextlib.suppress(playwright.TimeoutError):
+            page.wait_for_url(there, wait_until="domcontentloaded", timeout=10_000)
+            return
+    raise AssertionError(f"{page.url}: pressing step {node} led nowhere")
+
+
 def upload(page, files):
     with page.expect_file_chooser() as choosing:
         page.get_by_text("Choose photos").click()
@@ -259,10 +271,8 @@ def test_from_photos_to_a_download_and_back(server, tab, tmp_path):
     assert {f"{run}/scene.ply", f"{run}/viewer.html", f"{run}/run.json"} <= set(names)
 
     # back to the photos and to the edit; everything is there after a reload
-    page.locator(".e3-node").first.click()
-    page.wait_for_url(scene_address, wait_until="domcontentloaded")
-    page.locator(".e3-node").nth(1).click()
-    page.wait_for_url(lambda url: run in url, wait_until="domcontentloaded")
+    follow(page, 0, scene_address)
+    follow(page, 1, lambda url: run in url)
     page.reload(wait_until="domcontentloaded")
     page.locator(".e3-slider img").first.wait_for()
     go(page, server.address)
