@@ -57,6 +57,16 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_output_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of commands that write a folder `--out`."""
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an earlier result in --out even where it was changed",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+
+
 def given_flags(args: argparse.Namespace, cls: type[Settings]) -> dict[str, Any]:
     """The settings that were given as flags."""
     values = {name: getattr(args, name, None) for name in cls.model_fields}

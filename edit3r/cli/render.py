@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edit3r.cli.flags import add_output_flags
 from edit3r.contract.command import Command, add_plugin_option, scene_file
 from edit3r.errors import InputError, SettingsError
 
@@ -76,12 +77,7 @@ class RenderCommand(Command):
             default="edit3r-render",
             help="folder for the results (default edit3r-render)",
         )
-        add(
-            "--overwrite",
-            action="store_true",
-            help="replace an earlier result in --out even where it was changed",
-        )
-        add("--quiet", action="store_true", help="print errors only")
+        add_output_flags(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         import torch

@@ -8,6 +8,7 @@ import json
 import math
 import platform
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,6 +139,24 @@ def write_manifest(path: str | Path, manifest: RunManifest) -> None:
     with atomic_write(path) as partial:
         text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
         partial.write_text(text + "\n", encoding="utf-8")
+
+
+def continue_run(
+    before: Path, root: Path, folders: Sequence[str], content: Mapping[str, Any]
+) -> None:
+    """Write what stays true of the run in `before` into the folder `root`: cameras, the `folders`
+    of images that are there, and run.json with this `content`.
+
+    The run may be a stranger's: what is a link there is not followed, and a linked folder left out.
+    """
+    old, new = RunFolder(before), RunFolder(root)
+    shutil.copyfile(old.cameras, new.cameras)
+    for name in folders:
+        source = before / name
+        if source.is_dir() and not source.is_symlink():
+            shutil.copytree(source, root / name, symlinks=True)
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    new.manifest.write_text(text + "\n", encoding="utf-8")
 
 
 def installed_versions() -> dict[str, str]:

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.geometry.cameras import project, to_pixels
+from edit3r.geometry.gravity import up_direction
 from edit3r.geometry.harmonics import C1, C2, C3, C4, dc_to_colour
 from edit3r.geometry.rotations import normalise_quats
 from edit3r.io.atomic import atomic_write
@@ -101,7 +102,7 @@ def viewer_page(
         **facts,
         "distance": distance,
         "near": 1e-3 * distance,
-        "up": _up(cameras),
+        "up": up_direction(cameras.c2w[0]).tolist(),
         "views": _views(cameras, names),
         "size": cameras.image_size,
         "first": looks[0],
@@ -295,15 +296,6 @@ def _typical_distance(gaussians: Gaussians, cameras: Cameras) -> float:
     depths = (gaussians.means[0] - pose[:3, 3]) @ pose[:3, 2]
     depths = depths[(depths > 0) & (gaussians.opacities[0] > 0.1)]
     return float(depths.median()) if len(depths) else 1.0
-
-
-def _up(cameras: Cameras) -> list[float]:
-    """Mean up direction of the cameras, which people hold upright."""
-    directions = -cameras.c2w[0, :, :3, 1]
-    up = directions.mean(0)
-    if up.norm() < 0.1:  # held every way round: go by the first
-        up = directions[0]
-    return (up / up.norm()).tolist()
 
 
 def _views(cameras: Cameras, names: Sequence[str]) -> list[dict[str, Any]]:

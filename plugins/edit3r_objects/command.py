@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r.cli.flags import add_mark_flags
+from edit3r.cli.flags import add_mark_flags, add_output_flags
 from edit3r.contract.command import Command
 from edit3r.errors import SettingsError
 
@@ -52,12 +52,7 @@ class ObjectsCommand(Command):
         add("values", nargs="*", metavar="VALUE", help=after)
         add_mark_flags(parser)
         add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
-        add(
-            "--overwrite",
-            action="store_true",
-            help="replace an earlier result in --out even where it was changed",
-        )
-        add("--quiet", action="store_true", help="print errors only")
+        add_output_flags(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         import torch

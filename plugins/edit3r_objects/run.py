@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from edit3r.errors import InputError
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.images import LoadedPhotos, save_image, unique_names
 from edit3r.io.ply import load_ply, save_ply
-from edit3r.io.run_folder import RunFolder
+from edit3r.io.run_folder import RunFolder, continue_run
 from edit3r.io.sheet import draw_sheet
 from edit3r.io.viewer import NamedObjects, save_viewer
 from edit3r.pipeline.earlier import read_earlier_run
@@ -185,11 +184,6 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     """Write a run's folder with the scene, its renders and a sheet that compares both scenes."""
     folder = RunFolder(root)
     save_ply(folder.scene, run.gaussians)
-    shutil.copyfile(RunFolder(before.root).cameras, folder.cameras)
-    if run.edits[-1].split()[0] in LOOK_ALIKE:
-        for name in PHOTOS:
-            if (before.root / name).is_dir():
-                shutil.copytree(before.root / name, root / name, symlinks=True)
     images = {
         caption: render_each(rasterizer, scene.gaussians, scene.cameras, caption)
         .images[0]
@@ -214,5 +208,5 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         "object_guesses": run.guessed,
         "edited_from": str(before.root),
     }
-    text = json.dumps({**run.manifest, **facts}, indent=2, ensure_ascii=False)
-    folder.manifest.write_text(text + "\n", encoding="utf-8")
+    stays_true = PHOTOS if run.edits[-1].split()[0] in LOOK_ALIKE else ()
+    continue_run(before.root, root, stays_true, {**run.manifest, **facts})

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from edit3r.cli.flags import add_output_flags
 from edit3r.contract.command import Command
 
 
@@ -23,12 +24,7 @@ class UncertaintyCommand(Command):
             action="store_true",
             help="also write each map as a grey image (white: uncertain)",
         )
-        add(
-            "--overwrite",
-            action="store_true",
-            help="replace an earlier result in --out even where it was changed",
-        )
-        add("--quiet", action="store_true", help="print errors only")
+        add_output_flags(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         import torch

@@ -1,7 +1,6 @@
 """A run's folder with the uncertainty of its scene: read, judged, written anew."""
 
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from edit3r.geometry.paths import interpolate_poses
 from edit3r.io.cameras import read_scene_cameras
 from edit3r.io.images import save_image
 from edit3r.io.ply import load_ply, save_ply
-from edit3r.io.run_folder import RunFolder
+from edit3r.io.run_folder import RunFolder, continue_run
 from edit3r.io.sheet import draw_sheet
 from edit3r.io.viewer import save_viewer
 from edit3r.pipeline.earlier import read_views_of_run
@@ -106,10 +105,6 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     """Write the run's folder with the numbers in scene.ply, a sheet, and with `maps` each map."""
     folder = RunFolder(root)
     save_ply(folder.scene, run.gaussians)
-    shutil.copyfile(RunFolder(run.root).cameras, folder.cameras)
-    for name in COPIED:
-        if (run.root / name).is_dir():
-            shutil.copytree(run.root / name, root / name, symlinks=True)
     cameras, names = with_halfway(run)
     images = render_each(rasterizer, run.gaussians, cameras, "scene").images[0]
     found = render_uncertainty(rasterizer, run.gaussians, cameras)[0]
@@ -130,9 +125,8 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
         (root / "uncertainty").mkdir()
         for name, one in zip(names, found):
             save_image(one.expand(3, -1, -1), root / "uncertainty" / f"{name}.png")
-    facts = {"uncertainty": dict(run.facts)}
-    text = json.dumps({**run.manifest, **facts}, indent=2, ensure_ascii=False)
-    folder.manifest.write_text(text + "\n", encoding="utf-8")
+    content = {**run.manifest, "uncertainty": dict(run.facts)}
+    continue_run(run.root, root, COPIED, content)
 
 
 def with_halfway(run: JudgedRun) -> tuple[Cameras, list[str]]:

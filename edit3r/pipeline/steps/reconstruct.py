@@ -9,8 +9,9 @@ from torch import Tensor
 
 from edit3r.cache import recall
 from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstructor
-from edit3r.contract.types import Reconstruction, Views
+from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.errors import MatchingError
+from edit3r.geometry.gravity import quarter_turns
 from edit3r.geometry.light import estimate_light
 from edit3r.geometry.pose import estimate_cameras
 from edit3r.pipeline.checks import (
@@ -21,7 +22,7 @@ from edit3r.pipeline.checks import (
 from edit3r.pipeline.editors import request_of
 from edit3r.pipeline.parts import Parts
 from edit3r.pipeline.scene import Scene, known_cameras
-from edit3r.reporting import note, say, stage
+from edit3r.reporting import note, say, stage, warn
 
 
 @torch.no_grad()
@@ -39,6 +40,7 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
     placed = _placed(reconstruction, scene.start.count)
     used = [view for view, there in enumerate(placed) if there]
     lost = [view for view, there in enumerate(placed) if not there]
+    _tell_of_turned(scene.photos.select(used), known_cameras(reconstruction))
     return replace(
         scene.select(used),
         before=before,
@@ -47,6 +49,18 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
         placed=placed,
         left_out=scene.photos.select(lost) if lost else None,
     )
+
+
+def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
+    """Warn of photos that lie on their side beside the others: what was wide there was cut off."""
+    turns = quarter_turns(cameras.c2w[0])
+    for quarters, way in enumerate(("to the left", "by a half", "to the right"), 1):
+        turned = photos.select((turns == quarters).nonzero()[:, 0].tolist())
+        if turned.count:
+            warn(
+                f"{', '.join(turned.names) or 'A photo'}: not held as the other photos are, so a "
+                f"part may be cut off and things are hard to name. Turn the file {way}, run again."
+            )
 
 
 def _with_light(scene: Scene, parts: Parts) -> Scene:

@@ -133,6 +133,7 @@ function edit3rDrawAll() {
   const { marks } = JSON.parse(grid.dataset.marks);
   for (const old of grid.querySelectorAll(".e3-over-photo")) old.remove();
   for (const image of grid.querySelectorAll("img.e3-mark")) edit3rDraw(image, marks.filter((mark) => mark.photo == image.alt), false);
+  if (edit3rDrag && edit3rDrag.drawn) edit3rDrawDrag(); // a stroke may be under way while an outline arrives
 }
 document.addEventListener("load", (event) => event.target.matches && event.target.matches("img.e3-mark") && edit3rDrawAll(), true);
 addEventListener("resize", edit3rDrawAll);

@@ -12,6 +12,7 @@ from edit3r.io.run_folder import (
     PluginRecord,
     RunManifest,
     WeightsRecord,
+    continue_run,
     installed_versions,
     write_manifest,
 )
@@ -126,3 +127,25 @@ def test_the_commit_of_a_checkout_is_told_and_an_installed_package_has_none(
     branch.write_text("0123abcd\n")
     (tmp_path / ".git" / "HEAD").write_text(f"{head}\n")
     assert installed_versions()["commit"] == "0123abcd"
+
+
+def test_what_stays_true_of_a_run_goes_on_without_what_lies_behind_its_links(tmp_path):
+    before = tmp_path / "run"
+    before.mkdir()
+    (before / "cameras.json").write_text("[]")
+    (before / "inputs").mkdir()
+    (before / "inputs" / "a.png").write_bytes(b"photo")
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "secret.txt").write_bytes(b"secret")
+    (before / "inputs" / "b.png").symlink_to(private / "secret.txt")
+    (before / "edited").symlink_to(private)
+    after = tmp_path / "after"
+    after.mkdir()
+    continue_run(before, after, ("inputs", "edited", "masks"), {"objects": {"ä": 1}})
+    assert (after / "inputs" / "a.png").read_bytes() == b"photo"
+    assert (after / "inputs" / "b.png").is_symlink()
+    assert not (after / "edited").exists()
+    assert not (after / "masks").exists()
+    assert json.loads((after / "run.json").read_text("utf-8")) == {"objects": {"ä": 1}}
+    assert (after / "cameras.json").read_text() == "[]"

@@ -134,6 +134,27 @@ def test_the_page_shows_what_the_rasterizer_shows(page, scene, cameras, view):
     )
 
 
+def test_t_turns_photos_that_lie_on_their_side(page, scene, cameras):
+    upright = seen(page)
+    up, across = page.evaluate("[meta.up, pose.r[0]]")
+    page.keyboard.press("t")
+    page.wait_for_function("location.hash === '#turn=1' && document.body.dataset.drawn")
+    settle(page)
+    assert page.evaluate("meta.up") == pytest.approx([-x for x in across], abs=1e-6)
+    assert page.evaluate("pose.r[0]") == pytest.approx(up, abs=1e-6)
+    share = HEIGHT / WIDTH  # the photo's long side is now as high as the window
+    small = Image.fromarray(np.uint8(255 * np.rot90(upright, -1))).resize(
+        (round(HEIGHT * share), HEIGHT)
+    )
+    left = (WIDTH - small.width) // 2
+    shown = seen(page)[:, left : left + small.width]
+    error = np.square(shown - np.asarray(small) / 255).mean()
+    assert -10 * np.log10(error) > 25
+    page.keyboard.press("r")
+    settle(page)
+    assert page.evaluate("pose.r[0]") == pytest.approx(up, abs=1e-6)
+
+
 def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
     drag(page, 20)
     pose = page.evaluate("JSON.stringify(pose)")

@@ -304,6 +304,29 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
     assert result.verdict.filled == (0.0, None, 0.5)
 
 
+class OnItsSide(Flat):
+    """Finds that the last view was turned by a quarter, clockwise."""
+
+    def __call__(self, views, source=None, grid=None):
+        found = super().__call__(views, source)
+        c2w = found.cameras.c2w.clone()
+        clockwise = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+        c2w[:, -1, :3, :3] = c2w[:, -1, :3, :3] @ clockwise
+        return replace(found, cameras=replace(found.cameras, c2w=c2w))
+
+
+def test_a_photo_that_is_not_held_as_the_others_is_named_with_the_way_to_turn_it(views):
+    three = Views(
+        torch.rand(1, 3, 3, 6, 8), views.intrinsics[:, [0, 0, 0]], ("a", "b", "c")
+    )
+    result = run(
+        three, "x", editor=Invert(), recon=OnItsSide(), rasterizer="torch", **PLAIN
+    )
+    told = [text for text in result.report.warnings if "not held" in text]
+    assert len(told) == 1
+    assert told[0].startswith("c: ") and "to the left" in told[0]
+
+
 class Fused(Flat):
     """Says that fusing the edits made the second view lighter."""
 
