@@ -14,7 +14,13 @@ from dataclasses import dataclass
 from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.relative_pose import Matches, refine, rough_pose, sharp_support
 
-__all__ = ["PointPairs", "calibrate", "contradiction"]
+__all__ = [
+    "PREFERENCE",
+    "WIDE_PREFERENCE",
+    "PointPairs",
+    "calibrate",
+    "contradiction",
+]
 
 FIELDS_OF_VIEW = (28.0, 36.0, 46.0, 57.0, 68.0, 80.0, 94.0)
 """Across the longer side [degrees], from a short telephoto lens to an action camera."""
@@ -24,10 +30,12 @@ PointPairs = Mapping[tuple[int, int], Matches]
 
 _MOST_PAIRS = 2
 _FEWEST_MATCHES = 40
-_PREFERENCE = 0.01
+PREFERENCE = 0.01
 """Share of the matches that a focal length e times larger or smaller has to win over before it is
 believed.
 """
+WIDE_PREFERENCE = 0.05
+"""The same for photos from wide apart, of whose few matches more are wrong."""
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 # share of the best score by which what the user says must be worse to be contradicted
 _CLEAR = 0.08
@@ -43,14 +51,20 @@ _STEPS = (
 
 
 def calibrate(
-    images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int
+    images: Sequence[CalibratedImage],
+    found: PointPairs,
+    threshold: float,
+    seed: int,
+    preference: float = PREFERENCE,
 ) -> float | None:
     """The field of view that `images`, all taken to have the same one, agree on best; None with too
     few matches.
 
     It is measured across the longer side [degrees]. `threshold` is in pixels at a long side of 256.
+    A focal length e times as large as what was assumed has to win over a share `preference` of the
+    matches.
     """
-    search = _search(images, found, threshold, seed)
+    search = _search(images, found, threshold, seed, preference)
     if search is None:
         return None
     best = max(search.scan(), key=lambda trial: trial.score)
@@ -90,14 +104,20 @@ def contradiction(
 
 
 def _search(
-    images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int
+    images: Sequence[CalibratedImage],
+    found: PointPairs,
+    threshold: float,
+    seed: int,
+    preference: float = PREFERENCE,
 ) -> "_FocalSearch | None":
     """A search on the pairs with most matches; None where no pair has enough."""
     richest = sorted(found.items(), key=lambda item: -len(item[1]))[:_MOST_PAIRS]
     pairs = [matches for _, matches in richest if len(matches) >= _FEWEST_MATCHES]
     longest = max(max(image.size) for image in images)
     return (
-        _FocalSearch(pairs, longest, threshold * longest / 256, seed) if pairs else None
+        _FocalSearch(pairs, longest, threshold * longest / 256, seed, preference)
+        if pairs
+        else None
     )
 
 
@@ -118,6 +138,7 @@ class _FocalSearch:
     longest: int  # side [pixels]
     threshold: float  # [pixels]
     seed: int
+    preference: float
 
     @property
     def assumed(self) -> float:
@@ -183,7 +204,7 @@ class _FocalSearch:
             if pose is not None
         )
         penalty = (
-            _PREFERENCE
+            self.preference
             * (log_focal - self.assumed) ** 2
             * sum(len(pair) for pair in self.pairs)
         )

@@ -32,9 +32,8 @@ from edit3r_matching.sky import coloured_like_sky, find_skies
 __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
 
 
-MAX_OTHERS = (
-    8  # views whose sky is not to be hidden: a video has many that say the same
-)
+# Views whose sky is not to be hidden: those of a video say the same.
+MAX_OTHERS = 8
 
 
 class DepthSettings(config.Settings):

@@ -2,13 +2,22 @@
 Zisserman 2012).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = ["Keypoints", "detect", "match"]
+__all__ = ["Keypoints", "detect", "detect_tilted", "match", "match_tilted"]
+
+TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
+"""How a surface is looked at from aside: foreshortened so many times, across so many degrees."""
+TILTED_RATIO = 0.7
+"""Lowe's ratio between tilted images: so many are compared that more would be wrong than right."""
+# In pixels of an image with a long side of 512:
+_ONE_WITNESS = 2.0  # tilted matches nearer to each other in both images count as one
+_ONE_PLACE = 1.5  # features of several tilts nearer to each other are one
 
 _LARGEST_ENLARGEMENT = 4.0
 _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both ways agree
@@ -47,14 +56,41 @@ def detect(
     SIFT looks at the image at a long side of `detection_size` [pixels]; a small one is enlarged, at
     most fourfold, which doubles the matches of images of 256 pixels.
     """
+    return _detect(image, _sift(limit), detection_size)
+
+
+def detect_tilted(
+    image: Float[np.ndarray, "height width 3"], limit: int, detection_size: int
+) -> list[Keypoints]:
+    """As `detect`, once for each of `TILTS`: features of the image as seen from aside.
+
+    After ASIFT (Morel and Yu 2009): SIFT finds the same features from other sides only up to about
+    30 degrees; an image that is foreshortened first looks like the other photo.
+    """
+    found = []
+    for tilt, across in TILTS:
+        tilted = cv2.AffineFeature.create(_sift(limit))
+        tilted.setViewParams([tilt], [across])
+        found.append(_detect(image, tilted, detection_size))
+    return found
+
+
+def _sift(limit: int) -> cv2.SIFT:
+    return cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
+
+
+def _detect(
+    image: Float[np.ndarray, "height width 3"],
+    detector: cv2.Feature2D,
+    detection_size: int,
+) -> Keypoints:
     grey = cv2.cvtColor(
         (np.clip(image, 0, 1) * 255).round().astype(np.uint8), cv2.COLOR_RGB2GRAY
     )
     scale = min(detection_size / max(grey.shape), _LARGEST_ENLARGEMENT)
     size = (max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale)))
     filtering = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    sift = cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
-    found, descriptors = sift.detectAndCompute(
+    found, descriptors = detector.detectAndCompute(
         cv2.resize(grey, size, interpolation=filtering), None
     )
     if not found:
@@ -94,6 +130,42 @@ def match(a: Keypoints, b: Keypoints, ratio: float) -> Int[np.ndarray, "match 2"
     mutual = similarity[:, best[distinct]].argmax(axis=0) == distinct
     pairs = np.stack([distinct, best[distinct]], axis=1)[mutual]
     return _without_duplicates(a, b, pairs)
+
+
+def match_tilted(
+    a: Sequence[Keypoints], b: Sequence[Keypoints], longest: int
+) -> Int[np.ndarray, "match 2"]:
+    """Matches of every group of features of one image with every group of another.
+
+    Indices count through the groups. Features at one place are one: that of the first group.
+    `longest` is the longer side of the images [pixels].
+    """
+    unit = longest / 512
+    starts = [np.cumsum([0, *map(len, groups)]) for groups in (a, b)]
+    found = [
+        match(one, other, TILTED_RATIO) + np.array([starts[0][i], starts[1][j]])
+        for i, one in enumerate(a)
+        for j, other in enumerate(b)
+    ]
+    first = [_first_at_its_place(groups, _ONE_PLACE * unit) for groups in (a, b)]
+    pairs = np.concatenate(found)
+    same = np.stack([first[side][pairs[:, side]] for side in (0, 1)], axis=1)
+    points = [np.concatenate([group.points for group in groups]) for groups in (a, b)]
+    cells = [
+        np.floor(points[side][same[:, side]] / (_ONE_WITNESS * unit)) for side in (0, 1)
+    ]
+    _, kept = np.unique(np.concatenate(cells, axis=1), axis=0, return_index=True)
+    return same[np.sort(kept)]
+
+
+def _first_at_its_place(
+    groups: Sequence[Keypoints], width: float
+) -> Int[np.ndarray, "point"]:
+    """For each feature of all groups the first one in its cell, `width` pixels wide."""
+    points = np.concatenate([group.points for group in groups])
+    cells = np.floor(points / width)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return first[cell.ravel()]
 
 
 def _distance(similarity: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

@@ -22,7 +22,12 @@ from edit3r.geometry.cameras import from_pixels, relative_to_first
 from edit3r.io.framing import Lens
 from edit3r.pipeline.checks import component_name, require_matchable
 from edit3r.plugins.registry import build, default_registry
-from edit3r_matching.calibration import calibrate, contradiction
+from edit3r_matching.calibration import (
+    PREFERENCE,
+    WIDE_PREFERENCE,
+    calibrate,
+    contradiction,
+)
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
 from edit3r_matching.registration import (
@@ -32,6 +37,7 @@ from edit3r_matching.registration import (
     agreeing_pairs,
     find_features,
     register,
+    with_tilted,
 )
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
@@ -71,6 +77,11 @@ class ClassicalMatcher(Matcher):
             True,
             description="read the field of view from the photos where neither EXIF nor the user "
             "tells it",
+        )
+        tilted: bool = Field(
+            True,
+            description="where photos cannot be placed, match them again as they look from aside: "
+            "for photos from wide apart, takes some seconds",
         )
         seed: int = Field(0, ge=0, description="seed of the robust estimates")
 
@@ -154,40 +165,57 @@ class ClassicalMatcher(Matcher):
         """Where the photos of one scene were taken, and the field of view they tell, or contradict
         with a warning.
         """
-        chosen, images, unknown = (
-            self.settings,
-            calibrated_images(views, scene),
-            self._reads_fov(views),
-        )
-        features = find_features(images, chosen)
+        images = calibrated_images(views, scene)
+        features = find_features(images, self.settings)
+        found = self._attempt(views, images, features)
+        lost = lost_in(found, views.count)
+        if lost and self.settings.tilted and not features.helper:
+            tilted = with_tilted(features, images, lost, self.settings)
+            again = self._attempt(views, images, tilted)
+            if len(lost_in(again, views.count)) <= len(lost):
+                found = again
+        if isinstance(found, MatchingError):
+            raise found
+        if found.told is not None and not self._reads_fov(views):
+            reporting.warn(
+                f"The photos tell a field of view of about {found.told:.0f} degrees across the "
+                f"longer side, not the {images[0].fov:.0f} that were given by --fov, EXIF or a "
+                "camera file: with a wrong one the scene is bent. Leave --fov out, or give the "
+                "right one."
+            )
+        return found
+
+    def _attempt(
+        self,
+        views: Views,
+        images: Sequence[CalibratedImage],
+        features: FoundFeatures,
+    ) -> "_Registered | MatchingError":
+        """The photos registered by these features, or why that was not possible."""
+        chosen = self.settings
+        unknown = self._reads_fov(views)
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
-        told = (calibrate if unknown else contradiction)(
-            images, pairs, chosen.threshold, chosen.seed
-        )
+        asked = images, pairs, chosen.threshold, chosen.seed
+        if unknown:
+            preference = WIDE_PREFERENCE if features.tilted else PREFERENCE
+            told = calibrate(*asked, preference)
+        else:
+            told = contradiction(*asked)
         if unknown and told is not None:
             images = [image.with_fov(told) for image in images]
-        elif told is not None:
-            reporting.warn(
-                f"The photos tell a field of view of about {told:.0f} degrees across the longer "
-                "side, not the "
-                f"{images[0].fov:.0f} that were given by --fov, EXIF or a camera file: with a "
-                "wrong one the scene is "
-                "bent. Leave --fov out, or give the right one."
+        try:
+            registration = register(
+                images,
+                _names(views),
+                features,
+                chosen.threshold,
+                chosen.seed,
+                free_focal=unknown,
             )
-        registration = register(
-            images,
-            _names(views),
-            features,
-            chosen.threshold,
-            chosen.seed,
-            free_focal=unknown,
-        )
-        return _Registered(
-            tuple(i.zoomed(registration.zoom) for i in images),
-            features,
-            registration,
-            told,
-        )
+        except MatchingError as error:
+            return error
+        zoomed = tuple(image.zoomed(registration.zoom) for image in images)
+        return _Registered(zoomed, features, registration, told)
 
 
 @dataclass(frozen=True)
@@ -205,6 +233,13 @@ class _Registered:
             torch.from_numpy(np.stack([image.intrinsics for image in self.images])),
             size,
         )
+
+
+def lost_in(found: "_Registered | MatchingError", views: int) -> list[int]:
+    """The photos that could not be placed."""
+    if isinstance(found, MatchingError):
+        return list(range(views))
+    return np.flatnonzero(~found.registration.registered).tolist()
 
 
 @dataclass(frozen=True)
@@ -399,7 +434,8 @@ def _report(
         if helped
         else ""
     )
-    reporting.note("matcher.matches", f"SIFT{learned}")
+    tilted = ", of tilted images too" if features.tilted else ""
+    reporting.note("matcher.matches", f"SIFT{learned}{tilted}")
     reporting.note(
         "matcher.inliers",
         {

@@ -6,7 +6,7 @@ triangulated, and each further view is placed on the points it shares with the v
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -27,7 +27,13 @@ from edit3r_matching.cameras import (
     rays_through,
     triangulate,
 )
-from edit3r_matching.features import Keypoints, detect, match
+from edit3r_matching.features import (
+    Keypoints,
+    detect,
+    detect_tilted,
+    match,
+    match_tilted,
+)
 from edit3r_matching.relative_pose import (
     MIN_INLIERS,
     Matches,
@@ -46,6 +52,7 @@ __all__ = [
     "agreeing_pairs",
     "find_features",
     "register",
+    "with_tilted",
 ]
 
 LEARNED = {
@@ -66,6 +73,8 @@ MOST_PARALLAX = 30.0
 """Angle beyond which surfaces look less and less alike, however many points match [degrees]."""
 LEARNED_INLIERS = 30
 """Agreeing matches below which a pose that SIFT alone does not show is not believed."""
+TILTED_INLIERS = 24
+"""The same where images were tilted to find matches: with fewer, one motion in six was wrong."""
 LEARNED_NOISE = 4.0
 """How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
 """
@@ -83,8 +92,23 @@ agrees.
 """
 MOST_LOOP = 7.0
 """How far the turns from one view to a second, on to a third and back may miss [degrees]."""
+NEAR = 0.1
+"""Points of two pairs within this share of the image's long side tell the scale between them."""
+MIN_NEAR = 3
+"""How many such points a scale needs."""
+ONE_SCALE = 0.1
+"""Median deviation of their scales (logarithm) above which they tell none."""
+MAX_TILTED_PAIRS = 30
+"""Pairs of images that are tilted and matched again; each takes a third of a second."""
+PLANE = 0.8
+"""Share of a pair's matches on one plane above which a small part of the images is a poster."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
+_TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
+_ON_A_POSTER = (
+    "all {} matched points that agree lie in a small part of both pictures, as on a "
+    "poster"
+)
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "
     "the picture in common."
@@ -258,6 +282,7 @@ class FoundFeatures:
         int, ...
     ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
     helper: str = ""  # what to call the source of the learned ones
+    tilted: bool = False  # some are of tilted images: for photos taken from wide apart
 
     def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
         """Which matches of images a and b are learned ones."""
@@ -312,6 +337,38 @@ def find_features(
     return (
         found if folder is None else _with_learned(found, few, images, folder, settings)
     )
+
+
+def with_tilted(
+    found: FoundFeatures,
+    images: Sequence[CalibratedImage],
+    lost: Collection[int],
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Match images again as they would look from aside: the `lost` ones, and other pairs with few
+    matches.
+    """
+    few = [
+        (a not in lost and b not in lost, -len(indices), (a, b))
+        for (a, b), indices in found.indices.items()
+        if a in lost or b in lost or len(indices) < ENOUGH_MATCHES
+    ]
+    pairs = [pair for _, _, pair in sorted(few)[:MAX_TILTED_PAIRS]]
+    limit = settings.keypoints // 2
+    groups = {
+        view: [
+            found.keypoints[view],
+            *detect_tilted(images[view].pixels, limit, settings.detection_size),
+        ]
+        for view in sorted({view for pair in pairs for view in pair})
+    }
+    longest = max(max(image.size) for image in images)
+    matches = {(a, b): match_tilted(groups[a], groups[b], longest) for a, b in pairs}
+    keypoints = list(found.keypoints)
+    for view, tilted in groups.items():
+        for more in tilted[1:]:
+            keypoints[view] = keypoints[view].followed_by(more)
+    return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
 
 
 def _with_learned(
@@ -375,6 +432,8 @@ def register(
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
+    while features.tilted and growing.join_one():
+        growing.place_the_rest()
     return growing.settled(free_focal)
 
 
@@ -389,9 +448,9 @@ def agreeing_pairs(
     failures: dict[tuple[int, int], str] = {}
     for (a, b), indices in features.indices.items():
         limit = threshold * max(*images[a].size, *images[b].size) / 256
-        found = _pair(
-            features.matches(images, a, b), indices, features.learned(a, b), limit, seed
-        )
+        matches = features.matches(images, a, b)
+        judged = _wide_pair if features.tilted else _pair
+        found = judged(matches, indices, features.learned(a, b), limit, seed)
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
@@ -437,6 +496,44 @@ def _pair(
     seed: int,
 ) -> PairView | str:
     """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
+    pair = _moved(matches, indices, learned, threshold, seed)
+    if isinstance(pair, PairView) and _in_a_corner(pair.matches, matches):
+        return _ON_A_POSTER.format(len(pair.matches))
+    return pair
+
+
+def _wide_pair(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
+    """As `_pair`, for photos from wide apart.
+
+    They have a small part in common, so a poster is told by its being flat.
+    """
+    pair = _moved(matches, indices, learned, threshold, seed)
+    if isinstance(pair, str):
+        return pair
+    agreeing = len(pair.matches)
+    if agreeing < TILTED_INLIERS:
+        return _TOO_FEW.format(agreeing, len(matches))
+    if _in_a_corner(pair.matches, matches) and _on_a_plane(pair.matches, threshold):
+        return _ON_A_POSTER.format(agreeing)
+    return pair
+
+
+def _moved(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
+    """The motion that the matches of two images show, with those that agree, or why there is
+    none.
+    """
     found = estimate_pose(matches, threshold, seed)
     evident = _evident(found, matches, learned, threshold)
     if (
@@ -448,21 +545,13 @@ def _pair(
             evident, found, matches, indices = True, second, alone, indices[learned]
     if not evident:
         agreeing = 0 if found is None else int(found.inliers.sum())
-        return (
-            f"{agreeing} of {len(matches)} matched points agree on a camera motion, too "
-            "few to be sure"
-        )
+        return _TOO_FEW.format(agreeing, len(matches))
     pair = PairView.of(matches, indices, found.inliers, found.pose)
     parallax = np.median(pair.parallax)
     if parallax < MIN_PARALLAX:
         return (
             f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so "
             "depth cannot be read"
-        )
-    if _in_a_corner(pair.matches, matches):
-        return (
-            f"all {len(pair.matches)} matched points that agree lie in a small part of "
-            "both pictures, as on a poster"
         )
     return pair
 
@@ -481,6 +570,16 @@ def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
     ]
     places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
     return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
+
+
+def _on_a_plane(agreeing: Matches, threshold: float) -> bool:
+    """Whether one homography explains nearly all that agrees."""
+    points = [
+        agreeing.focal * rays[:, :2] for rays in (agreeing.rays_a, agreeing.rays_b)
+    ]
+    cv2.setRNGSeed(0)
+    _, kept = cv2.findHomography(*points, cv2.RANSAC, 2 * threshold)
+    return kept is None or kept.mean() > PLANE
 
 
 def _places(rays: Float[np.ndarray, "match 3"]) -> int:
@@ -565,10 +664,55 @@ class _IncrementalRegistration:
             known = {view: self._known_points(view) for view in waiting}
             view = max(sorted(waiting), key=lambda v: len(known[v][0]))
             pose = self._place(view, *known[view])
-            waiting.remove(view)
             if pose is not None:
                 self.poses[view] = pose
                 self._triangulate_with(view)
+            waiting.remove(view)
+
+    def join_one(self) -> bool:
+        """Add a view that shares no point with two placed ones beside its best neighbour; False
+        where none can be added.
+
+        Three views in a row may have no point that all of them see, but points near each other:
+        those give the scale of the motion from the second to the third.
+        """
+        richest = sorted(self.pairs.items(), key=lambda item: -len(item[1].matches))
+        for (a, b), pair in richest:
+            if (a in self.poses) == (b in self.poses):
+                continue
+            placed, view = (a, b) if a in self.poses else (b, a)
+            scale = self._scale_of(pair, placed, side=int(placed == b))
+            if scale is not None:
+                motion = pair.pose if placed == a else pair.pose.inverse()
+                motion = Pose(motion.rotation, scale * motion.translation)
+                self.poses[view] = motion.after(self.poses[placed])
+                self._triangulate_with(view)
+                return True
+        return False
+
+    def _scale_of(self, pair: PairView, placed: int, side: int) -> float | None:
+        """By how much the unit of a pair of views is to be multiplied; None: its points tell none.
+
+        `placed` is one of them, the first (`side` 0) or second of the pair.
+        """
+        depths = triangulate(pair.matches.rays_a, pair.matches.rays_b, pair.pose)
+        own = depths[side]
+        pixels = self.features.keypoints[placed].points
+        known = np.isfinite(self.points[placed][:, 0])
+        if not known.any():
+            return None
+        deep = self.poses[placed].apply(self.points[placed][known])[:, 2]
+        places = pixels[pair.indices[:, side]]
+        apart = np.linalg.norm(places[:, None] - pixels[known], axis=2)
+        nearest = apart.argmin(1)
+        near = apart.min(1) <= NEAR * max(self.images[placed].size)
+        near &= (own > 0) & (deep[nearest] > 0)
+        if near.sum() < MIN_NEAR:
+            return None
+        scales = np.log(deep[nearest][near] / own[near])
+        middle = np.median(scales)
+        one_scale = np.median(np.abs(scales - middle)) < ONE_SCALE
+        return float(np.exp(middle)) if one_scale else None
 
     def settled(self, free_focal: bool) -> Registration:
         """What was placed; three and more views adjusted together, and again on all matches that

@@ -40,9 +40,9 @@ def _sky_mask(
     image: Float[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
     """What looks like sky and comes down from the top of the image."""
-    lab = cv2.cvtColor(np.ascontiguousarray(image, np.float32), cv2.COLOR_RGB2LAB)
+    lab = _lab(image)
     lightness, _, b = cv2.split(lab)
-    alike = _alike(lab)
+    alike = coloured_like_sky(image)
     blurred = cv2.GaussianBlur(lab, (0, 0), 1.0)
     slopes = [
         cv2.Sobel(blurred, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1))
@@ -74,18 +74,16 @@ def coloured_like_sky(
     image: Float[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels whose colour a sky could have, on an image of colours in [0, 1]."""
-    return _alike(
-        cv2.cvtColor(np.ascontiguousarray(image, np.float32), cv2.COLOR_RGB2LAB)
-    )
-
-
-def _alike(
-    lab: Float[np.ndarray, "height width 3"],
-) -> Bool[np.ndarray, "height width"]:
-    lightness, a, b = cv2.split(lab)
+    lightness, a, b = cv2.split(_lab(image))
     blue = (b < -4) & (b < -0.7 * np.abs(a)) & (lightness > 35)
     white = (np.hypot(a, b) < 10) & (lightness > 72)
     return blue | white | ((lightness > 90) & (b < 0) & (a < 0))
+
+
+def _lab(
+    image: Float[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "height width 3"]:
+    return cv2.cvtColor(np.ascontiguousarray(image, np.float32), cv2.COLOR_RGB2LAB)
 
 
 def _means(

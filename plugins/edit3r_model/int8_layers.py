@@ -4,6 +4,8 @@ The weights have one scale per output channel; activations are quantised as they
 each. The layers hold no parameters, so they cannot be trained.
 """
 
+from functools import cache
+
 import cv2
 import torch
 from jaxtyping import Float
@@ -83,11 +85,30 @@ class Int8Conv(_Int8Layer):
         )
 
 
+@cache
+def weight_levels() -> int:
+    """Return the largest int8 weight whose products are right on this processor, 127 or 63.
+
+    Processors without VNNI add two products in 16 bits, which overflow: 2 * 255 * 127 is more than
+    32767, 2 * 255 * 63 is less (oneDNN's page "Nuances of int8 computations"). The product itself
+    tells, not what a processor says it is.
+    """
+    size = 128
+    values = torch.full((1, size), 255, dtype=torch.uint8)
+    weight = torch.full((size, size), 127, dtype=torch.int8)
+    ones, zeros = torch.ones(size), torch.zeros(size, dtype=torch.int32)
+    packed = _int8_ops.qlinear_prepack(weight, [ROWS_HINT, size])
+    sums = _int8_ops.qlinear_pointwise(
+        values, 1.0, 0, packed, ones, zeros, None, *_FLOAT_OUTPUT, "none"
+    )
+    return 127 if (sums == size * 255 * 127).all() else 63
+
+
 def quantise_weight(
     weight: Float[Tensor, "out *rest"],
 ) -> tuple[Tensor, Float[Tensor, "out"]]:
     """Return (int8 weight, scale per output channel), symmetric around 0."""
-    scales = weight.float().flatten(1).abs().amax(1).clamp(min=1e-12) / 127
+    scales = weight.float().flatten(1).abs().amax(1).clamp(min=1e-12) / weight_levels()
     levels = weight.flatten(1) / scales[:, None]
     return levels.view_as(weight).round().to(torch.int8), scales
 

@@ -43,9 +43,9 @@ def contradicted(found):
     return contradiction([photo, photo], {(0, 1): found}, 1.0, 0)
 
 
-def read(found, **options):
+def read(found, threshold=1.0, **options):
     photo = CalibratedImage(np.zeros((SIDE, SIDE, 3), np.float32), lens(60))
-    return calibrate([photo, photo], {(0, 1): found}, options.get("threshold", 1.0), 0)
+    return calibrate([photo, photo], {(0, 1): found}, threshold, 0, **options)
 
 
 @pytest.mark.parametrize("fov", [35, 50, 60, 75, 90])
@@ -57,6 +57,11 @@ def test_the_field_of_view_is_read_from_a_camera_that_turns_and_moves(fov):
 def test_a_camera_that_only_moved_sideways_keeps_what_was_assumed():
     """Every focal length explains such matches, so nothing is gained by another."""
     assert read(matches(60, (0, 0, 0), (-1, 0, 0))) == pytest.approx(60, abs=6)
+
+
+def test_what_is_preferred_keeps_the_field_of_view_nearer_to_what_was_assumed():
+    found = matches(90, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))
+    assert read(found, preference=1.0) < read(found) - 5
 
 
 def test_matches_that_agree_on_no_motion_tell_nothing():

@@ -1,6 +1,13 @@
+import cv2
 import numpy as np
 import pytest
-from edit3r_matching.features import Keypoints, detect, match
+from edit3r_matching.features import (
+    Keypoints,
+    detect,
+    detect_tilted,
+    match,
+    match_tilted,
+)
 from skimage.data import camera
 
 
@@ -51,3 +58,50 @@ def test_a_match_found_twice_at_one_place_counts_once():
     descriptors = np.eye(128, dtype=np.float32)[:4]
     a = Keypoints(np.array([[1.0, 1], [1, 1], [5, 5], [7, 7]]), descriptors)
     assert len(match(a, a, 0.85)) == 3
+
+
+def right_matches(points, seen, pairs, homography):
+    """How many matches lie within two pixels of where the homography says."""
+    expected = cv2.perspectiveTransform(points[pairs[:, 0]][None], homography)[0]
+    return (np.linalg.norm(expected - seen[pairs[:, 1]], axis=1) < 2).sum()
+
+
+def test_a_wall_seen_from_aside_matches_where_images_are_tilted_first(photo):
+    focal, angle = 300.0, np.radians(65)
+    lens = np.array([[focal, 0, 128], [0, focal, 128], [0, 0, 1]])
+    turn = cv2.Rodrigues(np.array([0, angle, 0]))[0]
+    ahead = np.array([0, 0, 1.0])
+    about_the_wall = turn + np.outer(ahead - turn @ ahead, ahead)
+    homography = lens @ about_the_wall @ np.linalg.inv(lens)
+    aside = cv2.warpPerspective(photo, homography, (256, 256), flags=cv2.INTER_AREA)
+    images = (photo, aside)
+    plain = [detect(image, 2000, 768) for image in images]
+    groups = [
+        [first, *detect_tilted(image, 1000, 768)] for first, image in zip(plain, images)
+    ]
+    pairs = match_tilted(*groups, longest=256)
+    joined = [np.concatenate([group.points for group in one]) for one in groups]
+    right = right_matches(*joined, pairs, homography)
+    before = match(*plain, 0.85)
+    assert right > 3 * right_matches(
+        plain[0].points, plain[1].points, before, homography
+    )
+    assert right > 0.85 * len(pairs)
+
+
+def test_what_several_tilts_find_in_one_place_is_one_match():
+    descriptors = np.eye(128, dtype=np.float32)[:2]
+    places = np.array([[10.0, 10], [50, 50]])
+    once = Keypoints(places, descriptors)
+    near = Keypoints(places + 0.4, np.eye(128, dtype=np.float32)[2:4])
+    pairs = match_tilted([once, near], [once, near], longest=512)
+    assert pairs.tolist() == [[0, 0], [1, 1]]
+
+
+def test_a_feature_found_in_a_tilted_image_alone_is_the_plain_one_at_its_place():
+    descriptors = np.eye(128, dtype=np.float32)
+    places = np.array([[10.0, 10], [50, 50]])
+    tilted = Keypoints(places + 0.4, descriptors[4:6])
+    a = [Keypoints(places, descriptors[:2]), tilted]
+    b = [Keypoints(places, descriptors[2:4]), tilted]
+    assert match_tilted(a, b, longest=512).tolist() == [[0, 0], [1, 1]]

@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 import torch
+from edit3r_matching import matchers
 from edit3r_measure.scene_sources import rotation_degrees
 
 import edit3r
@@ -27,6 +30,12 @@ def within_share(depth, truth, tolerance=0.1):
 @pytest.fixture(scope="module")
 def matcher():
     return edit3r.build("matcher", "classical")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Gives up at once where photos cannot be placed."""
+    return edit3r.build("matcher", "classical", tilted=False)
 
 
 @pytest.fixture(scope="module")
@@ -160,14 +169,60 @@ def test_photos_of_two_scenes_raise_with_the_reason_and_advice(matcher, make_roo
         matcher.match(strangers)
 
 
-def test_photos_from_one_place_raise_because_depth_cannot_be_read(matcher, make_room):
-    with pytest.raises(MatchingError, match="parallax"):
-        matcher.match(make_room([(0,), (0, 0, 3)]).views)
-
-
-def test_the_same_photo_twice_raises(matcher, pair):
+def test_photos_from_wide_apart_are_matched_again_as_seen_from_aside(plain, make_room):
+    wide_pair = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)])
     with pytest.raises(MatchingError):
-        matcher.match(pair.views.select([0, 0]))
+        plain.match(wide_pair.views)
+    matcher = edit3r.build("matcher", "classical", working_size=96, planes=24)
+    with collecting(Report()) as report:
+        geometry = matcher.match(wide_pair.views)
+    assert pose_errors(geometry, wide_pair, 1)[0] < 1
+    assert "of tilted images too" in report.notes["matcher.matches"]
+
+
+def test_photos_that_are_placed_are_not_matched_again(matcher, pair, monkeypatch):
+    monkeypatch.setattr(matchers, "with_tilted", None)
+    with collecting(Report()) as report:
+        matcher.match(pair.views)
+    assert "tilted" not in report.notes["matcher.matches"]
+
+
+def test_the_lens_is_read_with_more_care_from_photos_wide_apart(make_room, monkeypatch):
+    preferences = []
+    monkeypatch.setattr(
+        matchers, "calibrate", lambda *_: preferences.append(_[-1]) or None
+    )
+    views = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)]).views
+    matcher = edit3r.build("matcher", "classical", working_size=96, planes=24)
+    matcher.match(replace(views, assumed=(True, True)))
+    assert preferences == [matchers.PREFERENCE, matchers.WIDE_PREFERENCE]
+
+
+def test_a_second_try_that_places_fewer_photos_is_not_taken(
+    matcher, pair, make_room, monkeypatch
+):
+    stranger = make_room([(0,)], seed=70).views
+    views = Views(
+        torch.cat((pair.views.images, stranger.images), 1),
+        torch.cat((pair.views.intrinsics, stranger.intrinsics), 1),
+    )
+
+    def without_matches(found, *_):
+        nothing = {two: indices[:0] for two, indices in found.indices.items()}
+        return replace(found, indices=nothing, tilted=True)
+
+    monkeypatch.setattr(matchers, "with_tilted", without_matches)
+    assert matcher.match(views).registered.tolist() == [[True, True, False]]
+
+
+def test_photos_from_one_place_raise_because_depth_cannot_be_read(plain, make_room):
+    with pytest.raises(MatchingError, match="parallax"):
+        plain.match(make_room([(0,), (0, 0, 3)]).views)
+
+
+def test_the_same_photo_twice_raises(plain, pair):
+    with pytest.raises(MatchingError):
+        plain.match(pair.views.select([0, 0]))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (8, 300)])

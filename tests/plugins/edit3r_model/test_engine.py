@@ -12,6 +12,7 @@ from edit3r_model.int8_layers import (
     Int8Linear,
     quantise_input,
     quantise_weight,
+    weight_levels,
 )
 from torch import nn
 
@@ -57,8 +58,16 @@ def test_quantised_inputs_never_wrap_around():
 
 
 def test_weights_of_a_silent_channel_quantise_to_zero():
-    weight, scales = quantise_weight(torch.tensor([[0.0, 0.0], [1.0, -2.0]]))
-    assert weight.tolist() == [[0, 0], [64, -127]] and scales.isfinite().all()
+    weight, scales = quantise_weight(torch.tensor([[0.0, 0.0], [2.0, -2.0]]))
+    levels = weight_levels()
+    assert weight.tolist() == [[0, 0], [levels, -levels]]
+    assert scales.isfinite().all()
+
+
+def test_the_largest_values_and_weights_do_not_overflow():
+    linear, x = nn.Linear(128, 96), torch.full((8, 128), 255.0)
+    linear.weight.fill_(1.0)
+    torch.testing.assert_close(Int8Linear(linear)(x), linear(x), rtol=0.005, atol=0)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])

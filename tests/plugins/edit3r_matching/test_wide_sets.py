@@ -1,0 +1,127 @@
+"""Photos from wide apart: what counts as a motion there, and how three in a row are joined."""
+
+import cv2
+import numpy as np
+import pytest
+from edit3r_matching import registration
+from edit3r_matching.cameras import CalibratedImage, Pose, project
+from edit3r_matching.features import Keypoints
+from edit3r_matching.registration import FoundFeatures
+
+from edit3r.errors import MatchingError
+
+FOCAL, SIZE = 300.0, (240, 320)
+LENS = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
+MIDDLE = np.array([0, 0, 6.0])
+NOISE = 0.3  # [pixels]
+
+
+def around(degrees):
+    """World to camera of one that looks at the middle from 6 away."""
+    turn = cv2.Rodrigues(np.array([0, np.radians(degrees), 0]))[0]
+    return Pose(turn, MIDDLE - turn @ MIDDLE)
+
+
+POSES = {view: around(35 * view) for view in range(3)}
+
+
+def wavy(count, seed, width=2.0):
+    """Points of a wavy wall through the middle."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack((rng.uniform(-width, width, (count, 2)), np.zeros(count)))
+    points[:, 2] = MIDDLE[2] + 0.4 * np.sin(2 * points[:, 0]) + 0.3 * points[:, 1]
+    return points
+
+
+def seen(points, view, seed=0):
+    places = project(POSES[view].apply(points), LENS)
+    return places + np.random.default_rng(seed + view).normal(0, NOISE, places.shape)
+
+
+def keypoints(places):
+    return Keypoints(places, np.zeros((len(places), 128), np.float32))
+
+
+def images(count):
+    image = CalibratedImage(np.zeros((*SIZE, 3), np.float32), LENS)
+    return [image] * count
+
+
+def same(count, start=0):
+    return np.stack([np.arange(start, start + count)] * 2, axis=1)
+
+
+def chain(tilted, deeper=None):
+    """Three views in a row: the first two share 150 points of a wall, the last two 150 others.
+
+    `deeper` [150] moves each of the last ones away from the middle view by a factor, which that
+    view cannot see.
+    """
+    first, last = wavy(150, 1), wavy(150, 2)
+    if deeper is not None:
+        middle = POSES[1]
+        last = middle.inverse().apply(middle.apply(last) * deeper[:, None])
+    keys = (
+        keypoints(seen(first, 0)),
+        keypoints(np.concatenate((seen(first, 1), seen(last, 1, 9)))),
+        keypoints(np.concatenate((np.zeros((150, 2)), seen(last, 2, 9)))),
+    )
+    found = FoundFeatures(
+        keys, {(0, 1): same(150), (1, 2): same(150, 150)}, tilted=tilted
+    )
+    return registration.register(images(3), "abc", found, threshold=1.0, seed=0)
+
+
+def test_three_in_a_row_without_a_common_point_are_joined_by_points_near_each_other():
+    result = chain(tilted=True)
+    assert result.registered.all()
+    for view, true in POSES.items():
+        turn = cv2.Rodrigues(result.poses[view].rotation @ true.rotation.T)[0]
+        assert np.degrees(np.linalg.norm(turn)) < 1
+    steps = [
+        np.linalg.norm(
+            result.poses[a].inverse().translation
+            - result.poses[a + 1].inverse().translation
+        )
+        for a in (0, 1)
+    ]
+    assert steps[1] / steps[0] == pytest.approx(1, abs=0.05)
+
+
+def test_where_nothing_was_tilted_such_a_photo_stays_out():
+    assert chain(tilted=False).registered.tolist() == [True, True, False]
+
+
+def test_depths_that_tell_no_common_scale_join_nothing():
+    deeper = np.random.default_rng(4).uniform(0.6, 1.6, 150)
+    assert chain(tilted=True, deeper=deeper).registered.tolist() == [True, True, False]
+
+
+def placed(points, noise, tilted):
+    """Register two views of `points` with wrong matches, half an image apart in y."""
+    first = np.random.default_rng(3).uniform((0, 0), SIZE[::-1], (noise, 2))
+    by_chance = [first, (first + np.array((0, SIZE[0] / 2))) % SIZE[::-1]]
+    keys = tuple(
+        keypoints(np.concatenate((seen(points, view), by_chance[view])))
+        for view in (0, 1)
+    )
+    found = FoundFeatures(keys, {(0, 1): same(len(points) + noise)}, tilted=tilted)
+    return registration.register(images(2), "ab", found, threshold=1.0, seed=0)
+
+
+def test_few_matches_are_not_believed_where_images_were_tilted():
+    few = wavy(20, 5)
+    assert placed(few, 0, tilted=False).registered.all()
+    with pytest.raises(MatchingError, match="too few to be sure"):
+        placed(few, 0, tilted=True)
+
+
+def test_a_small_part_in_common_is_believed_of_wide_photos_unless_it_is_flat():
+    part = wavy(80, 6, width=0.6)
+    part[:, 2] = MIDDLE[2] + np.random.default_rng(7).uniform(-0.5, 0.5, 80)
+    with pytest.raises(MatchingError, match="as on a poster"):
+        placed(part, 60, tilted=False)
+    assert placed(part, 60, tilted=True).registered.all()
+    part[:, 2] = MIDDLE[2] + 0.3 * part[:, 1]
+    with pytest.raises(MatchingError, match="as on a poster"):
+        placed(part, 60, tilted=True)
