@@ -236,7 +236,11 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: _Clause) -> _Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    tokens, origin = _origin(_as_told(tokens))
+    told = _as_told(tokens)
+    tokens, origin = _origin(told)
+    if not tokens:  # "from red" names neither a thing nor what it shall become
+        clause.action, clause.unread = "other", tuple(told)
+        return clause
     look = _look(tokens)
     if look is not None:
         clause.action = "look"
@@ -254,11 +258,7 @@ def _read_change(tokens: list[str], clause: _Clause) -> _Clause:
     before, after = tokens[:start], tokens[end:]
     clause.action = "paint"
     clause.verb_first = tokens[start] in words.IMPERATIVES | words.RANDOM
-    amount = 1.0
-    if set(tokens) & words.WEAK:
-        amount = 0.5
-    elif set(tokens) & words.STRONG:
-        amount = 1.7
+    amount = _amount(tokens)
     clause.changes = tuple(_scaled(found.change, amount) for found in group)
     named, other = (before, after) if _content(before) else (after, [])
     if not _content(before) and _content(after) and not _may_follow(group[-1], tokens):
@@ -276,6 +276,13 @@ def _read_change(tokens: list[str], clause: _Clause) -> _Clause:
     if clause.unread:
         clause.action = "other"
     return clause
+
+
+def _amount(tokens: list[str]) -> float:
+    """How strong the change shall be, 1 as named."""
+    if set(tokens) & words.WEAK:
+        return 0.5
+    return 1.7 if set(tokens) & words.STRONG else 1.0
 
 
 def _as_told(tokens: list[str]) -> list[str]:

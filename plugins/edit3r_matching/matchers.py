@@ -147,6 +147,12 @@ class ClassicalMatcher(Matcher):
         if unknown and (found.told is not None or registration.zoom != 1):
             reporting.note("matcher.fov", round(found.images[0].fov, 1))
         _report(registration, found.features, _names(views))
+        if unknown and found.features.tilted:
+            reporting.warn(
+                "The photos were taken from wide apart, and such photos tell little about their "
+                f"lens. A field of view of {found.images[0].fov:.0f} degrees across the longer "
+                "side was read. Give --fov if you know it: with a wrong one the scene is bent."
+            )
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         maps = (c2w, *measure_depths(found.images, registration, self.settings))
         c2w, inverse, confidence = (

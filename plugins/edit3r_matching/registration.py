@@ -102,12 +102,22 @@ MAX_TILTED_PAIRS = 30
 """Pairs of images that are tilted and matched again; each takes a third of a second."""
 PLANE = 0.8
 """Share of a pair's matches on one plane above which a small part of the images is a poster."""
+MIN_FILLED = 0.045
+"""Share of the area that a pair's matches fill, in one picture times that in the other, below which
+the motion of tilted images is not believed, unless nearly all matches agree with it.
+"""
+NEARLY_ALL = 0.9
+"""Share of the matches that are nearly all."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 _TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
 _ON_A_POSTER = (
     "all {} matched points that agree lie in a small part of both pictures, as on a "
     "poster"
+)
+_CLOSE_TOGETHER = (
+    "the {} of {} matched points that agree lie close together, so their motion is not "
+    "sure"
 )
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "
@@ -451,6 +461,11 @@ def agreeing_pairs(
         matches = features.matches(images, a, b)
         judged = _wide_pair if features.tilted else _pair
         found = judged(matches, indices, features.learned(a, b), limit, seed)
+        if features.tilted and isinstance(found, PairView):
+            agreeing, sizes = len(found.matches), (images[a].size, images[b].size)
+            doubtful = agreeing < NEARLY_ALL * len(matches)
+            if doubtful and _filled(found.matches, sizes) < MIN_FILLED:
+                found = _CLOSE_TOGETHER.format(agreeing, len(matches))
         if isinstance(found, PairView):
             pairs[a, b] = found
         else:
@@ -570,6 +585,18 @@ def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
     ]
     places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
     return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
+
+
+def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
+    """Share of the area that the matches fill, in one picture times that in the other.
+
+    Each area is that of the ellipse two standard deviations wide, which stray matches move little.
+    """
+    shares = []
+    for rays, size in zip((agreeing.rays_a, agreeing.rays_b), sizes):
+        spread = np.linalg.det(np.cov(agreeing.focal * rays[:, :2].T))
+        shares.append(4 * np.pi * np.sqrt(max(spread, 0.0)) / np.prod(size))
+    return float(np.prod(shares))
 
 
 def _on_a_plane(agreeing: Matches, threshold: float) -> bool:

@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Bool, Float
 from kornia.geometry import epipolar
 from scipy.ndimage import gaussian_filter
-from skimage.color import rgb2gray
 from skimage.feature import match_descriptors
 from skimage.measure import blur_effect
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
@@ -126,7 +125,7 @@ def sharpness(image: Image, photo: Image) -> float:
     for a flat photo.
     """
     of_image, of_photo = (
-        cv2.Laplacian(rgb2gray(own.astype(np.float64)), cv2.CV_64F).var()
+        cv2.Laplacian(_grey(own.astype(np.float64)), cv2.CV_64F).var()
         for own in (image, photo)
     )
     return float(of_image / of_photo) if of_photo > 1e-12 else NAN
@@ -136,7 +135,16 @@ def blur(image: Image) -> float:
     """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007, scikit-image): no reference, no
     weights.
     """
-    return float(blur_effect(image, channel_axis=-1))
+    return float(blur_effect(_grey(image)))
+
+
+def _grey(image: Image) -> Float[np.ndarray, "height width"]:
+    """Brightness as scikit-image's `rgb2gray` weights it.
+
+    That multiplies matrices, whose last digit depends on how the image lies in memory.
+    """
+    red, green, blue = np.moveaxis(image, -1, 0)
+    return 0.2125 * red + 0.7154 * green + 0.0721 * blue
 
 
 def best_blurred_copy(

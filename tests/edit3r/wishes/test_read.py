@@ -217,6 +217,14 @@ TEXT = (
 WORDS = TEXT.split()
 
 
+@pytest.mark.parametrize("text", ["from red", "FROM%RED", "instead of green"])
+def test_a_colour_to_change_from_alone_is_told_and_not_done(text):
+    """Once an IndexError, found by the next test."""
+    (wish,) = read(text)
+    assert wish.action == "other"
+    assert wish.unread
+
+
 @settings(max_examples=300)
 @given(
     st.one_of(

@@ -194,7 +194,8 @@ def test_the_lens_is_read_with_more_care_from_photos_wide_apart(make_room, monke
     )
     views = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)]).views
     matcher = edit3r.build("matcher", "classical", working_size=96, planes=24)
-    matcher.match(replace(views, assumed=(True, True)))
+    with pytest.warns(UserWarning, match="Give --fov if you know it"):
+        matcher.match(replace(views, assumed=(True, True)))
     assert preferences == [matchers.PREFERENCE, matchers.WIDE_PREFERENCE]
 
 

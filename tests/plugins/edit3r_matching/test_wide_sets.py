@@ -116,12 +116,29 @@ def test_few_matches_are_not_believed_where_images_were_tilted():
         placed(few, 0, tilted=True)
 
 
-def test_a_small_part_in_common_is_believed_of_wide_photos_unless_it_is_flat():
-    part = wavy(80, 6, width=0.6)
+def in_the_middle(width):
+    """80 points about the middle, not flat."""
+    part = wavy(80, 6, width)
     part[:, 2] = MIDDLE[2] + np.random.default_rng(7).uniform(-0.5, 0.5, 80)
+    return part
+
+
+def test_a_small_part_in_common_is_believed_of_wide_photos_unless_it_is_flat():
+    part = in_the_middle(1.3)
     with pytest.raises(MatchingError, match="as on a poster"):
         placed(part, 60, tilted=False)
     assert placed(part, 60, tilted=True).registered.all()
     part[:, 2] = MIDDLE[2] + 0.3 * part[:, 1]
     with pytest.raises(MatchingError, match="as on a poster"):
         placed(part, 60, tilted=True)
+
+
+def test_what_lies_close_together_in_both_photos_is_not_believed_where_images_were_tilted():
+    """Stray matches (4 of 84) do not make it look wide."""
+    together = np.concatenate((in_the_middle(0.6), wavy(4, 8)))
+    with pytest.raises(MatchingError, match="close together"):
+        placed(together, 15, tilted=True)
+
+
+def test_what_lies_close_together_is_believed_where_nearly_all_matches_agree():
+    assert placed(in_the_middle(0.6), 5, tilted=True).registered.all()

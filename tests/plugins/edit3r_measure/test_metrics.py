@@ -166,6 +166,15 @@ def test_blur_rises_with_the_blur_and_stays_a_share(picture):
     assert blur(np.full((32, 32, 3), 0.5)) == 1
 
 
+def test_how_an_image_lies_in_memory_does_not_change_the_last_digit(picture):
+    """It did where products of matrices made the grey image: two machines' reports differed."""
+    apart = np.ascontiguousarray(picture.transpose(2, 0, 1)).transpose(1, 2, 0)
+    together = np.ascontiguousarray(picture)
+    assert blur(apart) == blur(together)
+    smooth = gaussian_filter(together, (1, 1, 0))
+    assert sharpness(apart, smooth) == sharpness(together, smooth)
+
+
 @pytest.fixture
 def photos():
     return np.random.default_rng(0).uniform(0.2, 0.6, (2, 40, 50, 3))
