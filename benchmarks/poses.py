@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.registration import FeatureSettings, find_features, register
+from edit3r_matching.features import FeatureSettings, find_features
+from edit3r_matching.registration import register
 from held_out import for_tuning
 
 from edit3r.errors import MatchingError

@@ -23,7 +23,7 @@ from edit3r_matching.cameras import (
     rays_through,
     triangulate,
 )
-from edit3r_matching.registration import MIN_PARALLAX
+from edit3r_matching.pairs import MIN_PARALLAX
 from edit3r_matching.relative_pose import pycolmap
 
 __all__ = ["adjust"]

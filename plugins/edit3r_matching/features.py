@@ -1,16 +1,53 @@
-"""Point features and their matches: SIFT with the square-root descriptor (Arandjelovic and
-Zisserman 2012).
+"""Features of images, and which of them look alike.
+
+SIFT with the square-root descriptor (Arandjelovic and Zisserman 2012) finds them, helped by learned
+networks where few match, and looks into tilted images for photos from wide apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from pydantic import Field
 
-__all__ = ["Keypoints", "detect", "detect_tilted", "match", "match_tilted"]
+from edit3r import config
+from edit3r.plugins import weights
+from edit3r_matching.cameras import CalibratedImage, rays_through
+from edit3r_matching.relative_pose import Matches
 
+__all__ = [
+    "ENOUGH_MATCHES",
+    "FeatureSettings",
+    "FoundFeatures",
+    "Keypoints",
+    "detect",
+    "detect_tilted",
+    "find_features",
+    "match",
+    "match_tilted",
+    "with_tilted",
+]
+
+LEARNED = {
+    "learned": ("aliked-lightglue", "ALIKED + LightGlue"),
+    "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
+    "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
+}
+"""Learned sources of matches: the name of their weights, see `edit3r.plugins.weights`, and what to
+call them.
+"""
+LEARNED_NOISE = 4.0
+"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
+"""
+MAX_TILTED_PAIRS = 30
+"""Pairs of images that are tilted and matched again; each takes a third of a second."""
+ENOUGH_MATCHES = 250
+"""Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
 """How a surface is looked at from aside: foreshortened so many times, across so many degrees."""
 TILTED_RATIO = 0.7
@@ -24,6 +61,36 @@ _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both wa
 _EDGE = 15.0
 # OpenCV's SIFT doubles the image first and forgets that this moves pixel centres
 _DOUBLING_SHIFT = 0.25
+
+
+class FeatureSettings(config.Settings):
+    """How features are found and matched."""
+
+    keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
+    detection_size: int = Field(
+        640,
+        ge=128,
+        le=4096,
+        description="long side at which features are looked for [pixels]; larger finds more",
+    )
+    ratio: float = Field(
+        0.85,
+        gt=0,
+        le=1,
+        description="a match must be this much nearer than its second choice (Lowe's test)",
+    )
+    matches: Literal["auto", "sift", "learned", "efficientloftr", "superpoint"] = Field(
+        "auto",
+        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
+        "weights get "
+        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those "
+        "weights are at hand; "
+        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', "
+        "'superpoint-lightglue'",
+    )
+    learned_keypoints: int = Field(
+        1024, ge=128, le=4096, description="most learned features a photo"
+    )
 
 
 @dataclass(frozen=True)
@@ -46,6 +113,138 @@ class Keypoints:
                 ((self.points, more.points), (self.descriptors, more.descriptors)),
             )
         )
+
+
+@dataclass(frozen=True)
+class FoundFeatures:
+    """Features of every image, and which of them look alike."""
+
+    keypoints: tuple[Keypoints, ...]
+    indices: dict[
+        tuple[int, int], Int[np.ndarray, "match 2"]
+    ]  # (a, b) with a < b: keypoints of images a and b
+    sift: tuple[
+        int, ...
+    ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    helper: str = ""  # what to call the source of the learned ones
+    tilted: bool = False  # some are of tilted images: for photos taken from wide apart
+
+    def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
+        """Which matches of images a and b are learned ones."""
+        return self.indices[a, b][:, 0] >= (
+            self.sift[a] if self.sift else len(self.keypoints[a])
+        )
+
+    def matches(self, images: Sequence[CalibratedImage], a: int, b: int) -> Matches:
+        """What images a and b have in common, as rays of their cameras."""
+        pair, indices = (images[a], images[b]), self.indices[a, b]
+        points = (
+            self.keypoints[view].points[indices[:, side]]
+            for side, view in enumerate((a, b))
+        )
+        rays = (rays_through(own, image.intrinsics) for own, image in zip(points, pair))
+        focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
+        height, width = images[b].size
+        # A band of two pixels along the longest possible line, over the image's area.
+        chance = 2 * np.hypot(height, width) / (height * width)
+        learned = self.learned(a, b)
+        noise = np.where(learned, LEARNED_NOISE, 1.0) if learned.any() else None
+        return Matches(*rays, float(np.mean(focals)), chance, noise)
+
+
+def find_features(
+    images: Sequence[CalibratedImage], settings: FeatureSettings
+) -> FoundFeatures:
+    """Detect features and match every two images; needs no intrinsics.
+
+    Raises MissingDependencyError where learned matches are asked for and their weights are not at
+    hand.
+    """
+    keypoints = tuple(
+        detect(image.pixels, settings.keypoints, settings.detection_size)
+        for image in images
+    )
+    every = combinations(range(len(images)), 2)
+    found = FoundFeatures(
+        keypoints,
+        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every},
+    )
+    asked = settings.matches in LEARNED
+    few = [
+        pair
+        for pair, indices in found.indices.items()
+        if asked or len(indices) < ENOUGH_MATCHES
+    ]
+    if settings.matches == "sift" or not few:
+        return found
+    declared = weights.named(LEARNED[settings.matches if asked else "learned"][0])
+    folder = weights.find(declared) if asked else weights.at_hand(declared)
+    return (
+        found if folder is None else _with_learned(found, few, images, folder, settings)
+    )
+
+
+def with_tilted(
+    found: FoundFeatures,
+    images: Sequence[CalibratedImage],
+    lost: Collection[int],
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Match images again as they would look from aside: the `lost` ones, and other pairs with few
+    matches.
+    """
+    few = [
+        (a not in lost and b not in lost, -len(indices), (a, b))
+        for (a, b), indices in found.indices.items()
+        if a in lost or b in lost or len(indices) < ENOUGH_MATCHES
+    ]
+    pairs = [pair for _, _, pair in sorted(few)[:MAX_TILTED_PAIRS]]
+    limit = settings.keypoints // 2
+    groups = {
+        view: [
+            found.keypoints[view],
+            *detect_tilted(images[view].pixels, limit, settings.detection_size),
+        ]
+        for view in sorted({view for pair in pairs for view in pair})
+    }
+    longest = max(max(image.size) for image in images)
+    matches = {(a, b): match_tilted(groups[a], groups[b], longest) for a, b in pairs}
+    keypoints = list(found.keypoints)
+    for view, tilted in groups.items():
+        for more in tilted[1:]:
+            keypoints[view] = keypoints[view].followed_by(more)
+    return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
+
+
+def _with_learned(
+    found: FoundFeatures,
+    pairs: Sequence[tuple[int, int]],
+    images: Sequence[CalibratedImage],
+    folder: Path,
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
+    from edit3r_matching import (
+        learned,  # torch's networks, kornia and transformers load only where they are used
+    )
+
+    name, called = LEARNED.get(settings.matches, LEARNED["learned"])
+    networks = learned.load(name, folder, settings.learned_keypoints)
+    views = sorted({view for pair in pairs for view in pair})
+    more, own = networks.between(
+        {view: images[view].pixels for view in views}, pairs, settings.detection_size
+    )
+    sift = tuple(map(len, found.keypoints))
+    indices = dict(found.indices)
+    for a, b in pairs:
+        indices[a, b] = np.concatenate(
+            (indices[a, b], own[a, b] + np.array([sift[a], sift[b]]))
+        )
+    keypoints = tuple(
+        k.followed_by(more[view]) if view in more else k
+        for view, k in enumerate(found.keypoints)
+    )
+    return FoundFeatures(keypoints, indices, sift, called)
 
 
 def detect(

@@ -30,15 +30,14 @@ from edit3r_matching.calibration import (
 )
 from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images
 from edit3r_matching.depth_maps import DepthSettings, measure_depths
-from edit3r_matching.registration import (
+from edit3r_matching.features import (
     FeatureSettings,
     FoundFeatures,
-    Registration,
-    agreeing_pairs,
     find_features,
-    register,
     with_tilted,
 )
+from edit3r_matching.pairs import agreeing_pairs
+from edit3r_matching.registration import Registration, register
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 

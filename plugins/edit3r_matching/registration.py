@@ -5,165 +5,36 @@ triangulated, and each further view is placed on the points it shares with the v
 (PnP), the best connected first.
 """
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
-from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from pydantic import Field
 
-from edit3r import config
 from edit3r.errors import MatchingError
-from edit3r.plugins import weights
-from edit3r_matching.cameras import (
-    CalibratedImage,
-    Pose,
-    parallax_degrees,
-    rays_through,
-    triangulate,
+from edit3r_matching.cameras import CalibratedImage, Pose, triangulate
+from edit3r_matching.features import FoundFeatures
+from edit3r_matching.pairs import (
+    MIN_LOG_EVIDENCE,
+    MIN_PARALLAX,
+    PairView,
+    agreeing_pairs,
 )
-from edit3r_matching.features import (
-    Keypoints,
-    detect,
-    detect_tilted,
-    match,
-    match_tilted,
-)
-from edit3r_matching.relative_pose import (
-    MIN_INLIERS,
-    Matches,
-    TwoViewPose,
-    estimate_pose,
-    log_chance,
-    log_false_alarms,
-    support,
-)
+from edit3r_matching.relative_pose import MIN_INLIERS, log_chance, support
 
-__all__ = [
-    "FeatureSettings",
-    "FoundFeatures",
-    "PairView",
-    "Registration",
-    "agreeing_pairs",
-    "find_features",
-    "register",
-    "with_tilted",
-]
+__all__ = ["Registration", "register"]
 
-LEARNED = {
-    "learned": ("aliked-lightglue", "ALIKED + LightGlue"),
-    "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
-    "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
-}
-"""Learned sources of matches: the name of their weights, see `edit3r.plugins.weights`, and what to
-call them.
-"""
-MIN_LOG_EVIDENCE = 6.0
-"""A pose counts when random matches would agree as well less than once in 10^6 tries."""
-MIN_PARALLAX = 0.4
-"""Median angle between rays to the same point below which depth cannot be read [degrees]."""
-ENOUGH_PARALLAX = 5.0
-"""Angle beyond which more does not make a better pair [degrees]."""
-MOST_PARALLAX = 30.0
-"""Angle beyond which surfaces look less and less alike, however many points match [degrees]."""
-LEARNED_INLIERS = 30
-"""Agreeing matches below which a pose that SIFT alone does not show is not believed."""
-TILTED_INLIERS = 24
-"""The same where images were tilted to find matches: with fewer, one motion in six was wrong."""
-LEARNED_NOISE = 4.0
-"""How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
-"""
-DEPTH_STEP = 0.05
-"""Median difference of log depth between neighbours in the picture; larger where matches are wrong
-together.
-"""
-SPREAD = 0.2
-"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of
-the picture.
-"""
-CORNER = 0.07
-"""Share of the area with matches, in one picture times that in the other, below which only a poster
-agrees.
-"""
-MOST_LOOP = 7.0
-"""How far the turns from one view to a second, on to a third and back may miss [degrees]."""
 NEAR = 0.1
 """Points of two pairs within this share of the image's long side tell the scale between them."""
 MIN_NEAR = 3
 """How many such points a scale needs."""
 ONE_SCALE = 0.1
 """Median deviation of their scales (logarithm) above which they tell none."""
-MAX_TILTED_PAIRS = 30
-"""Pairs of images that are tilted and matched again; each takes a third of a second."""
-PLANE = 0.8
-"""Share of a pair's matches on one plane above which a small part of the images is a poster."""
-MIN_FILLED = 0.045
-"""Share of the area that a pair's matches fill, in one picture times that in the other, below which
-the motion of tilted images is not believed, unless nearly all matches agree with it.
-"""
-NEARLY_ALL = 0.9
-"""Share of the matches that are nearly all."""
-ENOUGH_MATCHES = 250
-"""Matches of SIFT that place two views without help."""
-_TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
-_ON_A_POSTER = (
-    "all {} matched points that agree lie in a small part of both pictures, as on a "
-    "poster"
-)
-_CLOSE_TOGETHER = (
-    "the {} of {} matched points that agree lie close together, so their motion is not "
-    "sure"
-)
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "
     "the picture in common."
 )
-
-
-@dataclass(frozen=True)
-class PairView:
-    """Matches of two views that agree on one epipolar geometry, with which feature of each view
-    they are.
-    """
-
-    matches: Matches
-    indices: Int[np.ndarray, "match 2"]  # keypoints of the first and second view
-    pose: Pose  # first view's frame to the second's
-    parallax: Float[np.ndarray, "match"]  # [degrees]
-
-    @staticmethod
-    def of(
-        matches: Matches,
-        indices: Int[np.ndarray, "all 2"],
-        kept: Bool[np.ndarray, "all"],
-        pose: Pose,
-    ) -> "PairView":
-        """What remains of all matches of two views when only those that agree with `pose` are
-        `kept`.
-        """
-        agreeing = matches.select(kept)
-        return PairView(
-            agreeing,
-            indices[kept],
-            pose,
-            parallax_degrees(agreeing.rays_a, agreeing.rays_b, pose),
-        )
-
-    @property
-    def usefulness(self) -> float:
-        """Number of matches, each counted by how well its depth can be read, and the surface around
-        it compared.
-        """
-        readable, alike = (
-            self.parallax / ENOUGH_PARALLAX,
-            (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2,
-        )
-        return float(np.minimum(np.minimum(readable, alike), 1).sum())
 
 
 @dataclass(frozen=True)
@@ -178,7 +49,7 @@ class Registration:
     @staticmethod
     def on_poses(
         images: Sequence[CalibratedImage],
-        features: "FoundFeatures",
+        features: FoundFeatures,
         poses: dict[int, Pose],
         threshold: float,
         zoom: float = 1.0,
@@ -250,168 +121,6 @@ class Registration:
         ]
 
 
-class FeatureSettings(config.Settings):
-    """How features are found and matched."""
-
-    keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
-    detection_size: int = Field(
-        640,
-        ge=128,
-        le=4096,
-        description="long side at which features are looked for [pixels]; larger finds more",
-    )
-    ratio: float = Field(
-        0.85,
-        gt=0,
-        le=1,
-        description="a match must be this much nearer than its second choice (Lowe's test)",
-    )
-    matches: Literal["auto", "sift", "learned", "efficientloftr", "superpoint"] = Field(
-        "auto",
-        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
-        "weights get "
-        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those "
-        "weights are at hand; "
-        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', "
-        "'superpoint-lightglue'",
-    )
-    learned_keypoints: int = Field(
-        1024, ge=128, le=4096, description="most learned features a photo"
-    )
-
-
-@dataclass(frozen=True)
-class FoundFeatures:
-    """Features of every image, and which of them look alike."""
-
-    keypoints: tuple[Keypoints, ...]
-    indices: dict[
-        tuple[int, int], Int[np.ndarray, "match 2"]
-    ]  # (a, b) with a < b: keypoints of images a and b
-    sift: tuple[
-        int, ...
-    ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
-    helper: str = ""  # what to call the source of the learned ones
-    tilted: bool = False  # some are of tilted images: for photos taken from wide apart
-
-    def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
-        """Which matches of images a and b are learned ones."""
-        return self.indices[a, b][:, 0] >= (
-            self.sift[a] if self.sift else len(self.keypoints[a])
-        )
-
-    def matches(self, images: Sequence[CalibratedImage], a: int, b: int) -> Matches:
-        """What images a and b have in common, as rays of their cameras."""
-        pair, indices = (images[a], images[b]), self.indices[a, b]
-        points = (
-            self.keypoints[view].points[indices[:, side]]
-            for side, view in enumerate((a, b))
-        )
-        rays = (rays_through(own, image.intrinsics) for own, image in zip(points, pair))
-        focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
-        height, width = images[b].size
-        # A band of two pixels along the longest possible line, over the image's area.
-        chance = 2 * np.hypot(height, width) / (height * width)
-        learned = self.learned(a, b)
-        noise = np.where(learned, LEARNED_NOISE, 1.0) if learned.any() else None
-        return Matches(*rays, float(np.mean(focals)), chance, noise)
-
-
-def find_features(
-    images: Sequence[CalibratedImage], settings: FeatureSettings
-) -> FoundFeatures:
-    """Detect features and match every two images; needs no intrinsics.
-
-    Raises MissingDependencyError where learned matches are asked for and their weights are not at
-    hand.
-    """
-    keypoints = tuple(
-        detect(image.pixels, settings.keypoints, settings.detection_size)
-        for image in images
-    )
-    every = combinations(range(len(images)), 2)
-    found = FoundFeatures(
-        keypoints,
-        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every},
-    )
-    asked = settings.matches in LEARNED
-    few = [
-        pair
-        for pair, indices in found.indices.items()
-        if asked or len(indices) < ENOUGH_MATCHES
-    ]
-    if settings.matches == "sift" or not few:
-        return found
-    declared = weights.named(LEARNED[settings.matches if asked else "learned"][0])
-    folder = weights.find(declared) if asked else weights.at_hand(declared)
-    return (
-        found if folder is None else _with_learned(found, few, images, folder, settings)
-    )
-
-
-def with_tilted(
-    found: FoundFeatures,
-    images: Sequence[CalibratedImage],
-    lost: Collection[int],
-    settings: FeatureSettings,
-) -> FoundFeatures:
-    """Match images again as they would look from aside: the `lost` ones, and other pairs with few
-    matches.
-    """
-    few = [
-        (a not in lost and b not in lost, -len(indices), (a, b))
-        for (a, b), indices in found.indices.items()
-        if a in lost or b in lost or len(indices) < ENOUGH_MATCHES
-    ]
-    pairs = [pair for _, _, pair in sorted(few)[:MAX_TILTED_PAIRS]]
-    limit = settings.keypoints // 2
-    groups = {
-        view: [
-            found.keypoints[view],
-            *detect_tilted(images[view].pixels, limit, settings.detection_size),
-        ]
-        for view in sorted({view for pair in pairs for view in pair})
-    }
-    longest = max(max(image.size) for image in images)
-    matches = {(a, b): match_tilted(groups[a], groups[b], longest) for a, b in pairs}
-    keypoints = list(found.keypoints)
-    for view, tilted in groups.items():
-        for more in tilted[1:]:
-            keypoints[view] = keypoints[view].followed_by(more)
-    return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
-
-
-def _with_learned(
-    found: FoundFeatures,
-    pairs: Sequence[tuple[int, int]],
-    images: Sequence[CalibratedImage],
-    folder: Path,
-    settings: FeatureSettings,
-) -> FoundFeatures:
-    """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
-    from edit3r_matching import (
-        learned,  # torch's networks, kornia and transformers load only where they are used
-    )
-
-    name, called = LEARNED.get(settings.matches, LEARNED["learned"])
-    networks = learned.load(name, folder, settings.learned_keypoints)
-    views = sorted({view for pair in pairs for view in pair})
-    more, own = networks.between(
-        {view: images[view].pixels for view in views}, pairs, settings.detection_size
-    )
-    sift = tuple(map(len, found.keypoints))
-    indices = dict(found.indices)
-    for a, b in pairs:
-        indices[a, b] = np.concatenate(
-            (indices[a, b], own[a, b] + np.array([sift[a], sift[b]]))
-        )
-    keypoints = tuple(
-        k.followed_by(more[view]) if view in more else k
-        for view, k in enumerate(found.keypoints)
-    )
-    return FoundFeatures(keypoints, indices, sift, called)
-
-
 def register(
     images: Sequence[CalibratedImage],
     names: Sequence[str],
@@ -445,221 +154,6 @@ def register(
     while features.tilted and growing.join_one():
         growing.place_the_rest()
     return growing.settled(free_focal)
-
-
-def agreeing_pairs(
-    images: Sequence[CalibratedImage],
-    features: FoundFeatures,
-    threshold: float,
-    seed: int,
-) -> tuple[dict[tuple[int, int], PairView], dict[tuple[int, int], str]]:
-    """The epipolar geometry of every two images that show one; for the others, why not."""
-    pairs: dict[tuple[int, int], PairView] = {}
-    failures: dict[tuple[int, int], str] = {}
-    for (a, b), indices in features.indices.items():
-        limit = threshold * max(*images[a].size, *images[b].size) / 256
-        matches = features.matches(images, a, b)
-        judged = _wide_pair if features.tilted else _pair
-        found = judged(matches, indices, features.learned(a, b), limit, seed)
-        if features.tilted and isinstance(found, PairView):
-            agreeing, sizes = len(found.matches), (images[a].size, images[b].size)
-            doubtful = agreeing < NEARLY_ALL * len(matches)
-            if doubtful and _filled(found.matches, sizes) < MIN_FILLED:
-                found = _CLOSE_TOGETHER.format(agreeing, len(matches))
-        if isinstance(found, PairView):
-            pairs[a, b] = found
-        else:
-            failures[a, b] = found
-    while wrong := _most_contradicted(pairs):
-        failures[wrong] = (
-            f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show "
-            "another motion"
-        )
-    return pairs, failures
-
-
-def _most_contradicted(
-    pairs: dict[tuple[int, int], PairView],
-) -> tuple[int, int] | None:
-    """The pair that most often turns another way than both its views with a third; of several that
-    with least matches.
-
-    None where every three views agree.
-    """
-    against: Counter[tuple[int, int]] = Counter()
-    for a, b, c in combinations(sorted({view for pair in pairs for view in pair}), 3):
-        three = [(a, b), (b, c), (a, c)]
-        if all(pair in pairs for pair in three):
-            first, second, direct = (pairs[pair].pose.rotation for pair in three)
-            if (
-                np.degrees(np.linalg.norm(cv2.Rodrigues(second @ first @ direct.T)[0]))
-                > MOST_LOOP
-            ):
-                against.update(three)
-    return max(
-        against,
-        key=lambda pair: (against[pair], -len(pairs[pair].matches)),
-        default=None,
-    )
-
-
-def _pair(
-    matches: Matches,
-    indices: Int[np.ndarray, "match 2"],
-    learned: Bool[np.ndarray, "match"],
-    threshold: float,
-    seed: int,
-) -> PairView | str:
-    """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
-    pair = _moved(matches, indices, learned, threshold, seed)
-    if isinstance(pair, PairView) and _in_a_corner(pair.matches, matches):
-        return _ON_A_POSTER.format(len(pair.matches))
-    return pair
-
-
-def _wide_pair(
-    matches: Matches,
-    indices: Int[np.ndarray, "match 2"],
-    learned: Bool[np.ndarray, "match"],
-    threshold: float,
-    seed: int,
-) -> PairView | str:
-    """As `_pair`, for photos from wide apart.
-
-    They have a small part in common, so a poster is told by its being flat.
-    """
-    pair = _moved(matches, indices, learned, threshold, seed)
-    if isinstance(pair, str):
-        return pair
-    agreeing = len(pair.matches)
-    if agreeing < TILTED_INLIERS:
-        return _TOO_FEW.format(agreeing, len(matches))
-    if _in_a_corner(pair.matches, matches) and _on_a_plane(pair.matches, threshold):
-        return _ON_A_POSTER.format(agreeing)
-    return pair
-
-
-def _moved(
-    matches: Matches,
-    indices: Int[np.ndarray, "match 2"],
-    learned: Bool[np.ndarray, "match"],
-    threshold: float,
-    seed: int,
-) -> PairView | str:
-    """The motion that the matches of two images show, with those that agree, or why there is
-    none.
-    """
-    found = estimate_pose(matches, threshold, seed)
-    evident = _evident(found, matches, learned, threshold)
-    if (
-        not evident and learned.any()
-    ):  # where SIFT's matches are nearly all wrong, they hide what the others say
-        alone = matches.select(learned)
-        second = estimate_pose(alone, threshold, seed)
-        if _evident(second, alone, learned[learned], threshold):
-            evident, found, matches, indices = True, second, alone, indices[learned]
-    if not evident:
-        agreeing = 0 if found is None else int(found.inliers.sum())
-        return _TOO_FEW.format(agreeing, len(matches))
-    pair = PairView.of(matches, indices, found.inliers, found.pose)
-    parallax = np.median(pair.parallax)
-    if parallax < MIN_PARALLAX:
-        return (
-            f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so "
-            "depth cannot be read"
-        )
-    return pair
-
-
-def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
-    """Whether, in both images, what agrees fills a small part of where there are matches: they show
-    one thing only.
-    """
-    both = (agreeing, matches)
-    inside = [
-        [
-            cv2.contourArea(cv2.convexHull(np.float32(rays[:, :2])))
-            for rays in (m.rays_a, m.rays_b)
-        ]
-        for m in both
-    ]
-    places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
-    return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
-
-
-def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
-    """Share of the area that the matches fill, in one picture times that in the other.
-
-    Each area is that of the ellipse two standard deviations wide, which stray matches move little.
-    """
-    shares = []
-    for rays, size in zip((agreeing.rays_a, agreeing.rays_b), sizes):
-        spread = np.linalg.det(np.cov(agreeing.focal * rays[:, :2].T))
-        shares.append(4 * np.pi * np.sqrt(max(spread, 0.0)) / np.prod(size))
-    return float(np.prod(shares))
-
-
-def _on_a_plane(agreeing: Matches, threshold: float) -> bool:
-    """Whether one homography explains nearly all that agrees."""
-    points = [
-        agreeing.focal * rays[:, :2] for rays in (agreeing.rays_a, agreeing.rays_b)
-    ]
-    cv2.setRNGSeed(0)
-    _, kept = cv2.findHomography(*points, cv2.RANSAC, 2 * threshold)
-    return kept is None or kept.mean() > PLANE
-
-
-def _places(rays: Float[np.ndarray, "match 3"]) -> int:
-    """In how many cells of the picture there are any."""
-    return len(np.unique(np.floor(6 * rays[:, :2]), axis=0))
-
-
-def _evident(
-    found: TwoViewPose | None,
-    matches: Matches,
-    learned: Bool[np.ndarray, "match"],
-    threshold: float,
-) -> bool:
-    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both
-    kinds.
-    """
-    if found is None:
-        return False
-    exact = int((found.inliers & ~learned).sum())
-    alone = log_false_alarms(int((~learned).sum()), exact, matches.chance * threshold)
-    if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:
-        return True
-    many = bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS
-    return (
-        many
-        and found.log_false_alarms <= -MIN_LOG_EVIDENCE
-        and _holds_together(found, matches)
-    )
-
-
-def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
-    """Whether the points that agree form surfaces, and lie all over the places where there are
-    matches.
-
-    Wrong learned matches are wrong together, so counting them against chance proves little. But the
-    epipolar lines say nothing about where along them a match lies, and points of wrong matches have
-    depths that jump.
-    """
-    kept = matches.select(found.inliers)
-    depth, _ = triangulate(kept.rays_a, kept.rays_b, found.pose)
-    readable = parallax_degrees(kept.rays_a, kept.rays_b, found.pose) > 1.0
-    places, log_depth = kept.rays_a[readable], np.log(depth[readable])
-    if len(places) < LEARNED_INLIERS:
-        return False
-    from scipy.spatial import cKDTree  # learned features only
-
-    _, near = cKDTree(places[:, :2]).query(
-        places[:, :2], 5
-    )  # itself and four neighbours
-    step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
-    return bool(
-        step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a)
-    )
 
 
 @dataclass
@@ -761,7 +255,7 @@ class _IncrementalRegistration:
         )
         if len(poses) < 3:
             return found
-        from edit3r_matching.bundle_adjustment import adjust
+        from edit3r_matching.bundle_adjustment import adjust  # a pair does without
 
         limit = self.threshold * max(images[0].size) / 256
         points = [keys.points for keys in self.features.keypoints]

@@ -13,8 +13,8 @@ import pytest
 from edit3r_matching import bundle_adjustment, registration
 from edit3r_matching.bundle_adjustment import adjust, fit_distortion, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
-from edit3r_matching.features import Keypoints
-from edit3r_matching.registration import FoundFeatures
+from edit3r_matching.features import FoundFeatures, Keypoints
+from edit3r_matching.pairs import PairView, agreeing_pairs
 from edit3r_matching.relative_pose import Matches
 
 from edit3r.errors import MatchingError
@@ -330,7 +330,7 @@ def test_a_pair_that_the_other_photos_contradict_is_refused(scene):
             (0, 2): np.stack([np.arange(POINTS), POINTS + np.arange(POINTS)], 1),
         },
     )
-    pairs, failures = registration.agreeing_pairs(images, found, 1.0, 0)
+    pairs, failures = agreeing_pairs(images, found, 1.0, 0)
     assert (
         set(failures) == {(0, 2)}
         and "other photos" in failures[0, 2]
@@ -358,7 +358,7 @@ def test_two_views_without_a_motion_of_their_own_share_what_agrees_with_the_othe
     found = FoundFeatures(
         keys, {**matches, (0, 3): matches[0, 3][:10]} if why == "few" else matches
     )
-    own = registration.agreeing_pairs
+    own = agreeing_pairs
 
     def without_one(*args):
         pairs, failures = own(*args)
@@ -402,7 +402,7 @@ def test_depth_is_measured_from_photos_at_a_moderate_angle_first(scene):
 
     def pair(count, degrees):
         rays = np.zeros((count, 3))
-        return registration.PairView(
+        return PairView(
             Matches(rays, rays, FOCAL, 0.01),
             np.zeros((count, 2), int),
             Pose.identity(),

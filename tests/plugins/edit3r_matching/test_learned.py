@@ -5,10 +5,10 @@ ones are.
 import numpy as np
 import pytest
 import torch
-from edit3r_matching import registration
+from edit3r_matching import features
 from edit3r_matching.cameras import calibrated_images
+from edit3r_matching.features import FeatureSettings, find_features
 from edit3r_matching.learned import LearnedFeatures
-from edit3r_matching.registration import FeatureSettings, find_features
 
 from edit3r.errors import InputError, MissingDependencyError
 
@@ -102,9 +102,9 @@ def test_without_the_weights_asking_for_them_names_the_command_and_auto_does_wit
 def test_auto_asks_the_networks_only_where_sift_finds_few(pair, weights, monkeypatch):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(weights))
     images = calibrated_images(pair.views, 0)
-    monkeypatch.setattr(registration, "ENOUGH_MATCHES", 1)
+    monkeypatch.setattr(features, "ENOUGH_MATCHES", 1)
     assert not find_features(images, settings()).sift
-    monkeypatch.setattr(registration, "ENOUGH_MATCHES", 10**6)
+    monkeypatch.setattr(features, "ENOUGH_MATCHES", 10**6)
     assert find_features(images, settings()).sift
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 from edit3r_matching.cameras import calibrated_images
+from edit3r_matching.features import FeatureSettings, find_features
 from edit3r_matching.learned import PairNetwork, load
-from edit3r_matching.registration import FeatureSettings, find_features
 
 import edit3r
 from edit3r.errors import InputError, MissingDependencyError

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from edit3r_matching import registration
 from edit3r_matching.cameras import CalibratedImage, Pose, project
-from edit3r_matching.features import Keypoints
-from edit3r_matching.registration import FoundFeatures
+from edit3r_matching.features import FoundFeatures, Keypoints
 
 from edit3r.errors import MatchingError
 

@@ -1,0 +1,326 @@
+"""The motion between two images that their matches show, and whether it is to be believed.
+
+Chance, a poster and repeated patterns all show motions; what other pairs say decides between those
+that contradict each other.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, triangulate
+from edit3r_matching.features import FoundFeatures
+from edit3r_matching.relative_pose import (
+    MIN_INLIERS,
+    Matches,
+    TwoViewPose,
+    estimate_pose,
+    log_false_alarms,
+)
+
+__all__ = ["MIN_LOG_EVIDENCE", "MIN_PARALLAX", "PairView", "agreeing_pairs"]
+
+MIN_LOG_EVIDENCE = 6.0
+"""A pose counts when random matches would agree as well less than once in 10^6 tries."""
+MIN_PARALLAX = 0.4
+"""Median angle between rays to the same point below which depth cannot be read [degrees]."""
+ENOUGH_PARALLAX = 5.0
+"""Angle beyond which more does not make a better pair [degrees]."""
+MOST_PARALLAX = 30.0
+"""Angle beyond which surfaces look less and less alike, however many points match [degrees]."""
+LEARNED_INLIERS = 30
+"""Agreeing matches below which a pose that SIFT alone does not show is not believed."""
+TILTED_INLIERS = 24
+"""The same where images were tilted to find matches: with fewer, one motion in six was wrong."""
+DEPTH_STEP = 0.05
+"""Median difference of log depth between neighbours in the picture; larger where matches are wrong
+together.
+"""
+SPREAD = 0.2
+"""Share of the places with matches that must agree: a wrong motion is often borne by one corner of
+the picture.
+"""
+CORNER = 0.07
+"""Share of the area with matches, in one picture times that in the other, below which only a poster
+agrees.
+"""
+MOST_LOOP = 7.0
+"""How far the turns from one view to a second, on to a third and back may miss [degrees]."""
+PLANE = 0.8
+"""Share of a pair's matches on one plane above which a small part of the images is a poster."""
+MIN_FILLED = 0.045
+"""Share of the area that a pair's matches fill, in one picture times that in the other, below which
+the motion of tilted images is not believed, unless nearly all matches agree with it.
+"""
+NEARLY_ALL = 0.9
+"""Share of the matches that are nearly all."""
+_TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
+_ON_A_POSTER = (
+    "all {} matched points that agree lie in a small part of both pictures, as on a "
+    "poster"
+)
+_CLOSE_TOGETHER = (
+    "the {} of {} matched points that agree lie close together, so their motion is not "
+    "sure"
+)
+
+
+@dataclass(frozen=True)
+class PairView:
+    """Matches of two views that agree on one epipolar geometry, with which feature of each view
+    they are.
+    """
+
+    matches: Matches
+    indices: Int[np.ndarray, "match 2"]  # keypoints of the first and second view
+    pose: Pose  # first view's frame to the second's
+    parallax: Float[np.ndarray, "match"]  # [degrees]
+
+    @staticmethod
+    def of(
+        matches: Matches,
+        indices: Int[np.ndarray, "all 2"],
+        kept: Bool[np.ndarray, "all"],
+        pose: Pose,
+    ) -> "PairView":
+        """What remains of all matches of two views when only those that agree with `pose` are
+        `kept`.
+        """
+        agreeing = matches.select(kept)
+        return PairView(
+            agreeing,
+            indices[kept],
+            pose,
+            parallax_degrees(agreeing.rays_a, agreeing.rays_b, pose),
+        )
+
+    @property
+    def usefulness(self) -> float:
+        """Number of matches, each counted by how well its depth can be read, and the surface around
+        it compared.
+        """
+        readable, alike = (
+            self.parallax / ENOUGH_PARALLAX,
+            (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2,
+        )
+        return float(np.minimum(np.minimum(readable, alike), 1).sum())
+
+
+def agreeing_pairs(
+    images: Sequence[CalibratedImage],
+    features: FoundFeatures,
+    threshold: float,
+    seed: int,
+) -> tuple[dict[tuple[int, int], PairView], dict[tuple[int, int], str]]:
+    """The epipolar geometry of every two images that show one; for the others, why not."""
+    pairs: dict[tuple[int, int], PairView] = {}
+    failures: dict[tuple[int, int], str] = {}
+    for (a, b), indices in features.indices.items():
+        limit = threshold * max(*images[a].size, *images[b].size) / 256
+        matches = features.matches(images, a, b)
+        judged = _wide_pair if features.tilted else _pair
+        found = judged(matches, indices, features.learned(a, b), limit, seed)
+        if features.tilted and isinstance(found, PairView):
+            agreeing, sizes = len(found.matches), (images[a].size, images[b].size)
+            doubtful = agreeing < NEARLY_ALL * len(matches)
+            if doubtful and _filled(found.matches, sizes) < MIN_FILLED:
+                found = _CLOSE_TOGETHER.format(agreeing, len(matches))
+        if isinstance(found, PairView):
+            pairs[a, b] = found
+        else:
+            failures[a, b] = found
+    while wrong := _most_contradicted(pairs):
+        failures[wrong] = (
+            f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show "
+            "another motion"
+        )
+    return pairs, failures
+
+
+def _most_contradicted(
+    pairs: dict[tuple[int, int], PairView],
+) -> tuple[int, int] | None:
+    """The pair that most often turns another way than both its views with a third; of several that
+    with least matches.
+
+    None where every three views agree.
+    """
+    against: Counter[tuple[int, int]] = Counter()
+    for a, b, c in combinations(sorted({view for pair in pairs for view in pair}), 3):
+        three = [(a, b), (b, c), (a, c)]
+        if all(pair in pairs for pair in three):
+            first, second, direct = (pairs[pair].pose.rotation for pair in three)
+            if (
+                np.degrees(np.linalg.norm(cv2.Rodrigues(second @ first @ direct.T)[0]))
+                > MOST_LOOP
+            ):
+                against.update(three)
+    return max(
+        against,
+        key=lambda pair: (against[pair], -len(pairs[pair].matches)),
+        default=None,
+    )
+
+
+def _pair(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
+    """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
+    pair = _moved(matches, indices, learned, threshold, seed)
+    if isinstance(pair, PairView) and _in_a_corner(pair.matches, matches):
+        return _ON_A_POSTER.format(len(pair.matches))
+    return pair
+
+
+def _wide_pair(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
+    """As `_pair`, for photos from wide apart.
+
+    They have a small part in common, so a poster is told by its being flat.
+    """
+    pair = _moved(matches, indices, learned, threshold, seed)
+    if isinstance(pair, str):
+        return pair
+    agreeing = len(pair.matches)
+    if agreeing < TILTED_INLIERS:
+        return _TOO_FEW.format(agreeing, len(matches))
+    if _in_a_corner(pair.matches, matches) and _on_a_plane(pair.matches, threshold):
+        return _ON_A_POSTER.format(agreeing)
+    return pair
+
+
+def _moved(
+    matches: Matches,
+    indices: Int[np.ndarray, "match 2"],
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+    seed: int,
+) -> PairView | str:
+    """The motion that the matches of two images show, with those that agree, or why there is
+    none.
+    """
+    found = estimate_pose(matches, threshold, seed)
+    evident = _evident(found, matches, learned, threshold)
+    if (
+        not evident and learned.any()
+    ):  # where SIFT's matches are nearly all wrong, they hide what the others say
+        alone = matches.select(learned)
+        second = estimate_pose(alone, threshold, seed)
+        if _evident(second, alone, learned[learned], threshold):
+            evident, found, matches, indices = True, second, alone, indices[learned]
+    if not evident:
+        agreeing = 0 if found is None else int(found.inliers.sum())
+        return _TOO_FEW.format(agreeing, len(matches))
+    pair = PairView.of(matches, indices, found.inliers, found.pose)
+    parallax = np.median(pair.parallax)
+    if parallax < MIN_PARALLAX:
+        return (
+            f"taken from nearly the same place ({parallax:.2f} degrees of parallax), so "
+            "depth cannot be read"
+        )
+    return pair
+
+
+def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
+    """Whether, in both images, what agrees fills a small part of where there are matches: they show
+    one thing only.
+    """
+    both = (agreeing, matches)
+    inside = [
+        [
+            cv2.contourArea(cv2.convexHull(np.float32(rays[:, :2])))
+            for rays in (m.rays_a, m.rays_b)
+        ]
+        for m in both
+    ]
+    places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
+    return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
+
+
+def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
+    """Share of the area that the matches fill, in one picture times that in the other.
+
+    Each area is that of the ellipse two standard deviations wide, which stray matches move little.
+    """
+    shares = []
+    for rays, size in zip((agreeing.rays_a, agreeing.rays_b), sizes):
+        spread = np.linalg.det(np.cov(agreeing.focal * rays[:, :2].T))
+        shares.append(4 * np.pi * np.sqrt(max(spread, 0.0)) / np.prod(size))
+    return float(np.prod(shares))
+
+
+def _on_a_plane(agreeing: Matches, threshold: float) -> bool:
+    """Whether one homography explains nearly all that agrees."""
+    points = [
+        agreeing.focal * rays[:, :2] for rays in (agreeing.rays_a, agreeing.rays_b)
+    ]
+    cv2.setRNGSeed(0)
+    _, kept = cv2.findHomography(*points, cv2.RANSAC, 2 * threshold)
+    return kept is None or kept.mean() > PLANE
+
+
+def _places(rays: Float[np.ndarray, "match 3"]) -> int:
+    """In how many cells of the picture there are any."""
+    return len(np.unique(np.floor(6 * rays[:, :2]), axis=0))
+
+
+def _evident(
+    found: TwoViewPose | None,
+    matches: Matches,
+    learned: Bool[np.ndarray, "match"],
+    threshold: float,
+) -> bool:
+    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both
+    kinds.
+    """
+    if found is None:
+        return False
+    exact = int((found.inliers & ~learned).sum())
+    alone = log_false_alarms(int((~learned).sum()), exact, matches.chance * threshold)
+    if exact >= MIN_INLIERS and alone <= -MIN_LOG_EVIDENCE:
+        return True
+    many = bool(learned.any()) and found.inliers.sum() >= LEARNED_INLIERS
+    return (
+        many
+        and found.log_false_alarms <= -MIN_LOG_EVIDENCE
+        and _holds_together(found, matches)
+    )
+
+
+def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
+    """Whether the points that agree form surfaces, and lie all over the places where there are
+    matches.
+
+    Wrong learned matches are wrong together, so counting them against chance proves little. But the
+    epipolar lines say nothing about where along them a match lies, and points of wrong matches have
+    depths that jump.
+    """
+    kept = matches.select(found.inliers)
+    depth, _ = triangulate(kept.rays_a, kept.rays_b, found.pose)
+    readable = parallax_degrees(kept.rays_a, kept.rays_b, found.pose) > 1.0
+    places, log_depth = kept.rays_a[readable], np.log(depth[readable])
+    if len(places) < LEARNED_INLIERS:
+        return False
+    from scipy.spatial import cKDTree  # learned features only
+
+    _, near = cKDTree(places[:, :2]).query(
+        places[:, :2], 5
+    )  # itself and four neighbours
+    step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
+    return bool(
+        step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a)
+    )
