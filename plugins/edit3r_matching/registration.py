@@ -144,8 +144,17 @@ def register(
             for (a, b), why in failures.items()
             if a == 0
         )
+        others = [
+            names[view] for view in sorted({view for key in pairs for view in key})
+        ]
+        advice = (
+            f"{', '.join(others)} match among themselves: give {others[0]} first, and "
+            f"{names[0]} is left out."
+            if others
+            else ADVICE
+        )
         raise MatchingError(
-            f"the photos could not be placed relative to each other ({reasons}). {ADVICE}"
+            f"the photos could not be placed relative to each other ({reasons}). {advice}"
         )
     pair, (_, partner) = max(first, key=lambda item: item[0].usefulness)
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)

@@ -96,6 +96,21 @@ def test_depths_that_tell_no_common_scale_join_nothing():
     assert chain(tilted=True, deeper=deeper).registered.tolist() == [True, True, False]
 
 
+def test_where_only_the_first_photo_matches_none_the_message_says_which_to_give_first():
+    points = wavy(150, 1)
+    keys = (
+        keypoints(np.zeros((0, 2))),
+        keypoints(seen(points, 1)),
+        keypoints(seen(points, 2)),
+    )
+    none = same(0)
+    indices = {(0, 1): none, (0, 2): none, (1, 2): same(150)}
+    advice = "b, c match among themselves: give b first, and a is left out"
+    with pytest.raises(MatchingError, match=advice):
+        found = FoundFeatures(keys, indices)
+        registration.register(images(3), "abc", found, threshold=1.0, seed=0)
+
+
 def placed(points, noise, tilted):
     """Register two views of `points` with wrong matches, half an image apart in y."""
     first = np.random.default_rng(3).uniform((0, 0), SIZE[::-1], (noise, 2))
