@@ -148,6 +148,7 @@ def main() -> None:
         "--one", nargs="+", type=int, help=argparse.SUPPRESS
     )  # the process of one figure
     args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
     if args.one:
         print(
             json.dumps(

@@ -28,6 +28,7 @@ __all__ = [
     "detect",
     "detect_tilted",
     "find_features",
+    "likely_pairs",
     "match",
     "match_tilted",
     "with_tilted",
@@ -46,6 +47,12 @@ LEARNED_NOISE = 4.0
 """
 MAX_TILTED_PAIRS = 30
 """Pairs of images that are tilted and matched again; each takes a third of a second."""
+MAX_ALL_PAIRS = 10
+"""Images up to which every two are matched."""
+NEIGHBOURS = 8
+"""Others with which each one of more images is matched, at least."""
+SAMPLED = 16
+"""One in so many features tells which others these are."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
@@ -164,10 +171,10 @@ def find_features(
         detect(image.pixels, settings.keypoints, settings.detection_size)
         for image in images
     )
-    every = combinations(range(len(images)), 2)
+    pairs = likely_pairs(keypoints, settings.ratio)
     found = FoundFeatures(
         keypoints,
-        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in every},
+        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in pairs},
     )
     asked = settings.matches in LEARNED
     few = [
@@ -182,6 +189,32 @@ def find_features(
     return (
         found if folder is None else _with_learned(found, few, images, folder, settings)
     )
+
+
+def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int, int]]:
+    """Every two of few images; of many, each with those most like it, and what joins them all.
+
+    A sample of the features tells how alike two images are, as in preemptive matching (Wu 2013).
+    """
+    every = list(combinations(range(len(keypoints)), 2))
+    if len(keypoints) <= MAX_ALL_PAIRS:
+        return every
+    samples = [
+        Keypoints(keys.points[::SAMPLED], keys.descriptors[::SAMPLED])
+        for keys in keypoints
+    ]
+    alike = np.zeros((len(keypoints), len(keypoints)))
+    for a, b in every:
+        alike[a, b] = alike[b, a] = len(match(samples[a], keypoints[b], ratio))
+    nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
+    chosen = {
+        (min(a, b), max(a, b)) for a, row in enumerate(nearest) for b in row if a != b
+    }
+    from scipy.sparse.csgraph import minimum_spanning_tree  # for many photos only
+
+    # An edge of 0 would be none.
+    tree = minimum_spanning_tree(np.triu(1 / (1 + alike), 1)).nonzero()
+    return sorted(chosen | set(zip(*(side.tolist() for side in tree))))
 
 
 def with_tilted(

@@ -1,3 +1,5 @@
+from itertools import combinations
+
 import cv2
 import numpy as np
 import pytest
@@ -5,6 +7,7 @@ from edit3r_matching.features import (
     Keypoints,
     detect,
     detect_tilted,
+    likely_pairs,
     match,
     match_tilted,
 )
@@ -105,3 +108,43 @@ def test_a_feature_found_in_a_tilted_image_alone_is_the_plain_one_at_its_place()
     a = [Keypoints(places, descriptors[:2]), tilted]
     b = [Keypoints(places, descriptors[2:4]), tilted]
     assert match_tilted(a, b, longest=512).tolist() == [[0, 0], [1, 1]]
+
+
+def crowds(sizes, link):
+    """Features of images in crowds that show 320 same ones each; two images share 64 others too."""
+    rng = np.random.default_rng(0)
+
+    def some(count):
+        descriptors = rng.normal(size=(count, 128))
+        return descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)
+
+    shared, images = some(64), []
+    for size in sizes:
+        common = some(320)
+        for _ in range(size):
+            own = some(320)
+            if len(images) in link:
+                own[:64] = shared
+            mixed = rng.permutation(np.concatenate([common, own]))
+            places = rng.uniform(0, 500, (640, 2))
+            images.append(Keypoints(places, mixed.astype(np.float32)))
+    return images
+
+
+def test_of_few_images_every_two_are_matched():
+    images = crowds((10,), ())
+    assert likely_pairs(images, 0.85) == list(combinations(range(10), 2))
+
+
+def test_of_many_images_each_is_matched_with_those_most_like_it():
+    images = crowds((9, 9, 9), ())
+    pairs = likely_pairs(images, 0.85)
+    for start in (0, 9, 18):  # each has eight others in its crowd
+        assert set(combinations(range(start, start + 9), 2)) <= set(pairs)
+    assert len(pairs) == 3 * 36 + 2
+
+
+def test_two_crowds_of_images_are_joined_where_they_are_most_alike():
+    pairs = likely_pairs(crowds((10, 10), (4, 13)), 0.85)
+    assert [(a, b) for a, b in pairs if a < 10 <= b] == [(4, 13)]
+    assert len(pairs) < 10 * 9
