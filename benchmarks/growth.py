@@ -148,7 +148,6 @@ def main() -> None:
         "--one", nargs="+", type=int, help=argparse.SUPPRESS
     )  # the process of one figure
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     if args.one:
         print(
             json.dumps(
@@ -158,6 +157,7 @@ def main() -> None:
             )
         )
         return
+    args.out.mkdir(parents=True, exist_ok=True)
     wanted = {
         "photos": [(count, 256) for count in args.photos],
         "pixels": [(2, size) for size in args.sizes],

@@ -162,7 +162,7 @@ class FoundFeatures:
 def find_features(
     images: Sequence[CalibratedImage], settings: FeatureSettings
 ) -> FoundFeatures:
-    """Detect features and match every two images; needs no intrinsics.
+    """Detect features and match the images two by two; needs no intrinsics.
 
     Raises MissingDependencyError where learned matches are asked for and their weights are not at
     hand.
@@ -212,7 +212,7 @@ def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int
     }
     from scipy.sparse.csgraph import minimum_spanning_tree  # for many photos only
 
-    # An edge of 0 would be none.
+    # The more alike, the shorter; a length of 0 would be no edge.
     tree = minimum_spanning_tree(np.triu(1 / (1 + alike), 1)).nonzero()
     return sorted(chosen | set(zip(*(side.tolist() for side in tree))))
 

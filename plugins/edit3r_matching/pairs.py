@@ -123,17 +123,20 @@ def agreeing_pairs(
     for (a, b), indices in features.indices.items():
         limit = threshold * max(*images[a].size, *images[b].size) / 256
         matches = features.matches(images, a, b)
-        judged = _wide_pair if features.tilted else _pair
-        found = judged(matches, indices, features.learned(a, b), limit, seed)
-        if features.tilted and isinstance(found, PairView):
-            agreeing, sizes = len(found.matches), (images[a].size, images[b].size)
-            doubtful = agreeing < NEARLY_ALL * len(matches)
-            if doubtful and _filled(found.matches, sizes) < MIN_FILLED:
-                found = _CLOSE_TOGETHER.format(agreeing, len(matches))
-        if isinstance(found, PairView):
-            pairs[a, b] = found
-        else:
+        found = _moved(matches, indices, features.learned(a, b), limit, seed)
+        if isinstance(found, str):
             failures[a, b] = found
+            continue
+        agreeing, sizes = found.matches, (images[a].size, images[b].size)
+        doubt = (
+            _doubt_of_wide(agreeing, matches, sizes, limit)
+            if features.tilted
+            else _doubt(agreeing, matches)
+        )
+        if doubt:
+            failures[a, b] = doubt
+        else:
+            pairs[a, b] = found
     while wrong := _most_contradicted(pairs):
         failures[wrong] = (
             f"{len(pairs.pop(wrong).matches)} matched points agree, but other photos show "
@@ -167,40 +170,31 @@ def _most_contradicted(
     )
 
 
-def _pair(
-    matches: Matches,
-    indices: Int[np.ndarray, "match 2"],
-    learned: Bool[np.ndarray, "match"],
-    threshold: float,
-    seed: int,
-) -> PairView | str:
-    """The pair's epipolar geometry, or the reason why there is none; `threshold` in pixels."""
-    pair = _moved(matches, indices, learned, threshold, seed)
-    if isinstance(pair, PairView) and _in_a_corner(pair.matches, matches):
-        return _ON_A_POSTER.format(len(pair.matches))
-    return pair
+def _doubt(agreeing: Matches, matches: Matches) -> str:
+    """Why a motion is not believed; empty where it is."""
+    return _ON_A_POSTER.format(len(agreeing)) if _in_a_corner(agreeing, matches) else ""
 
 
-def _wide_pair(
+def _doubt_of_wide(
+    agreeing: Matches,
     matches: Matches,
-    indices: Int[np.ndarray, "match 2"],
-    learned: Bool[np.ndarray, "match"],
+    sizes: Sequence[tuple[int, int]],
     threshold: float,
-    seed: int,
-) -> PairView | str:
-    """As `_pair`, for photos from wide apart.
+) -> str:
+    """As `_doubt`, for photos of `sizes` (height, width) from wide apart; `threshold` in pixels.
 
     They have a small part in common, so a poster is told by its being flat.
     """
-    pair = _moved(matches, indices, learned, threshold, seed)
-    if isinstance(pair, str):
-        return pair
-    agreeing = len(pair.matches)
-    if agreeing < TILTED_INLIERS:
-        return _TOO_FEW.format(agreeing, len(matches))
-    if _in_a_corner(pair.matches, matches) and _on_a_plane(pair.matches, threshold):
-        return _ON_A_POSTER.format(agreeing)
-    return pair
+    if len(agreeing) < TILTED_INLIERS:
+        return _TOO_FEW.format(len(agreeing), len(matches))
+    if _in_a_corner(agreeing, matches) and _on_a_plane(agreeing, threshold):
+        return _ON_A_POSTER.format(len(agreeing))
+    if (
+        len(agreeing) < NEARLY_ALL * len(matches)
+        and _filled(agreeing, sizes) < MIN_FILLED
+    ):
+        return _CLOSE_TOGETHER.format(len(agreeing), len(matches))
+    return ""
 
 
 def _moved(
