@@ -1,14 +1,15 @@
-"""What one photo alone shows before the sky: photos that no run was given, with and without looking
-for the sky.
+"""What one photo alone shows before the sky, and lawns that nothing measures: photos that no run
+was given, without and with looking for sky and ground.
 
     python benchmarks/occluders.py FOLDER --photos 0,2,4 --held-out 1,3,5
 
 A folder holds photos, and nobody knows their cameras: those of all photos together are read first.
-Sets of the given photos are then reconstructed with `reconstructor.matcher.sky` on and off. Each
-held-out photo is rendered from its place beside the nearest given photo. Its pose is then drawn to
-the photo by gradient descent, since the two readings differ by some pixels, and its light is fitted
-(gain and offset of each channel). Printed are the verdict and the PSNR [dB] of the given photos,
-and of each held-out photo: of all, of its sky, of the rest.
+Sets of the given photos are then reconstructed with neither, with `reconstructor.matcher.sky`, and
+with `reconstructor.matcher.ground` as well. Each held-out photo is rendered from its place beside
+the nearest given photo. Its pose is then drawn to the photo by gradient descent, since the two
+readings differ by some pixels, and its light is fitted (gain and offset of each channel). Printed
+are the verdict and the PSNR [dB] of the given photos, and of each held-out photo: of all, of its
+sky, of the rest.
 """
 
 import argparse
@@ -79,18 +80,22 @@ def aligned(
 
 
 def measure(
-    views: edit3r.Views, given: list[int], held_out: list[int], sky: bool
+    views: edit3r.Views, given: list[int], held_out: list[int], looked_for: dict
 ) -> None:
-    """Print a line for the run with or without looking for the sky; `views` have cameras."""
+    """Print a line for the run and each held-out photo; `views` have cameras, `looked_for` are
+    settings of the matcher.
+    """
     alone = replace(views.select(given), c2w=None)
-    recon = {"name": "edit3r", "matcher": {"name": "classical", "sky": sky}}
+    by_default = edit3r.build("reconstructor", "edit3r").matcher.settings.model_dump()
+    matcher = {"name": "classical", **by_default, **looked_for}
+    recon = {"name": "edit3r", "matcher": matcher}
     result = edit3r.run(alone, editor="none", recon=recon, size=max(views.image_size))
     placed = [given[i] for i, there in enumerate(result.verdict.placed) if there]
     truth = views.c2w[0]
     found = result.cameras.c2w[0]
     unit = torch.pdist(found[:, :3, 3]).sum() / torch.pdist(truth[placed, :3, 3]).sum()
     given_db = sum(db for db in result.verdict.input_psnr if db) / len(placed)
-    print(f"sky={sky}: {result.verdict.label}, given photos {given_db:.1f} dB")
+    print(f"{looked_for}: {result.verdict.label}, given photos {given_db:.1f} dB")
     for target in held_out:
         photo = views.images[0, target]
         near = int((truth[placed, :3, 3] - truth[target, :3, 3]).norm(dim=1).argmin())
@@ -132,8 +137,8 @@ def main() -> None:
     position = {index: place for place, index in enumerate(used)}
     given = [position[i] for i in asked.photos]
     held_out = [position[i] for i in asked.held_out]
-    for sky in (False, True):
-        measure(posed, given, held_out, sky)
+    for sky, ground in ((False, False), (True, False), (True, True)):
+        measure(posed, given, held_out, {"sky": sky, "ground": ground})
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from edit3r_matching.completion import (
     push_back,
     without_speckles,
 )
+from edit3r_matching.ground import above_ground, find_ground
 from edit3r_matching.plane_sweep import (
     Neighbour,
     RawDepth,
@@ -57,6 +58,10 @@ class DepthSettings(config.Settings):
     sky: bool = Field(
         True,
         description="find the sky: what hides it in one photo alone is near that camera",
+    )
+    ground: bool = Field(
+        True,
+        description="find the ground: no guess lies below it",
     )
 
 
@@ -97,8 +102,21 @@ def measure_depths(
         for image in images
     ]
     skies = find_skies([image.pixels for image in small]) if settings.sky else None
+    ground = (
+        find_ground(small, registration.poses, raw, measured)
+        if settings.ground
+        else None
+    )
     for view in raw:
-        inverse = _completed(small[view], around[view], view, raw, measured)
+        inverse = fill(
+            raw[view].inverse, measured[view], raw[view].step, small[view].pixels
+        )
+        if ground is not None:
+            pose = registration.poses[view]
+            inverse = above_ground(inverse, measured[view], small[view], pose, ground)
+        inverse = _without_hiding(
+            inverse, small[view], around[view], view, raw, measured
+        )
         if skies is not None:
             inverse = _before_skies(
                 inverse, view, small, registration, raw, measured, skies
@@ -185,18 +203,16 @@ def _measured(
     return without_speckles(np.any(agrees, axis=0), raw[view])
 
 
-def _completed(
+def _without_hiding(
+    inverse: Float[np.ndarray, "height width"],
     image: CalibratedImage,
     around: dict[int, Neighbour],
     view: int,
     raw: dict[int, RawDepth],
     measured: dict[int, Bool[np.ndarray, "height width"]],
 ) -> Float[np.ndarray, "height width"]:
-    """Inverse depth everywhere: spread what was measured, then push back what would hide a
-    neighbour's surface.
-    """
+    """`inverse` of a view with the guesses pushed back that would hide a neighbour's surface."""
     own, sure = raw[view], measured[view]
-    inverse = fill(own.inverse, sure, own.step, image.pixels)
     for other, neighbour in around.items():
         inverse = push_back(
             inverse, sure, own, image, neighbour, raw[other], measured[other]
