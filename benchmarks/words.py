@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from clicks import filled, iou
+from clicks import SAID, filled, iou
 from PIL import Image
 
 from edit3r import build
@@ -23,14 +23,6 @@ from edit3r.errors import InputError
 from edit3r.selection.select import SURE, Selection, select_masks
 from edit3r.wishes.things import read_thing
 
-SAID = {
-    "opera house": "building",
-    "plastic box": "box",
-    "large mug": "mug",
-    "wooden frame": "picture frame",
-    "round mirror": "mirror",
-}
-"""The word that a person would say for an object, where it is not the object's name."""
 ABSENT = (
     "car",
     "dog",

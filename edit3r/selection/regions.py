@@ -1,8 +1,8 @@
 """Where each wish of a sentence applies: masks of its thing in every view.
 
-Marks (clicks, boxes, masks) stand for the thing that the sentence names; in "the background" and
-"everything except the fox" they stand for what is left out. What is not marked is looked up by its
-name.
+Marks (clicks, boxes, masks) stand for the thing that the sentence names, and its name tells how far
+it goes around a click. In "the background" and "everything except the fox" they stand for what is
+left out. What is not marked is looked up by its name.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,6 +63,7 @@ class RegionFinder:
     def find(self, wishes: Sequence[Wish]) -> Regions:
         """Where each wish applies. Raises InputError for what cannot be found."""
         marked_thing = self._thing_of_marks(wishes)
+        self._name_marks(marked_thing)
         masks = [self._region(wish, marked_thing) for wish in wishes]
         found = tuple(self._found.values())
         return Regions(torch.stack(masks), found, self._things(marked_thing))
@@ -98,6 +99,17 @@ class RegionFinder:
                 "one, then for the next with --from the first run's folder."
             )
         return next(iter(names.values()), None)
+
+    def _name_marks(self, thing: Thing | None) -> None:
+        """Clicks on a whole thing are helped by its name; a part's name is seldom known."""
+        marked = self._marked
+        if (
+            marked is not None
+            and marked.positive
+            and thing is not None
+            and not thing.of
+        ):
+            self._marked = replace(marked, words=marked.words or thing.name)
 
     def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
         thing = wish.thing

@@ -40,6 +40,8 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.6  # surety under which what words found is not taken unasked
+CLICKED_SURE = 0.25  # the same where a click lies on what they found
+SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
@@ -66,7 +68,9 @@ class Selection:
     masks: Mapping[int, Float[Tensor, "height width"]] = field(
         default_factory=dict
     )  # finished masks, by view
-    words: str = ""  # what is meant, such as "bike"; looked up where nothing is marked
+    words: str = (
+        ""  # what is meant, such as "bike"; looked up where no mark says it all
+    )
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
     # True: what was found unsurely is taken, else what stands out most
     guess: bool = False
@@ -334,11 +338,7 @@ class _Work:
                 larger=chosen.larger,
             )
             if marks.positive or marks.box is not None or (marks.negative and expected):
-                self._keep(
-                    view,
-                    self.segmenter.segment_marks(self.images[view], marks).soft_mask,
-                    "marked",
-                )
+                self._keep(view, self._described(view, marks), "marked")
             elif view in chosen.added or expected:  # what is painted is taken exactly
                 self._keep(
                     view,
@@ -357,6 +357,40 @@ class _Work:
             self.masks[view] = self.masks[view] * (
                 1 - chosen.removed[view].to(self.masks[view])
             )
+
+    def _described(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
+        """The object that marks describe.
+
+        A click says where, and words say how far: a click on a wheel beside the word "bike" means
+        the bike.
+        """
+        found = self.segmenter.segment_marks(self.images[view], marks).soft_mask
+        named = self._named_at(view, marks)
+        if named is None or _overlap(found, named) >= SAME_THING:
+            return found
+        say("selection.clicked", f"what is clicked on is {self.selection.words}")
+        places = (*marks.positive, *marks.negative)
+        inside = [bool(_at(named, place) > 0.5) for place in places]
+        if inside == [True] * len(marks.positive) + [False] * len(marks.negative):
+            return named
+        marks = replace(marks, prior=named)
+        return self.segmenter.segment_marks(self.images[view], marks).soft_mask
+
+    def _named_at(
+        self, view: int, marks: Marks
+    ) -> Float[Tensor, "height width"] | None:
+        """What the words name where the first click lies; None without words, or where a box,
+        another view or the user's steps say more.
+        """
+        words = self.selection.words
+        more = marks.box is not None or marks.prior is not None or marks.larger != 0
+        if not words or not marks.positive or more:
+            return None
+        for one in self.segmenter.segment_text(self.images[view], words) or ():
+            clicked = _at(one.soft_mask, marks.positive[0]) > 0.5
+            if clicked and one.surety >= CLICKED_SURE:
+                return one.soft_mask
+        return None
 
     def carry(self, view: int) -> None:
         """The mask of a view without marks, from the nearest view that has one of its own."""
@@ -446,6 +480,23 @@ class _Work:
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
         mask = mask.to(self.images).clamp(0, 1)
         self.masks[view], self.how[view] = torch.where(mask < FAINT, 0, mask), how
+
+
+def _at(
+    mask: Float[Tensor, "height width"], place: tuple[float, float]
+) -> Float[Tensor, ""]:
+    """The value of a mask at x and y in [0, 1]."""
+    height, width = mask.shape
+    column, row = int(place[0] * width), int(place[1] * height)
+    return mask[min(row, height - 1), min(column, width - 1)]
+
+
+def _overlap(
+    one: Float[Tensor, "height width"], other: Float[Tensor, "height width"]
+) -> float:
+    """Intersection over union of two soft masks."""
+    one, other = one > 0.5, other > 0.5
+    return float((one & other).sum() / (one | other).sum().clamp(min=1))
 
 
 def _places(

@@ -1,9 +1,9 @@
 """The object that marks describe: candidates are gathered from all that is known, and ranked.
 
 Candidates come from a network that answers marks (a SAM of any kind), from learned salience, and
-from regions of like colours. People click in the middle of what they mean: of the object first,
-then of what is wrong. So a candidate counts by how much the click is the middle of what it changes,
-by how much the others agree with it, and by how much it is one thing by its colours and outline.
+from regions of like colours. People click somewhere on the object first, then in the middle of what
+is wrong. So a candidate counts by how much the click is the middle of what it changes, by how much
+the others agree with it, and by how much it is one thing by its colours and outline.
 All masks are `[h, w]` at one working size.
 """
 
@@ -27,8 +27,9 @@ ALIKE = 0.6  # overlap with the best candidate from which another one is a vote 
 SURE = 4.0  # logit of what no network has measured
 # Powers of what a candidate counts by
 MIDDLE_POWER = 2.0
-NETWORK_POWER = 0.5  # agreement with the answers to the click
-SALIENCE_POWER = 0.25
+MIDDLE_POWER_FIRST = 0.6  # of a first click that a network answers: it may lie aside
+NETWORK_POWER = 1.25  # agreement with the answers to the click
+SALIENCE_POWER = 0.5
 REGION_POWER = 0.25
 PART_POWER = 0.3
 KEPT_POWER = 0.25  # how much of the last answer stays
@@ -293,13 +294,14 @@ def _ranked(
     place, wanted = clicks[-1]
     mask = before > 0
     reach = distance_to(mask if wanted else ~mask)[place] if mask.any() else 0.0
-    agreements = []
+    agreements, middle_power = [], MIDDLE_POWER
     if evidence.prompt is None:
         salient = evidence.salient(clicks[0][0])
         if salient and clicks[0][1]:
             agreements = [(max, salient, SALIENCE_POWER_ALONE)]
     elif not mask.any():
         agreements = _agreements(evidence, place, [one > 0 for one in asked])
+        middle_power = MIDDLE_POWER_FIRST
     part_power = PART_POWER if asked else PART_POWER_ALONE
     found = []
     for one in logits:
@@ -311,7 +313,7 @@ def _ranked(
         cues = evidence.measure(inside)
         if cues is None:
             continue
-        score = _middle(inside ^ mask, place, reach) ** MIDDLE_POWER
+        score = _middle(inside ^ mask, place, reach) ** middle_power
         score *= (ALONE + cues.as_part) ** part_power
         if mask.any():
             score *= overlap(inside, mask) ** KEPT_POWER

@@ -43,9 +43,13 @@ class Halves(Segmenter):
 
     def segment_text(self, image, text):
         self.looked_up.append(text)
-        columns = {"door": (LEFT,), "wall": (RIGHT,), "half": (LEFT, RIGHT)}.get(
-            text, ()
-        )
+        known = {
+            "door": (LEFT,),
+            "wall": (RIGHT,),
+            "half": (LEFT, RIGHT),
+            "house": (slice(0, WIDTH),),
+        }
+        columns = known.get(text, ())
         return tuple(self._half(image, one) for one in columns)
 
 
@@ -106,6 +110,9 @@ def test_things_are_looked_up_by_name(prompt, expected):
         ("the background in black and white", IN_RIGHT),
         ("everything black and white except the fox", IN_RIGHT),
         ("paint the fox red but not the door", [False] * 16),
+        ("paint the house red", EVERYWHERE),  # its name says how far it goes
+        ("paint the house of the street red", IN_LEFT),  # a part's name does not
+        ("paint the wall red", IN_LEFT),  # what has this name is elsewhere
     ],
 )
 def test_marks_stand_for_what_the_sentence_names(prompt, expected):

@@ -244,6 +244,61 @@ def test_what_words_found_unsurely_is_taken_only_when_a_guess_is_allowed():
     assert (inside(found, 0) == square(2, 2).bool()).all()
 
 
+class Whole(Squares):
+    """Knows the word 'bike': large, and as sure as told; a click alone finds a small part."""
+
+    def __init__(self, surety=0.3):
+        super().__init__()
+        self.surety = surety
+
+    def segment_text(self, image, text):
+        found = replace(self._proposal(square(4, 4, 16)), surety=self.surety)
+        return (found,) if text == "bike" else None
+
+
+@pytest.mark.parametrize(
+    "place, surety, expected",
+    [
+        ((0.4, 0.4), 0.3, square(4, 4, 16)),  # the bike, of which a click finds a part
+        ((0.4, 0.4), 0.2, square(9, 12)),  # too unsure to be believed
+        ((0.7, 0.7), 0.3, square(16, 22)),  # not on what is called a bike
+    ],
+)
+def test_words_say_how_far_goes_what_is_clicked_on(place, surety, expected):
+    marks = Selection(positive=((0, *place),), words="bike")
+    selected = select_masks(IMAGES, marks, Whole(surety))
+    assert selected.how[0] == "marked"
+    assert (inside(selected, 0) == expected.bool()).all()
+
+
+def test_further_clicks_correct_what_the_words_say():
+    marks = Selection(
+        positive=((0, 0.4, 0.4),), negative=((0, 0.5, 0.7),), words="bike"
+    )
+    selected = select_masks(IMAGES, marks, Whole())
+    expected = square(4, 4, 16) * (1 - square(16, 16))
+    assert (inside(selected, 0) == expected.bool()).all()
+
+
+@pytest.mark.parametrize(
+    "more", [{"larger": -1}, {"boxes": {0: (0.4, 0.4, 0.2, 0.2)}}, {"words": ""}]
+)
+def test_a_box_a_step_or_no_words_leave_a_click_alone(more):
+    asked = {"positive": ((0, 0.4, 0.4),), "words": "bike", **more}
+    selected = select_masks(IMAGES, Selection(**asked), Whole())
+    assert (inside(selected, 0) == square(9, 12).bool()).all()
+
+
+def test_a_click_that_means_what_the_words_mean_keeps_its_own_outline():
+    class Agreeing(Whole):
+        def segment(self, image, points=(), box=None):
+            return self._proposal(square(4, 4, 15))
+
+    marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
+    selected = select_masks(IMAGES, marks, Agreeing())
+    assert (inside(selected, 0) == square(4, 4, 15).bool()).all()
+
+
 def test_a_larger_reading_of_words_is_one_of_their_box():
     words = Selection(words="box", guess=True, larger=2)
     found = select_masks(IMAGES, words, Unsure())

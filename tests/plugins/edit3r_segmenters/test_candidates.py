@@ -72,6 +72,25 @@ def test_a_click_on_what_is_wrong_takes_the_part_away_and_not_a_dot(segmenter, i
     assert left[SIDE // 2, SIDE // 2]
 
 
+class Aside:
+    """A network that sees the disc of the image wherever on it one clicks, and a crumb there."""
+
+    def ask(self, image, clicks, box=None):
+        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+        (x, y), _ = clicks[0]
+        to_middle = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
+        to_click = np.hypot(columns - x * SIDE, rows - y * SIDE)
+        disc, crumb = RADII[1] - to_middle, 3 - to_click
+        return np.stack([disc, disc + 0.5, crumb]), np.array([0.9, 0.8, 0.7])
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.05, 0.1, 0.13])
+def test_a_click_aside_of_the_middle_means_the_same_thing(segmenter, image, aside):
+    found = segmenter.answer(image, Marks(positive=((0.5 + aside, 0.5),)), Aside())
+    disc = np.pi * RADII[1] ** 2
+    assert 0.85 * disc < area(found) < 1.15 * disc
+
+
 class Crumbs:
     """A network whose four masks are one disc, each with a bite and a crumb of its own."""
 
