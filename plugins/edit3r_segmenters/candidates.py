@@ -13,7 +13,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edit3r_segmenters.masks import distance_to, graph_cut, overlap, tidied
+from edit3r_segmenters.masks import (
+    SMALLEST_PART,
+    distance_to,
+    graph_cut,
+    overlap,
+    tidied,
+)
 from edit3r_segmenters.salience import Objectness
 from edit3r_segmenters.superpixels import Superpixels
 
@@ -23,6 +29,7 @@ MIN_AREA = 12  # pixels of a candidate
 SEED = (
     0.5  # share of a click's distance to the outline that surely is as the click says
 )
+ISLAND = 0.2  # share of an answer to one click under which a piece of it is left out
 ALIKE = 0.6  # overlap with the best candidate from which another one is a vote on its outline
 SURE = 4.0  # logit of what no network has measured
 # Powers of what a candidate counts by
@@ -335,7 +342,9 @@ def _voted(
     best = found[0]
     alike = [one for one in found if overlap(one.mask, best.mask) >= ALIKE]
     votes = sum(one.score * np.sign(one.logits) for one in alike)
-    inside = tidied(votes > 0, votes > 0)
+    # What lies apart from what was clicked on is rarely meant; further clicks add it.
+    smallest = ISLAND if len(clicks) == 1 else SMALLEST_PART
+    inside = tidied(votes > 0, votes > 0, smallest)
     if any(inside[place] != wanted for place, wanted in clicks):
         return found
     share = SURE * votes / sum(one.score for one in alike)

@@ -69,16 +69,18 @@ def graph_cut(image: np.ndarray, trimap: np.ndarray, rounds: int = 3) -> np.ndar
     return (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
 
 
-def tidied(mask: np.ndarray, seed: np.ndarray) -> np.ndarray:
+def tidied(
+    mask: np.ndarray, seed: np.ndarray, smallest: float = SMALLEST_PART
+) -> np.ndarray:
     """Drop crumbs of a bool mask and pieces that miss the mask `seed`, and fill its small holes;
-    all `[H, W]`.
+    all `[H, W]`. Crumbs are less than the share `smallest` of the mask.
     """
     total = mask.sum()
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         mask.astype(np.uint8), connectivity=8
     )
     touched = np.bincount(labels[seed & mask], minlength=count) > 0
-    kept = touched & (stats[:, cv2.CC_STAT_AREA] > SMALLEST_PART * total)
+    kept = touched & (stats[:, cv2.CC_STAT_AREA] > smallest * total)
     kept[0] = False
     result = kept[labels]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(

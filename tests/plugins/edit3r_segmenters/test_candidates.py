@@ -91,6 +91,27 @@ def test_a_click_aside_of_the_middle_means_the_same_thing(segmenter, image, asid
     assert 0.85 * disc < area(found) < 1.15 * disc
 
 
+class Islands:
+    """A network whose masks are the disc of the image and a square apart from it."""
+
+    def ask(self, image, clicks, box=None):
+        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+        disc = RADII[1] - np.hypot(columns - SIDE / 2, rows - SIDE / 2)
+        disc[2:9, 2:9] = 1
+        return np.stack([disc, disc, disc]), np.array([0.9, 0.8, 0.7])
+
+
+def test_what_lies_apart_from_one_click_is_left_out_and_a_second_click_adds_it(
+    segmenter, image
+):
+    def island(*places):
+        found = segmenter.answer(image, Marks(positive=places), Islands())
+        return float((found.soft_mask[2:9, 2:9] > 0.5).float().mean())
+
+    assert island(CENTRE) == 0
+    assert island(CENTRE, (0.085, 0.085)) > 0.8
+
+
 class Crumbs:
     """A network whose four masks are one disc, each with a bite and a crumb of its own."""
 
