@@ -259,11 +259,13 @@ def _grey(
 
 
 def _as_asked(keypoints: Keypoints, size: tuple[int, int]) -> dict[str, Tensor]:
-    """One image's features in LightGlue's form."""
+    """One image's features in LightGlue's form, which takes no place outside the image."""
+    width_height = torch.tensor([size[::-1]]).float()
+    places = torch.from_numpy(keypoints.points - 0.5).float()[None]
     return {
-        "keypoints": torch.from_numpy(keypoints.points - 0.5).float()[None],
+        "keypoints": places.clamp(min=torch.zeros(2), max=width_height),
         "descriptors": torch.from_numpy(keypoints.descriptors)[None],
-        "image_size": torch.tensor([size[::-1]]).float(),
+        "image_size": width_height,
     }
 
 

@@ -8,6 +8,7 @@ import torch
 from edit3r_matching import features
 from edit3r_matching.cameras import calibrated_images
 from edit3r_matching.features import FeatureSettings, find_features
+from edit3r_matching.features import Keypoints
 from edit3r_matching.learned import LearnedFeatures
 
 from edit3r.errors import InputError, MissingDependencyError
@@ -85,6 +86,15 @@ def test_learned_features_lie_inside_the_picture(pair, weights):
     points = networks.detect(image.pixels, 2 * max(image.size)).points
     assert 0 < len(points) <= 64
     assert (points > 0).all() and (points < np.array(image.size[::-1])).all()
+
+
+def test_features_beside_the_border_are_matched_too(weights):
+    """The detector refines places by parts of a pixel, and LightGlue takes none outside."""
+    networks = LearnedFeatures.load(weights / "aliked-lightglue", 64)
+    points = np.array([[0.2, 0.1], [63.9, 47.9], [64.7, 48.6], [20.0, 30.0]])
+    descriptors = np.random.default_rng(0).normal(size=(4, 128)).astype(np.float32)
+    keypoints = Keypoints(points, descriptors)
+    assert networks.match(keypoints, keypoints, ((48, 64), (48, 64))).shape[1] == 2
 
 
 def test_without_the_weights_asking_for_them_names_the_command_and_auto_does_without(
